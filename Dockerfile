@@ -11,9 +11,8 @@ FROM ${PYTHON} AS build
 COPY constraints.txt /tmp/
 RUN sed -n '/^pip==/,/[^\\]$/p' /tmp/constraints.txt > /tmp/pip.txt \
     && pip install --no-cache-dir --require-hashes -r /tmp/pip.txt
-COPY pyproject.toml README.md LICENSE /source/
-COPY src /source/src
-RUN PIP_BUILD_CONSTRAINT=/tmp/constraints.txt pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source
+COPY packages /source
+RUN PIP_BUILD_CONSTRAINT=/tmp/constraints.txt pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source/*
 
 FROM ${PYTHON}
 COPY constraints.txt /tmp/
@@ -22,6 +21,7 @@ COPY --from=build /tmp/pip.txt /tmp/
 RUN pip install --no-cache-dir --require-hashes -r /tmp/pip.txt \
     && pip install --no-cache-dir --no-deps /wheels/*.whl \
     && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt 'splitknit[plot]' \
+        splitknit-simulator splitknit-rig splitknit-match \
     && rm -r /wheels /tmp/constraints.txt /tmp/pip.txt \
     && useradd --uid 10001 splitknit \
     && install --directory --owner splitknit /data

@@ -27,18 +27,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splitknit.batch.chunks import read_chunk
-from splitknit.batch.engine import _feature_tasks, _score_tasks, run_batch
-from splitknit.batch.execution import AHEAD, Cluster, connected, run_tasks
-from splitknit.batch.matchers import matcher
-from splitknit.batch.objects import MOVED, Location, Objects, files_below, location, stored_bytes, whole_file
-from splitknit.batch.population import CaptureRef, all_pairs, blocks_of, read_population
-from splitknit.batch.reading import Place, drop_cached, small_column
-from splitknit.batch.settings import BatchSettings, preset_cases
-from splitknit.batch.simulate import simulate_population
-from splitknit.batch.store import Store
-from splitknit.capture.enrolment import FINGERS
-from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit.io.enrolment import FINGERS
+from splitknit_match.batch.chunks import read_chunk
+from splitknit_match.batch.engine import _feature_tasks, _score_tasks, run_batch
+from splitknit_match.batch.execution import AHEAD, Cluster, connected, run_tasks
+from splitknit_match.batch.matchers import matcher
+from splitknit_match.batch.objects import MOVED, Location, Objects, files_below, location, stored_bytes, whole_file
+from splitknit_match.batch.population import CaptureRef, all_pairs, blocks_of, read_population
+from splitknit_match.batch.reading import Place, drop_cached, small_column
+from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.store import Store
+from splitknit_simulator.population.folder import simulate_population
+from splitknit_simulator.population.sessions import PopulationSettings
 from timing import machine
 
 OUT = Path(__file__).parent / "out" / "batch"

@@ -17,11 +17,11 @@ from statistics import median
 import numpy as np
 
 from bench_reconstruct import OUT, run_process, splitknit
-from splitknit.capture.exposure import grey_light, measure_focus
-from splitknit.capture.shots import CheckSettings, Examiner
 from splitknit.devices import Frame
 from splitknit.io.capture import read_capture
 from splitknit.io.images import encode_image
+from splitknit_rig.capture.exposure import grey_light, measure_focus
+from splitknit_rig.capture.shots import CheckSettings, Examiner
 from timing import machine
 
 PX_PER_MM = 75.7

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from peers import library
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit.evaluation.rates import auc, equal_error, gar_at_far, roc
-from splitknit.evaluation.scores import Scores
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit_match.evaluation.rates import auc, equal_error, gar_at_far, roc
+from splitknit_match.evaluation.scores import Scores
 from timing import machine, print_table, race
 
 
@@ -110,7 +110,7 @@ def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
 
 
 def score_file(impostor: np.ndarray) -> Any:
-    from splitknit.io.scores import read_scores
+    from splitknit_match.evaluation.score_files import read_scores
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scores.csv"

@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.gallery.entry import Entry, NewCapture
-from splitknit.gallery.gallery import Gallery
-from splitknit.gallery.key import Key
-from splitknit.matching.code import CODE_VERSION, code_size
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.key import Key
+from splitknit_match.matching.code import CODE_VERSION, code_size
 
 
 def main() -> None:

@@ -36,9 +36,9 @@ from timing import machine
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from gel_frames import cap, dots, frame, places, shading
-from splitknit.capture.live_heights import HeightMeter
 from splitknit.io.images import write_image
 from splitknit.photometric.shading import shading_slopes, write_shading
+from splitknit_rig.capture.live import HeightMeter
 
 SIZE = (480, 640)
 MARKER_PX = 9

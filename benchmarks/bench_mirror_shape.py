@@ -23,12 +23,12 @@ from splitknit.mirrors.captured import views_in
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import view_binning
 from splitknit.presets import preset_settings
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface, placement_of
-from splitknit.simulator.finger.raycast import PlacedFinger
-from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.finger.skin_map import skin_map
-from splitknit.simulator.mirror_view import mirror_view
-from splitknit.simulator.rigs import MirrorSettings, mirror_rig
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface, placement_of
+from splitknit_simulator.finger.raycast import PlacedFinger
+from splitknit_simulator.finger.shape import FingerBody
+from splitknit_simulator.finger.skin_map import skin_map
+from splitknit_simulator.mirror_view import mirror_view
+from splitknit_simulator.rigs import MirrorSettings, mirror_rig
 from timing import machine
 
 SIZE = (2000, 3000)

@@ -22,9 +22,9 @@ from splitknit.finger.steady import register, resampled
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.finger.motion import HandMotion
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.motion import HandMotion
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 from timing import machine
 
 

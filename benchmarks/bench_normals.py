@@ -12,7 +12,7 @@ from cases import shadow_case
 from peers import batched_weighted_photometric_stereo, pinv_photometric_stereo
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.near_light import NearLightSettings, near_light, pseudo_normals
+from splitknit.photometric.near_light import near_light, pseudo_normals
 from splitknit.photometric.robust import robust
 from timing import machine, print_table, race
 
@@ -46,7 +46,7 @@ def main() -> None:
     colours = np.stack([stack] * 3)
     weights = np.ones_like(stack)
     near = {
-        "near_light, all lights": lambda: near_light(stack, rig, 3.0, mask, settings=NearLightSettings(None)),
+        "near_light, all lights": lambda: near_light(stack, rig, 3.0, mask, robust=None),
         "near_light, robust": lambda: near_light(stack, rig, 3.0, mask),
         "pseudo_normals, three channels, weights": lambda: pseudo_normals(colours, rig, 3.0, mask, weights),
     }

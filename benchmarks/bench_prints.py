@@ -22,13 +22,13 @@ import numpy as np
 
 from peers import library
 from splitknit.finger.orientation import find_upright
-from splitknit.matching.minutiae import nfiq2
 from splitknit.model import default_rig
-from splitknit.prints.curvature import CurvatureSettings, curvature
-from splitknit.prints.enhance import gabor_enhance, ridge_mask, stft_enhance, thin
-from splitknit.prints.make import Print, enhance, make_print
-from splitknit.prints.sources import Source
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_match.matching.minutiae import nfiq2
+from splitknit_match.prints.curvature import CurvatureSettings, curvature
+from splitknit_match.prints.enhance import gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit_match.prints.make import Print, enhance, make_print
+from splitknit_match.prints.sources import Source
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 PRINTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "fvc2002_db1b"

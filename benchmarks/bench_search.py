@@ -22,15 +22,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.gallery.key import Key
-from splitknit.gallery.shards import Shards, merged, rescored_count, scan_shard, write_shards
-from splitknit.matching.code import ProbeSettings, code_field, code_of, code_size, probe_codes
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.ridge_band import ridge_band
-from splitknit.matching.search import CodeIndex, SearchSettings, glance, identify
-from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_match.gallery.key import Key
+from splitknit_match.gallery.shards import Shards, merged, rescored_count, scan_shard, write_shards
+from splitknit_match.matching.code import ProbeSettings, code_field, code_of, code_size, probe_codes
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.search import SearchSettings, glance, nearest_codes
+from splitknit_match.matching.template import Template, make_template, pack, unpack
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 SCALE = 0.15
@@ -49,7 +49,7 @@ def main() -> None:
     probe, *others = drawn(options.people + 1)
     stored = [pack(template) for template in others]
     print(f"1:N, {machine()}, one thread; codes of {code_size()} bytes")
-    in_memory(probe, others, stored, options.rounds)
+    in_memory(probe, others, options.rounds)
     for number, count in enumerate(map(int, options.fingers.split(","))):
         with tempfile.TemporaryDirectory() as folder:
             in_shards(probe, others, stored, Path(folder), count=count, rounds=options.rounds, first=number == 0)
@@ -79,35 +79,23 @@ def noisy_codes(others: list[Template], many: NDArray[np.int8]) -> None:
     many[len(many) // 2] = code_of(others[0])
 
 
-def in_memory(probe: Template, others: list[Template], stored: list[bytes], rounds: int) -> None:
+def in_memory(probe: Template, others: list[Template], rounds: int) -> None:
     many = np.empty((IN_MEMORY, code_size()), dtype=np.int8)
     noisy_codes(others, many)
-    index = CodeIndex([f"{n:06d}" for n in range(IN_MEMORY)], many)
-    right = f"{IN_MEMORY // 2:06d}"
-
-    def fetch(identity: str) -> Prepared:
-        number = int(identity)
-        return Prepared(unpack(stored[0 if identity == right else 1 + number % (len(stored) - 1)]))
-
-    variants, settings = probe_codes(probe), SearchSettings()
-
-    def whole() -> str:
-        return identify(probe, fetch, index, settings=settings)[0].id
-
-    assert whole() == right
+    variants, count = probe_codes(probe), SearchSettings().candidates
+    assert nearest_codes(many, variants, 1)[0] == [IN_MEMORY // 2]
     show(
         f"{IN_MEMORY} codes in memory",
         {
             "code of a gallery finger": lambda: code_of(others[0]),
             "its ridge field alone": lambda: code_field(others[0]),
             f"codes of a probe ({len(variants)} variants)": lambda: probe_codes(probe),
-            "all codes compared with them": lambda: index.nearest(variants, settings.candidates),
-            "search by codes, from the template": lambda: index.search(probe, settings.candidates),
-            f"whole search, {settings.candidates} candidates, {settings.finalists} finalists": whole,
+            "all codes compared with them": lambda: nearest_codes(many, variants, count),
+            "search by codes, from the template": lambda: nearest_codes(many, probe_codes(probe), count),
         },
         rounds,
     )
-    print(f"Memory: codes {index.codes.nbytes / 1e6:.1f} MB.")
+    print(f"Memory: codes {many.nbytes / 1e6:.1f} MB.")
 
 
 def in_shards(

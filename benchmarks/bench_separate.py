@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from cases import shadow_case
-from splitknit.networks.unet import Network, load_network, network_of, run_network, use_device
-from splitknit.networks.weights import card_bytes, read_network
+from splitknit.networks.unet import Network, card_bytes, load_network, network_of, read_network, run_network, use_device
 from splitknit.separation.direct import direct_light
 from timing import machine, print_table, race
 
@@ -62,8 +61,8 @@ def main() -> None:
 
 def thesis(image: np.ndarray, device: str) -> None:
     """Cost of the network as wide as the thesis's."""
-    from splitknit.training.networks import unet_reach
-    from splitknit.training.separation import SeparationSettings, SeparationTrainer
+    from splitknit_simulator.training.networks import unet_reach
+    from splitknit_simulator.training.separation import SeparationSettings, SeparationTrainer
 
     steps, noise = 2, np.random.default_rng(0).random((32, 3, 72, 72), dtype=np.float32)
     patches: Any = _SamePatches((noise, 0.3 * noise), steps)

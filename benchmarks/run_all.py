@@ -3,19 +3,23 @@
     python benchmarks/run_all.py [--quick] > benchmarks/out/tables.md
     python benchmarks/run_all.py --page [--only bench_match.py ...]
 
-``--page`` writes what the scripts print between their markers in docs/experiments/performance.md instead: one run on a
-quiet machine (load below 1.5, else it warns) remakes the page's tables.
+``--page`` stores what the scripts print in tables/bench_*.json instead, and writes the rows ``SHOWN`` of it into
+docs/experiments/performance.md: one run on a quiet machine (load below 1.5, else it warns) remakes them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
+import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 SUITES = {
@@ -38,16 +42,53 @@ SUITES = {
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
 }
 """Arguments of each script: in full, and with ``--quick``."""
+TABLES = HERE / "tables"
 PAGE = HERE.parent / "docs" / "experiments" / "performance.md"
 QUIET = 1.5
 JSON = ("bench_mirror_shape.py",)
 """These print one JSON object, which the document shows as it is."""
+_FRAME = "3200 x 2200, 14 images and two ambient frames, 8-bit PNG"
+_HALF = "1600 x 1100, 14 images and two ambient frames, 8-bit PNG"
+_IMREAD = "OpenCV, imread of all images, one after the other"
+_MINUTIAE = "Minutiae, prints of 533 x 342 at 500 ppi"
+_PHALANGE = "A phalange of 1968 x 1233 pixels (75.7 px/mm)"
+SHOWN = (
+    ("full frame by `metric`", "bench_reconstruct.py", _FRAME, "`metric`", _IMREAD),
+    ("full frame by `snk`", "bench_reconstruct.py", _FRAME, "`snk`", ""),
+    ("half scale by `metric`", "bench_reconstruct.py", _HALF, "`metric`", _IMREAD),
+    ("direct light, seven images", "bench_separate.py", "Seven images", "direct_light, colours, two threads", ""),
+    (
+        "robust normals",
+        "bench_normals.py",
+        "Shadow-aware",
+        "robust (shadow-aware)",
+        "numpy: batched solve, shadow-aware",
+    ),
+    ("skin in two layers", "bench_skin_layers.py", "Noise of 1%", "hanrahan_krueger, equal weights (`xie`)", ""),
+    (
+        "integration",
+        "bench_integrate.py",
+        "Masked",
+        "poisson, masked",
+        "pyamg: Ruge-Stueben with CG, double (rtol 1e-09)",
+    ),
+    ("shapelets", "bench_integrate.py", "Shapelets, n = 3", "shapelets, mirror", "numpy: scale by scale (Kovesi)"),
+    ("`ridge`, both prepared", "bench_match.py", "Ridge templates", "comparison, both sides prepared", ""),
+    ("the thesis's matcher", "bench_match.py", "The thesis's matcher, four channels of 1528 x 936", "lbp", ""),
+    ("minutiae", "bench_match.py", _MINUTIAE, "minutiae of a relief print", "nbis-py: minutiae of the same as PNG"),
+    ("unrolled print", "bench_prints.py", _PHALANGE, "unrolled print (free)", ""),
+    ("ROC", "bench_evaluate.py", "ROC, scores in double precision", "roc", "scikit-learn: roc_curve"),
+    ("viewer, to the first view", "bench_viewer.py", "viewer-1", "all: process to first view", ""),
+)
+"""Rows of the page: what it calls them, script, how the table's title begins, the row there, and a peer's row."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="few rounds, half scale: does everything run?")
-    parser.add_argument("--page", action="store_true", help="write the tables into docs/experiments/performance.md")
+    parser.add_argument(
+        "--page", action="store_true", help="store the tables, and write docs/experiments/performance.md"
+    )
     parser.add_argument("--only", nargs="+", choices=sorted(SUITES), default=list(SUITES), metavar="SCRIPT")
     options = parser.parse_args()
     if options.page:
@@ -73,10 +114,10 @@ def command(script: str, quick: bool) -> list[str]:
 
 
 def page(scripts: list[str], quick: bool) -> int:
-    """Replace what the page holds between the markers of each script; scripts without markers are left out."""
+    """Store what each script prints, and show some of it on the page; scripts without a stored file are left out."""
     failed = []
     for script in scripts:
-        if f"<!-- {script} -->" not in PAGE.read_text(encoding="utf-8"):
+        if not stored(script).is_file():
             continue
         load = os.getloadavg()[0]
         if load > QUIET:
@@ -85,19 +126,78 @@ def page(scripts: list[str], quick: bool) -> int:
         if run.returncode:
             failed.append(script)
             continue
-        PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), script, run.stdout), encoding="utf-8")
+        stored(script).write_text(as_json(parsed(run.stdout)), encoding="utf-8")
+    PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), shown()), encoding="utf-8")
     if failed:
-        print(f"The page keeps what it had of {', '.join(failed)}, which failed.", file=sys.stderr)
+        print(f"The tables keep what they had of {', '.join(failed)}, which failed.", file=sys.stderr)
     return int(bool(failed))
 
 
-def replaced(text: str, script: str, tables: str) -> str:
-    """`text` with `tables` between the markers of `script`."""
-    before, start, rest = text.partition(f"<!-- {script} -->\n")
-    _, end, after = rest.partition(f"<!-- /{script} -->")
+def stored(script: str) -> Path:
+    return TABLES / f"{Path(script).stem}.json"
+
+
+def as_json(document: Mapping[str, Any]) -> str:
+    """Each row of a table on one line."""
+    text = json.dumps(document, indent=1, ensure_ascii=False)
+    return re.sub(r'\[\s+("[^\n]*"(?:,\n\s+"[^\n]*")*)\s+\]', _on_one_line, text) + "\n"
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    return f"[{' '.join(cell.strip() for cell in found[1].splitlines())}]"
+
+
+def parsed(text: str) -> dict[str, Any]:
+    """The Markdown that a script prints: its lines of prose, and its tables, each with the title above it."""
+    notes: list[str] = []
+    tables: list[dict[str, Any]] = []
+    title, open_table = "", False
+    for line in map(str.strip, text.splitlines()):
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        if not line.startswith("|"):
+            heading = re.fullmatch(r"(?:\*\*|#+ )(.+?)(?:\*\*)?", line)
+            title = heading[1] if heading else title
+            notes += [line] if line and not heading else []
+        elif not open_table:
+            tables.append({"title": title, "columns": cells, "rows": []})
+        elif not set(line) <= set("|- :"):
+            tables[-1]["rows"].append(cells)
+        open_table = line.startswith("|")
+    return {"notes": notes, "tables": tables}
+
+
+def shown() -> str:
+    """The page's table: the rows ``SHOWN`` of what is stored."""
+    lines = ["| what | time, least / median | processor | peer, time |", "| --- | --- | --- | --- |"]
+    for words, script, title, row, peer in SHOWN:
+        tables = json.loads(stored(script).read_text(encoding="utf-8"))["tables"]
+        cells = [figure(tables, title, row, kind) for kind in ("wall", "processor")]
+        beside = f"{figure(tables, title, peer, 'wall')} ({peer.partition(':')[0].partition(',')[0]})" if peer else ""
+        lines.append(f"| {words} | {' | '.join(cells)} | {beside} |")
+    return "\n".join(lines)
+
+
+KINDS = {"wall": ("wall", "seconds"), "processor": ("processor", "CPU")}
+"""How scripts begin the head of a column of times."""
+
+
+def figure(tables: list[dict[str, Any]], title: str, row: str, kind: str) -> str:
+    """A cell with its unit; a dash where no table has such a row and column, as of a peer that is not installed."""
+    for table in tables:
+        cells = next((cells for cells in table["rows"] if cells[0] == row), None)
+        column = next((k for k, name in enumerate(table["columns"]) if name.startswith(KINDS[kind])), None)
+        if table["title"].startswith(title) and cells is not None and column is not None:
+            return f"{cells[column]} {'ms' if ' ms' in table['columns'][column] else 's'}"
+    return "-"
+
+
+def replaced(text: str, table: str) -> str:
+    """`text` with `table` between the markers."""
+    before, start, rest = text.partition("<!-- run_all.py -->\n")
+    _, end, after = rest.partition("<!-- /run_all.py -->")
     if not (start and end):
-        raise SystemExit(f"{PAGE.name} holds no pair of markers of {script}.")
-    return f"{before}{start}{tables.strip()}\n{end}{after}"
+        raise SystemExit(f"{PAGE.name} holds no pair of markers of run_all.py.")
+    return f"{before}{start}{table}\n{end}{after}"
 
 
 if __name__ == "__main__":

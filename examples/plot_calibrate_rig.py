@@ -12,13 +12,12 @@ import argparse
 
 import numpy as np
 
-from splitknit.calibration.light_table import Tip
-from splitknit.calibration.lights import Circle, by_circle
-from splitknit.calibration.nail import by_joint_fit
 from splitknit.model import Rig
-from splitknit.rig.circuit_files import design_circuit
-from splitknit.simulator.calibration_set.solids import NailScene
-from splitknit.simulator.rigs import built_rig
+from splitknit_rig.calibration.lights import Circle, Tip, by_circle
+from splitknit_rig.calibration.nail import by_joint_fit
+from splitknit_rig.rig.circuit_files import design_circuit
+from splitknit_simulator.calibration_set.solids import NailScene
+from splitknit_simulator.rigs import built_rig
 
 PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 

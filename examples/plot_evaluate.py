@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit.evaluation.rates import roc
 from splitknit.finger.orientation import find_upright
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.ridge_band import ridge_band
-from splitknit.matching.template import Template, make_template
 from splitknit.model import default_rig
-from splitknit.report.evaluation import roc_chart
-from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.page import roc_chart
+from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit_match.evaluation.rates import roc
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.template import Template, make_template
+from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 PHALANGE_MM, NOISE_UM = 20.0, 12.0
 

@@ -15,16 +15,16 @@ import cv2
 import numpy as np
 
 import splitknit
+from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
-from splitknit.matching.methods import false_match_rate
-from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.model import surface_of
-from splitknit.prints.ridges import surface_print
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_match.matching.methods import false_match_rate
+from splitknit_match.matching.minutiae import extract, minutiae_match
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 
 def marked(image: np.ndarray, minutiae: Minutiae) -> np.ndarray:

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
 from splitknit.report.figures import render_views, small_fields
-from splitknit.simulator.rigs import MirrorSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.rigs import MirrorSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
+from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
 from splitknit.model import surface_of
 from splitknit.presets import PRESETS
-from splitknit.prints.ridges import surface_print
-from splitknit.simulator.finger.motion import HandMotion
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.motion import HandMotion
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:

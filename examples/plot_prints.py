@@ -16,12 +16,12 @@ import numpy as np
 
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
-from splitknit.matching.minutiae import extract, nfiq2
-from splitknit.prints.enhance import as_print, ridge_mask, thin
-from splitknit.prints.make import enhance, make_print
-from splitknit.prints.sources import read_source
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_match.matching.minutiae import extract, nfiq2
+from splitknit_match.prints.enhance import as_print, ridge_mask, thin
+from splitknit_match.prints.make import enhance, make_print
+from splitknit_match.prints.sources import read_source
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 METHODS = ("relief", "unroll", "curvature", "photo")
 

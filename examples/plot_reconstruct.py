@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.imaging.band import linear_image
 from splitknit.io.images import write_image
 from splitknit.io.pictures import grey, on_paper, to_frame, upright_frame
 from splitknit.report.figures import render_views, small_fields
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 
 def describe(result: splitknit.Reconstruction) -> None:

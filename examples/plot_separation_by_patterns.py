@@ -18,12 +18,11 @@ import numpy as np
 
 from splitknit.io.images import write_image
 from splitknit.model import Camera, default_rig
-from splitknit.separation.checkerboard import checkerboard
-from splitknit.separation.single_image import single_image
+from splitknit.separation.binary import checkerboard, single_image
 from splitknit.separation.stacks import Separation, StackSettings
-from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
-from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
-from splitknit.simulator.light.skin import SkinOptics
+from splitknit_simulator.finger.palm import PalmSettings, draw_palm, palm_surface
+from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
+from splitknit_simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM, BLOCK = 0.4, 20.0, 16
 UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip

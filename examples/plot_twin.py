@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.io.images import write_image
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 Array = np.ndarray
 

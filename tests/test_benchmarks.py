@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from script_folder import scripts_of
@@ -28,15 +29,35 @@ def test_quick_runs_ask_for_one_or_two_rounds() -> None:
                 assert int(quick[quick.index("--rounds") + 1]) <= 2, name
 
 
-def test_the_page_holds_markers_that_its_tables_replace() -> None:
+def test_the_page_shows_rows_of_the_stored_tables() -> None:
     page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(encoding="utf-8")
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
-        for name in run_all.SUITES:
-            assert page.count(f"<!-- {name} -->") == page.count(f"<!-- /{name} -->") <= 1, name
-        changed = run_all.replaced(page, "bench_match.py", "\n| a | b |\n")
-        assert "<!-- bench_match.py -->\n| a | b |\n<!-- /bench_match.py -->" in changed
-        assert run_all.replaced(changed, "bench_match.py", "| a | b |") == changed
+        assert run_all.replaced(page, run_all.shown()) == page, "run benchmarks/run_all.py --page"
+        for words, name, title, row, peer in run_all.SHOWN:
+            tables = json.loads(run_all.stored(name).read_text(encoding="utf-8"))["tables"]
+            assert "-" not in [run_all.figure(tables, title, one, "wall") for one in (row, peer) if one], words
+        changed = run_all.replaced(page, "| a | b |")
+        assert "<!-- run_all.py -->\n| a | b |\n<!-- /run_all.py -->" in changed
+        names = {run_all.stored(name) for name in run_all.SUITES}
+        assert {file for file in run_all.TABLES.glob("bench_*.json") if file not in names} == set()
+
+
+def test_what_a_script_prints_is_stored_as_tables() -> None:
+    printed = (
+        "Cores: 2\n\n**First**\n\n| a | b |\n| --- | --- |\n| 1 | 2 / 3 |\n\n| c |\n| --- |\n| |\n### Next\nmore\n"
+    )
+    with scripts_of(BENCHMARKS) as script:
+        run_all = script("run_all")
+        found = run_all.parsed(printed)
+        assert found["notes"] == ["Cores: 2", "more"]
+        assert found["tables"][0] == {"title": "First", "columns": ["a", "b"], "rows": [["1", "2 / 3"]]}
+        assert [table["title"] for table in found["tables"]] == ["First", "First"]
+        assert json.loads(run_all.as_json(found)) == found
+        assert '["1", "2 / 3"]' in run_all.as_json(found)
+        times = [{"title": "T 7", "columns": ["method", "wall ms, min / median"], "rows": [["x", "1 / 2"]]}]
+        assert run_all.figure(times, "T", "x", "wall") == "1 / 2 ms"
+        assert run_all.figure(times, "T", "y", "wall") == run_all.figure(times, "T", "x", "processor") == "-"
 
 
 def test_a_ratio_is_taken_round_by_round() -> None:

@@ -22,7 +22,7 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
         "pipeline.py": "from splitknit.photometric.lambertian import lambertian\nfrom splitknit import steps\n\n\n"
         "class NearSettings:\n    rows: int = 1\n    name: str = ''\n\n\ndef lambertian(): ...\n\n\n"
         "class Near(Checked):\n    rows: int = 1\n",
-        "../../README.md": "two words\n",
+        "__init__.pyi": "from splitknit.pipeline import lambertian as lambertian\n",
         "steps.py": "def late():\n    import splitknit.pipeline\n",
     }
     for name, text in files.items():
@@ -35,9 +35,10 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
     )
     found = json.loads(run.stdout)
     assert found["python_files"] == 7 and found["lines"] == 25
-    assert found["settings_fields"] == 3 and found["public_names"] == 6 and found["homonyms"] == 1
+    assert found["settings_fields"] == 3 and found["names_of_modules"] == 6 and found["homonyms"] == 1
+    assert found["members"][0] == {"member": "splitknit", "files": 8, "lines": 26, "public_names": 1}
     assert found["functions_with_whole_settings"] == found["functions_with_many_parameters"] == found["noqa"] == 1
-    assert found["readme_words"] == 2
+    assert found["words"]["index.md"] > 0 and found["words"]["all"] < sum(found["words"].values())
     assert found["files_to_the_equations"] == 3 and found["files_to_the_ply"] == 0
     assert found["import_circles"] == 1
     assert found["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone

@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from splitknit.batch.simulate import simulate_population
 from splitknit.cli.main import build_parser
-from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit_simulator.population.folder import simulate_population
+from splitknit_simulator.population.sessions import PopulationSettings
 
 Event = tuple[str, str]
 """``address``, ``lookup`` or ``write``, and of what."""
@@ -62,8 +62,8 @@ for arguments in json.loads(sys.argv[1]):
 PROCESSES = """
 import sys
 from pathlib import Path
-from splitknit.batch.settings import BatchSettings, preset_cases
-from splitknit.batch.engine import run_batch
+from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.engine import run_batch
 from splitknit.cli.main import main
 people = sys.argv[1]
 assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--preset", "snk"]) == 0

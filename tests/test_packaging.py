@@ -10,8 +10,17 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base", "isal": "python-isal"}
+MEMBERS = ("splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match")
+PROJECTS = {
+    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for name in MEMBERS
+}
+PROJECT = PROJECTS["splitknit"]
+NEEDED = sorted(
+    {one for project in PROJECTS.values() for one in project["dependencies"] if not one.startswith("splitknit")}
+)
+"""By any member, but for the members themselves."""
+CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
 """Names that differ there."""
 
 
@@ -22,38 +31,61 @@ def of_conda(requirements: list[str]) -> set[str]:
     return {f"{CONDA.get(found[1], found[1])} {found[2]}" for found in names if found}
 
 
-def test_the_wheel_holds_every_file_of_the_package() -> None:
+@pytest.mark.parametrize("member", MEMBERS)
+def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
     """No rule of .gitignore, which hatchling obeys, takes out networks, presets, pages or licences."""
     wheel = pytest.importorskip("hatchling.builders.wheel")
-    held = {file.distribution_path for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()}
-    files = [path.relative_to(ROOT / "src") for path in (ROOT / "src" / "splitknit").rglob("*") if path.is_file()]
+    home = ROOT / "packages" / member
+    held = {file.distribution_path for file in wheel.WheelBuilder(str(home)).recurse_included_files()}
+    files = [path.relative_to(home / "src") for path in (home / "src").rglob("*") if path.is_file()]
     kept = {path.as_posix() for path in files if "__pycache__" not in path.parts}
     assert held == kept
-    assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css", ".svg", ".typed"}
-    for licence in PROJECT["license-files"]:
-        assert (ROOT / licence).is_file()
+    assert any(name.endswith("/py.typed") for name in held) and any(name.endswith("/__init__.pyi") for name in held)
+    if member == "splitknit":
+        assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css", ".svg"}
+    for licence in PROJECTS[member]["license-files"]:
+        assert (home / licence).is_file()
+
+
+def test_members_have_one_version_and_need_each_other_in_it() -> None:
+    assert {project["version"] for project in PROJECTS.values()} == {PROJECT["version"]}
+    for name, project in PROJECTS.items():
+        others = {one for one in project["dependencies"] if one.startswith("splitknit")}
+        wanted = {"splitknit": set(), "splitknit-simulator": {"splitknit"}}.get(
+            name, {"splitknit", "splitknit-simulator"}
+        )
+        assert others == {f"{one}=={PROJECT['version']}" for one in wanted}
+
+
+def test_the_core_needs_seven_packages_and_none_of_the_large_ones() -> None:
+    names = {re.match(r"[\w-]+", one)[0] for one in PROJECT["dependencies"]}  # type: ignore[index]
+    assert len(names) <= 7 and not names & {"cryptography", "pyarrow", "torch", "matplotlib"}
 
 
 def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
     recipe = yaml.safe_load(re.sub(r"{{ *(\w+) *}}", r"\1", text))
     assert recipe["package"] == {"name": PROJECT["name"], "version": PROJECT["version"]}
-    assert set(recipe["requirements"]["run"]) == of_conda(PROJECT["dependencies"]) | {
-        f"python {PROJECT['requires-python']}"
-    }
+    assert set(recipe["requirements"]["run"]) == of_conda(NEEDED) | {f"python {PROJECT['requires-python']}"}
     ((name, target),) = PROJECT["scripts"].items()
     assert recipe["build"]["entry_points"] == [f"{name} = {target}"]
     assert recipe["about"]["license"] == PROJECT["license"]
-    assert recipe["about"]["license_file"] == PROJECT["license-files"]
+    assert recipe["about"]["license_file"] == [
+        "LICENSE",
+        "packages/splitknit/src/splitknit/viewer/static/vendor/three/LICENSE",
+    ]
 
 
 def test_the_conda_environment_has_the_extras_batch_and_plot() -> None:
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
-    extras = PROJECT["optional-dependencies"]
-    needed = of_conda(PROJECT["dependencies"] + extras["batch"] + extras["plot"])
+    batch, plot = (
+        PROJECTS["splitknit-match"]["optional-dependencies"]["batch"],
+        PROJECT["optional-dependencies"]["plot"],
+    )
+    needed = of_conda(NEEDED + batch + plot)
     found = {one for one in environment["dependencies"] if isinstance(one, str)}
     assert found - {"pip", "python >=3.11,<3.14"} == needed
-    assert environment["dependencies"][-1] == {"pip": ["."]}
+    assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}
 
 
 def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:

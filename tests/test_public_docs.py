@@ -68,7 +68,7 @@ def test_the_site_shows_every_public_name_and_verb(hooks: ModuleType, caplog: py
     with caplog.at_level(logging.WARNING):
         page = hooks.public_names()
     assert caplog.records == []
-    shown = {line.removeprefix("::: ") for line in page.splitlines() if line.startswith("::: ")}
+    shown = {line.strip(":#` ") for line in page.splitlines() if line.startswith((":::", "### "))}
     assert shown >= set(PUBLIC) and "splitknit.Capture" in shown
     assert "### `splitknit gallery rekey`" in hooks.help_of_every_verb()
 
@@ -83,8 +83,11 @@ def test_a_public_name_without_words_is_found(
 
 
 def test_links_out_of_the_pages_become_paths(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
-    text = "[README](../README.md), [code](../src/splitknit/model.py#a), [page](guide/install.md), [gone](../gone.py)"
+    text = "[README](../README.md), [code](../packages/splitknit/src/splitknit/model.py#a), "
+    text += "[page](guide/install.md), [gone](../gone.py)"
     with caplog.at_level(logging.WARNING):
         found = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
-    assert found.startswith("README (`README.md`), code (`src/splitknit/model.py`), [page](guide/install.md)")
+    assert found.startswith(
+        "README (`README.md`), code (`packages/splitknit/src/splitknit/model.py`), [page](guide/install.md)"
+    )
     assert "no file ../gone.py" in caplog.text

@@ -1,14 +1,15 @@
 """What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names, executed notebooks.
 
 ``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the file's path; one that
-leads nowhere ends a strict build, as does a name of ``splitknit.__all__`` without a docstring, or a page that would
-fetch something when it is read.
+leads nowhere ends a strict build, as does a public name without a docstring, or a page that would fetch something when
+it is read.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import logging
 import os
 import re
@@ -21,6 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LOG = logging.getLogger("mkdocs.hooks.splitknit")
 """Warnings of this logger end a strict build."""
+DOORS = ("splitknit", "splitknit_simulator", "splitknit_rig", "splitknit_match")
+"""What users import: ``__all__`` of each."""
 ARRAYS = (
     "splitknit.photometric.lambertian.lambertian",
     "splitknit.photometric.robust.robust",
@@ -36,19 +39,19 @@ ARRAYS = (
 )
 """Functions on arrays that are public as well."""
 RESULTS = (
-    "splitknit.prints.make.Print",
-    "splitknit.matching.methods.Match",
-    "splitknit.matching.methods.ComparedSide",
-    "splitknit.matching.methods.MatchDecision",
-    "splitknit.gallery.identify.Identification",
-    "splitknit.gallery.identify.RankedCandidate",
-    "splitknit.gallery.identify.Searched",
-    "splitknit.evaluation.study.Evaluation",
-    "splitknit.evaluation.facts.Result",
-    "splitknit.calibration.camera_photos.MeasuredCamera",
-    "splitknit.calibration.lights_found.CalibratedLights",
-    "splitknit.calibration.lights_found.CalibratedLed",
-    "splitknit.calibration.radiometry.RadiometricCalibration",
+    "splitknit_match.prints.make.Print",
+    "splitknit_match.matching.methods.Match",
+    "splitknit_match.matching.methods.ComparedSide",
+    "splitknit_match.matching.methods.MatchDecision",
+    "splitknit_match.gallery.identify.Identification",
+    "splitknit_match.gallery.identify.RankedCandidate",
+    "splitknit_match.gallery.identify.Searched",
+    "splitknit_match.evaluation.study.Evaluation",
+    "splitknit_match.evaluation.facts.Result",
+    "splitknit_rig.calibration.camera_photos.MeasuredCamera",
+    "splitknit_rig.calibration.lights_found.CalibratedLights",
+    "splitknit_rig.calibration.lights_found.CalibratedLed",
+    "splitknit_rig.calibration.radiometry.RadiometricCalibration",
 )
 """What public functions return."""
 
@@ -98,18 +101,34 @@ def help_of_every_verb() -> str:
 def public_names() -> str:
     """One entry of the page for each public name."""
     parts = []
-    home = importlib.import_module("splitknit")
-    for full in (*(f"splitknit.{name}" for name in home.__all__), *RESULTS, *ARRAYS):
+    doors = [f"{door}.{name}" for door in DOORS for name in importlib.import_module(door).__all__]
+    for full in (*doors, *RESULTS, *ARRAYS):
         module, _, name = full.rpartition(".")
         value: Any = getattr(importlib.import_module(module), name)
         if isinstance(value, str):
+            if module != "splitknit":
+                parts.append(f"## {module}")
             continue
         if full in (RESULTS[0], ARRAYS[0]):
             parts.append("## Results" if full == RESULTS[0] else "## Functions on arrays")
         words = (value.__doc__ or "").strip()
         if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
             LOG.warning("%s is public and has no docstring", full)
-        parts.append(f"::: {full}")
+        made_of_a_job = inspect.isfunction(value) and hasattr(value, "job")
+        parts.append(function_of_a_job(full, value) if made_of_a_job else f"::: {full}")
+    return "\n\n".join(parts)
+
+
+def function_of_a_job(name: str, function: Any) -> str:
+    """A function whose docstring follows from the fields of a job, which nobody sees in the source, as Markdown."""
+    sections = re.split(r"^(\w+)\n-+\n", inspect.getdoc(function) or "", flags=re.MULTILINE)
+    found = inspect.signature(function)
+    bare = found.replace(parameters=[one.replace(annotation=one.empty) for one in found.parameters.values()])
+    parts = [f"### `{name}`", f"```python\n{name}{bare}\n```", sections[0].strip()]
+    for title, text in zip(sections[1::2], sections[2::2], strict=True):
+        entry = re.compile(r"^(\S.*)\n((?:    .*\n?)*)", flags=re.MULTILINE)
+        entries = entry.sub(lambda one: f"- `{one[1]}` {one[2].strip()}\n", f"{text}\n")
+        parts += [f"**{title}**", f"```pycon\n{text.strip()}\n```" if title == "Examples" else entries.strip()]
     return "\n\n".join(parts)
 
 

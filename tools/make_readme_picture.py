@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 import splitknit
+from splitknit.finger.ridges import PrintSettings, relief_print
 from splitknit.imaging.band import linear_image
 from splitknit.io.pictures import PictureFrame, grey, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
-from splitknit.prints.ridges import PrintSettings, relief_print
 from splitknit.report.figures import oblique_view, small_fields
 from splitknit.report.result import PRINT_PPI
 

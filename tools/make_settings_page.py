@@ -20,19 +20,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from splitknit.calibration.lights_found import LightSettings
-from splitknit.capture.pi import PiCameraSettings
-from splitknit.capture.session import SessionSettings
-from splitknit.matching.search import SearchSettings
-from splitknit.matching.surface import MatchingSettings
 from splitknit.presets import PRESETS
-from splitknit.prints.make import PrintingSettings
-from splitknit.rig.circuit import CircuitSettings
-from splitknit.rig.part_settings import PartSettings
-from splitknit.simulator.bench_photos import BenchPhotos
-from splitknit.simulator.camera.device import TwinDeviceSettings
-from splitknit.simulator.population.sessions import PopulationSettings
-from splitknit.simulator.scene import TwinSettings
+from splitknit_match.matching.search import SearchSettings
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.prints.make import PrintingSettings
+from splitknit_rig.calibration.lights_found import LightSettings
+from splitknit_rig.capture.pi import PiCameraSettings
+from splitknit_rig.capture.session import SessionSettings
+from splitknit_rig.rig.circuit import CircuitSettings
+from splitknit_rig.rig.part_settings import PartSettings
+from splitknit_simulator.bench_photos import BenchPhotos
+from splitknit_simulator.camera.device import TwinDeviceSettings
+from splitknit_simulator.population.sessions import PopulationSettings
+from splitknit_simulator.scene import TwinSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "settings.md"
 INTRODUCTION = """# Settings

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulator.light.skin import RADIUS_EDGES, REFRACTIVE_INDEX, WalkTable, fresnel
+from splitknit_simulator.light.skin import RADIUS_EDGES, REFRACTIVE_INDEX, WalkTable, fresnel
 
 WALKS = 6_000_000
 SEED = 20261120
@@ -17,9 +17,17 @@ LENGTH_EDGES = np.concatenate([[0.0], np.geomspace(1e-2, LONGEST_WALK, 91)])
 
 
 def main() -> None:
-    """Write ``src/splitknit/simulator/data/walks.npz``."""
+    """Write ``packages/splitknit-simulator/src/splitknit_simulator/data/walks.npz``."""
     table = walk(WALKS, SEED)
-    target = Path(__file__).resolve().parents[1] / "src" / "splitknit" / "simulator" / "data" / "walks.npz"
+    target = (
+        Path(__file__).resolve().parents[1]
+        / "packages"
+        / "splitknit-simulator"
+        / "src"
+        / "splitknit_simulator"
+        / "data"
+        / "walks.npz"
+    )
     target.parent.mkdir(exist_ok=True)
     np.savez_compressed(
         target,

@@ -1,12 +1,14 @@
-"""Measure the structure of ``src``: files, lines, settings, public names, imports; as a table, or as JSON.
+"""Measure the structure of the members: files, lines, settings, public names, imports; as tables, or as JSON.
 
-    python tools/measure_house.py [--json] [--src src]
+    python tools/measure_house.py [--json] [--src packages/splitknit/src ...]
 
 Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter. What is counted:
 
 - settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from ``Checked``;
-- public names: functions and classes at the top level of modules, without a leading underscore;
-- homonyms: public names that two modules or more define;
+- lines by member: of ``.py`` and ``.pyi`` files; public names by member: what stands at its door, ``__init__.pyi``;
+- words by page: of ``docs``, as ``wc -w`` counts them; pages that a script writes are not in the sum;
+- names of modules: functions and classes at their top level, without a leading underscore; homonyms: those that two
+  modules or more define;
 - whole settings: functions below the entry (``reconstruct``) with a parameter of the type ``PipelineSettings``;
 - many parameters: functions and methods with six or more, ``self`` not counted;
 - noqa: lines that silence the linter; README words: as ``wc -w`` counts them;
@@ -21,25 +23,28 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import re
 import subprocess
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 VERB = ("splitknit.cli.reconstruct",)
 EQUATIONS = ("splitknit.photometric.lambertian",)
-MESH = ("splitknit.io.ply",)
+MESH = ("splitknit.io.mesh",)
 ENTRIES = ("reconstruct",)
 """Functions that may take whole settings: they pick a method and its parameters."""
+GENERATED = ("reference/settings.md", "guide/examples.md")
+ROOT = Path(__file__).resolve().parents[1]
 
 
 class House:
     """All modules of a source tree: their syntax trees and who imports whom."""
 
-    def __init__(self, src: Path) -> None:  # noqa: D107 - the class says it
-        self.files = {_module(path, src): path for path in sorted(src.rglob("*.py"))}
+    def __init__(self, sources: Sequence[Path]) -> None:  # noqa: D107 - the class says it
+        self.files = {_module(path, src): path for src in sources for path in sorted(src.rglob("*.py"))}
         self.trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()}
         self.imports = {name: self._imports(name) for name in self.files}
 
@@ -134,7 +139,7 @@ class House:
             for item in node.body
         )
 
-    def public_names(self) -> Counter[str]:
+    def module_names(self) -> Counter[str]:
         """Functions and classes at the top level of modules, and how many modules define each."""
         kinds = (ast.FunctionDef, ast.ClassDef)
         nodes = (node for tree in self.trees.values() for node in tree.body if isinstance(node, kinds))
@@ -149,23 +154,49 @@ class House:
                     yield node.name, [arg for arg in every if arg.arg not in ("self", "cls")]
 
 
-def measure(src: Path) -> dict[str, float | int | None]:
-    """All figures by name."""
-    house = House(src)
+def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
+    """Files, lines and public names of every package."""
+    rows: list[dict[str, str | int]] = []
+    for package in sorted(path for src in sources for path in src.iterdir() if (path / "__init__.py").is_file()):
+        files = [*package.rglob("*.py"), *package.rglob("*.pyi")]
+        door = package / "__init__.pyi"
+        names = re.findall(r"^from \S+ import \w+ as (\w+)$", door.read_text(), re.MULTILINE) if door.is_file() else []
+        lines = sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
+        rows.append({"member": package.name, "files": len(files), "lines": lines, "public_names": len(names)})
+    every = {name: sum(int(row[name]) for row in rows) for name in ("files", "lines", "public_names")}
+    return [*rows, {"member": "all", **every}]
+
+
+def pages(docs: Path) -> dict[str, int]:
+    """Words of every page, and ``all``: of those that are not generated."""
+    words = {
+        page.relative_to(docs).as_posix(): len(page.read_text(encoding="utf-8").split())
+        for page in sorted(docs.rglob("*.md"))
+    }
+    return {**words, "all": sum(count for page, count in words.items() if page not in GENERATED)}
+
+
+def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
+    """All other figures by name."""
+    house = House(sources)
     texts = [path.read_text(encoding="utf-8") for path in house.files.values()]
-    names, parameters = house.public_names(), list(house.parameters())
-    readme = src.resolve().parent / "README.md"
+    names, parameters = house.module_names(), list(house.parameters())
+    readme = ROOT / "README.md"
     started = time.perf_counter()
     code = "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in sys.modules))"
     run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={"PYTHONPATH": str(src)}
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": ":".join(map(str, sources))},
     )
     seconds = time.perf_counter() - started
     return {
         "python_files": len(house.files),
         "lines": sum(len(text.splitlines()) for text in texts),
         "settings_fields": house.settings_fields(),
-        "public_names": names.total(),
+        "names_of_modules": names.total(),
         "homonyms": sum(count > 1 for count in names.values()),
         "functions_with_whole_settings": sum(
             name not in ENTRIES and any(_takes_whole_settings(arg) for arg in given) for name, given in parameters
@@ -195,11 +226,17 @@ def main() -> None:
     """Print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--src", type=Path, default=Path(__file__).resolve().parents[1] / "src")
+    parser.add_argument("--src", type=Path, nargs="+", default=sorted(ROOT.glob("packages/*/src")))
     options = parser.parse_args()
-    figures = measure(options.src)
-    table = "\n".join(f"{name.replace('_', ' '):34} {value}" for name, value in figures.items())
-    sys.stdout.write((json.dumps(figures, indent=1) if options.json else table) + "\n")
+    figures, by_member, words = measure(options.src), members(options.src), pages(ROOT / "docs")
+    if options.json:
+        sys.stdout.write(json.dumps({**figures, "members": by_member, "words": words}, indent=1) + "\n")
+        return
+    lines = [f"{'member':24}{'files':>8}{'lines':>8}{'public names':>14}"]
+    lines += [f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['public_names']:14}" for row in by_member]
+    lines += ["", f"{'page':44}{'words':>8}", *(f"{page:44}{count:8}" for page, count in words.items())]
+    lines += ["", *(f"{name.replace('_', ' '):34} {value}" for name, value in figures.items())]
+    sys.stdout.write("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import sys
 import tarfile
 from pathlib import Path
 
-TARGET = Path(__file__).resolve().parents[1] / "src/splitknit/viewer/static/vendor/three"
+TARGET = Path(__file__).resolve().parents[1] / "packages/splitknit/src/splitknit/viewer/static/vendor/three"
 VERSION = "0.183.2"
 FILES = {
     "three.module.min.js": "package/build/three.module.min.js",

@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from splitknit.batch.chunks import column_type, read_chunk, read_names, read_origin, write_chunk
-from splitknit.batch.engine import _names_of
-from splitknit.batch.scores import score_schema
-from splitknit.batch.store import Store
 from splitknit.errors import BadInput
+from splitknit_match.batch.chunks import column_type, read_chunk, read_origin, read_schema, write_chunk
+from splitknit_match.batch.engine import _names_of
+from splitknit_match.batch.scores import score_schema
+from splitknit_match.batch.store import Store
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")
 COLUMNS: dict[str, list[Any]] = {
@@ -38,7 +38,7 @@ def test_a_sound_chunk_is_read(chunk: Path) -> None:
     assert scores(chunk).to_pydict() == COLUMNS
     assert read_chunk(chunk, ["b", "a"]).column_names == ["b", "a"]
     assert read_origin(chunk) == {"kind": "scores"}
-    assert read_names(chunk) == list(COLUMNS)
+    assert read_schema(chunk).names == list(COLUMNS)
     with pytest.raises(BadInput, match="holds no column 'template'"):
         read_chunk(chunk, ["template"])
 
@@ -78,13 +78,13 @@ def test_damage_is_refused_in_a_sentence(chunk: Path) -> None:
 
 
 def test_sizes_are_checked_before_a_chunk_is_read(chunk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitknit.batch.chunks._MAX_ROWS", 1)
+    monkeypatch.setattr("splitknit_match.batch.chunks._MAX_ROWS", 1)
     with pytest.raises(BadInput, match="too large"):
         read_chunk(chunk)
     monkeypatch.undo()
     name = "x" * 1_000_000
     write_chunk(chunk, COLUMNS | {"a": [name, name]}, score_schema(("shift_mm",)), {})
-    monkeypatch.setattr("splitknit.batch.chunks._MAX_BYTES", 500_000)
+    monkeypatch.setattr("splitknit_match.batch.chunks._MAX_BYTES", 500_000)
     assert chunk.stat().st_size < 100_000
     with pytest.raises(BadInput, match="too large"):
         read_chunk(chunk)
@@ -95,7 +95,7 @@ def test_a_value_that_is_stored_once_counts_in_every_row(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """300 bytes, of which pyarrow would make thirty times what a chunk may hold."""
-    monkeypatch.setattr("splitknit.batch.chunks._MAX_BYTES", 1_000_000)
+    monkeypatch.setattr("splitknit_match.batch.chunks._MAX_BYTES", 1_000_000)
     kind = pa.binary() if name == "template" else pa.string()
     values: Any = pa.DictionaryArray.from_arrays(pa.array([0] * 300, pa.int32()), pa.array(["x" * 100_000], kind))
     if name == "warnings":

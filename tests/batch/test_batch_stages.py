@@ -10,23 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_stores import EA, chunks, pairs_of
 
-from splitknit.batch.chunks import read_chunk, read_origin
-from splitknit.batch.engine import run_batch, to_scores
-from splitknit.batch.settings import BatchSettings, Case, preset_cases
-from splitknit.batch.store import Store
+from batch_stores import EA, chunks, pairs_of
 from splitknit.errors import BadInput
+from splitknit.finger.ridges import relief_print
 from splitknit.io.capture import read_capture
 from splitknit.io.prints import read_print_png
-from splitknit.io.scores import read_scores
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
-from splitknit.matching.template import TemplateSettings, pack, unpack
-from splitknit.matching.thesis import ThesisSettings, thesis_match
 from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints.ridges import relief_print
+from splitknit_match.batch.chunks import read_chunk, read_origin
+from splitknit_match.batch.engine import run_batch, to_scores
+from splitknit_match.batch.settings import BatchSettings, Case, preset_cases
+from splitknit_match.batch.store import Store
+from splitknit_match.evaluation.score_files import read_scores
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit_match.matching.template import TemplateSettings, pack, unpack
+from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 
 RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
 
@@ -101,6 +101,7 @@ def test_a_lost_chunk_alone_is_made_again_and_leftovers_go(people: Path, store: 
     assert mine.read_bytes() == b"mine"
 
 
+@pytest.mark.slow
 def test_nothing_is_written_or_read_through_a_link(people: Path, store: Path, tmp_path: Path) -> None:
     """A store or a population that came from someone else may hold links: to files of the user, or of the system."""
     ridge, away = replace(EA, matchers=("ridge",)), tmp_path / "away"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 
-from splitknit.calibration.camera import fit_camera, fit_lens
+from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 from splitknit.errors import BadInput
+from splitknit_rig.calibration.camera import fit_camera, fit_lens
 
 
 def test_a_long_lens_is_found_and_its_distortion_held():
@@ -128,7 +128,7 @@ def test_little_tilt_is_warned_about():
 
 
 def test_what_cannot_be_told_of_the_principal_point_is_said(monkeypatch):
-    monkeypatch.setattr("splitknit.calibration.camera._PRINCIPAL_LIMIT", 1e-4)
+    monkeypatch.setattr("splitknit_rig.calibration.camera._PRINCIPAL_LIMIT", 1e-4)
     found = fit_camera(views(0), BOARD, SIZE)
     assert found.lens.matrix[:2, 2].tolist() == [399.5, 274.5]
     assert "principal point" in found.lens.fixed

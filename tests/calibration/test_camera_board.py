@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from camera_views import MATRIX, seen, turned
 
-from splitknit.calibration.targets import Board, find_board, size_in_view
+from camera_views import MATRIX, seen, turned
 from splitknit.errors import BadInput
+from splitknit_rig.calibration.targets import Board, find_board, size_in_view
 
 SIZE = (400, 560)
 LENS = np.array([[1900.0, 0, 279.5], [0, 1900.0, 199.5], [0, 0, 1]])

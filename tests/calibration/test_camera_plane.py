@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from camera_views import BOARD, MATRIX, seen, turned
 
-from splitknit.calibration.plane import mean_pose, plane_pose, plane_scale
-from splitknit.calibration.targets import _find_dots, _number_dots, find_disc
+from camera_views import BOARD, MATRIX, seen, turned
 from splitknit.errors import BadInput
+from splitknit_rig.calibration.plane import mean_pose, plane_pose, plane_scale
+from splitknit_rig.calibration.targets import _find_dots, _number_dots, find_disc
 
 MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
 

@@ -14,11 +14,10 @@ from typing import Any
 
 import pytest
 
-import splitknit
+import splitknit_match
 from handmade import capture_of, finger
 from splitknit import pipeline
 from splitknit.cli.main import build_parser, main
-from splitknit.cli.verb import one_line
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture, Reconstruction
@@ -167,12 +166,22 @@ def test_help_is_code_0(arguments: list[str], capsys: Captured) -> None:
     assert "splitknit" in capsys.readouterr().out
 
 
-def test_a_closed_pipe_is_no_error() -> None:
-    code = "import sys; from splitknit.cli import main as cli; "
-    code += "cli._say = lambda t: (_ for _ in ()).throw(BrokenPipeError()); "
-    code += "o = cli.build_parser().parse_args(['demo']); o.run = lambda _: ({}, ['x']); sys.exit(cli._guarded(o))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+@pytest.mark.parametrize("words", [["--version"], ["match", "--help"], ["simulate", "--scale", "0.05", "--out", "OUT"]])
+def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(tmp_path: Path, words: list[str]) -> None:
+    command = [sys.executable, "-m", "splitknit", *(str(tmp_path / "out") if one == "OUT" else one for one in words)]
+    reading, closed = os.pipe()
+    os.close(reading)
+    with os.fdopen(closed, "wb") as pipe:
+        run = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, "")
+    with Path("/dev/full").open("wb") as full:
+        again = [*command, "--overwrite"] if words[0] == "simulate" else command
+        run = subprocess.run(again, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert run.returncode == 2
+    assert run.stderr.startswith("splitknit: error: stdout cannot be written: No space left") and "done" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert words[0] != "simulate" or (tmp_path / "out" / "capture.json").is_file()
 
 
 INTERRUPTED_AT_IMPORT = """
@@ -215,15 +224,16 @@ def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None
     """As pybind11 does where the import of a compiled module is interrupted."""
     code = f"""
 import os, signal, sys
-from splitknit.cli import demo, main as cli
+from splitknit_simulator.cli import demo
+from splitknit.cli import main as cli
 
-def run(options):
+def run(job, progress):
     try:
         os.kill(os.getpid(), signal.SIGINT)
     except KeyboardInterrupt as error:
         raise {error}("initialization failed") from error
 
-demo._run = run
+demo.DemoJob.run = run
 sys.exit(cli.main())
 """
     run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
@@ -282,8 +292,9 @@ ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTH
 @pytest.mark.parametrize("ascii_only", ASCII)
 def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
     """Facts, errors and argparse's messages; the result may be written already."""
-    program = "import sys; from splitknit.cli import demo, main as cli; "
-    program += "demo._run = lambda _: ({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    program = "import sys; from splitknit_simulator.cli import demo; from splitknit.cli import main as cli, verb; "
+    program += "demo.DemoJob.run = lambda *_: None; "
+    program += "demo.DEMO = verb.Verb(demo.DemoJob, lambda *_: ({}, ['3 mm' + chr(178)])); sys.exit(cli.main())"
     for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
         run = subprocess.run(
             [sys.executable, "-c", program, *arguments],
@@ -324,7 +335,7 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     """SIGTERM in the middle of the work: code 130 and an empty folder."""
     code = (
         "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
-        "from splitknit.cli import main as cli; from splitknit.simulator import twin; "
+        "from splitknit.cli import main as cli; from splitknit_simulator import twin; "
         "twin.simulate_capture = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM); "
         "sys.exit(cli.main())"
     )
@@ -373,25 +384,30 @@ def test_experiments_and_benchmarks_import_no_command_line() -> None:
     assert [script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))] == []
 
 
-def _options(parser: argparse.ArgumentParser) -> set[str]:
-    """Options of a parser and of all its verbs."""
-    found = set(parser._option_string_actions)
+def _names(parser: argparse.ArgumentParser) -> set[str]:
+    """Fields of all verbs below a parser, as messages name them."""
+    found = set(parser.get_default("option_of") or ())
     for action in parser._actions:
+        found.add(action.dest)
         if isinstance(action, argparse._SubParsersAction):
-            found |= set().union(*(_options(verb) for verb in action.choices.values()))
+            found |= set().union(*(_names(verb) for verb in action.choices.values()))
     return found
 
 
-def test_arguments_that_messages_name_are_options() -> None:
+OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi"}
+"""Arguments of functions that no verb has."""
+
+
+def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
     """A message of the library names an argument between backticks; the command line writes its option."""
-    known, named = _options(build_parser()), set()
-    for file in (Path(main.__code__.co_filename).parents[1]).rglob("*.py"):
+    known, named = _names(build_parser()) | OF_FUNCTIONS, set()
+    for file in (Path(__file__).parents[2] / "packages").glob("*/src/**/*.py"):
         for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("require", "BadInput", "Refused"):
                 texts = [one.value for one in ast.walk(call) if isinstance(one, ast.Constant)]
-                named |= {name for text in texts for name in re.findall("`[a-z_]+`", str(text))}
+                named |= {name for text in texts for name in re.findall("`([a-z_0-9]+)`", str(text))}
     assert len(named) > 20
-    assert {name for name in named if one_line(name) not in known} == set()
+    assert named - known == set()
 
 
 def test_an_error_names_the_option(tmp_path: Path, capsys: Captured) -> None:
@@ -399,4 +415,4 @@ def test_an_error_names_the_option(tmp_path: Path, capsys: Captured) -> None:
     assert main(words) == 2
     assert capsys.readouterr().err == "splitknit: error: --top must be at least 1, but it is 0.\n"
     with pytest.raises(BadInput, match="`top` must be at least 1, but it is 0"):
-        splitknit.identify(tmp_path / "people.skg", tmp_path, top=0)
+        splitknit_match.identify(tmp_path / "people.skg", tmp_path, top=0)

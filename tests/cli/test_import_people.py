@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 import splitknit
-from splitknit.batch.population import read_population
-from splitknit.capture.tree import read_tree
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
+from splitknit.io.photo_tree import read_tree
+from splitknit_match.batch.population import read_population
 
 AZIMUTH = 2 * np.pi * np.arange(7) / 7
 THESIS = Path(__file__).resolve().parents[2] / "examples" / "thesis_tips.csv"

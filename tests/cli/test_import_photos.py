@@ -118,7 +118,7 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
     page = (result / "report.html").read_text().replace("where it is a finger", "")
     assert "in pixels: its scale is unknown" in page and "finger" not in page.split("<h2>Quality")[0]
     assert " mm" not in page.split("<h2>Quality")[0].split("</style>")[1].replace("--px-per-mm", "")
-    assert b"unit pixel, the scale is unknown" in (result / "phalange.ply").read_bytes()[:500]
+    assert b"unit pixel, the scale is unknown" in (result / "surface.ply").read_bytes()[:500]
     assert read_light_tiff(result / "height.tiff")[1]["unit"] == "pixel"
 
 

@@ -13,11 +13,11 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results, roll_between
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.model import Reconstruction
-from splitknit.rig.phantom import HEIGHTS_UM, PITCH_MM, phantom, phantom_mesh
+from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results, roll_between
+from splitknit_rig.rig.phantom import HEIGHTS_UM, PITCH_MM, phantom, phantom_mesh
 
 RADIUS_MM, PITCH = 8.0, 0.06
 MAIN = "0 to 40"
@@ -73,6 +73,13 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
     back = compare_results(b, a)
     np.testing.assert_allclose(back.rotation @ found.rotation, np.eye(3), atol=1e-3)
     assert back.figures["relief"][MAIN]["gain"]["value"] == pytest.approx(1 / 1.2, abs=0.02)
+
+
+@pytest.mark.parametrize("fit", ["rigid", "elastic"])
+def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
+    found = compare_results(laid_down(), laid_down(), fit=fit)
+    assert found.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
+    assert "same measurement, to the last digit" in found.notes[0]
 
 
 def test_the_roll_between_two_captures_is_found_and_changes_sign_with_their_order() -> None:

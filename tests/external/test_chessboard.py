@@ -8,10 +8,10 @@ import re
 import numpy as np
 import pytest
 
-from splitknit.calibration.targets import Board, find_board, size_in_view
 from splitknit.cli.main import main
 from splitknit.io.images import read_image
 from splitknit.io.rig import read_rig
+from splitknit_rig.calibration.targets import Board, find_board, size_in_view
 
 pytestmark = pytest.mark.external
 

@@ -10,7 +10,7 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.io.light_list import read_named_lights
-from splitknit.photometric.frames import FRAMES, _fit_light_frame, fit_lights
+from splitknit.photometric.frames import FRAMES, _fit_turn, _frame_of, fit_lights
 from splitknit.photometric.lambertian import lambertian
 
 pytestmark = pytest.mark.external
@@ -45,7 +45,7 @@ def test_all_eight_frames(data_dir, name):
     for frame, matrix in FRAMES.items():
         given = np.array(lights, dtype=float)
         given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
-        assert _fit_light_frame(lambertian(stack, given, mask)[0], mask) == frame
+        assert _frame_of(_fit_turn(lambertian(stack, given, mask)[0], mask)) == frame
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Real photographs of an opaque gel are no skin."""
+"""Real photographs of an opaque gel are no skin, and path-traced live fingers no attacks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
+from splitknit.io.capture import read_capture
 from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.pad import judge, pad_features, pad_images
+from splitknit.pad import judge, not_covered, pad_features, pad_images
 from splitknit.pipeline import reconstruct
 
 pytestmark = pytest.mark.external
@@ -34,5 +35,16 @@ def test_an_opaque_gel_is_no_skin(data_dir, part, material):
     band = Band("white", stack, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
     camera = Camera(1 / 0.0034035 / 8, stack.shape[1:3])
     capture = Capture(Rig(camera, leds), {"white": band}, material=material, mask=np.ones(stack.shape[1:3], dtype=bool))
+    assert judge(pad_features(pad_images(capture), reconstruct(capture, "metric"))).answer != "live"
+    assert not_covered(capture)  # and its verb says why: one band, and coarse
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["loop", "print", "polarised/d17_pol", "side_lights/d41_pol"])
+def test_live_fingers_of_another_renderer_are_no_attacks(data_dir, part):
+    folder = data_dir / "path_traced" / part
+    if not folder.is_dir():
+        pytest.skip("data set is absent")
+    capture = read_capture(folder)
     found = judge(pad_features(pad_images(capture), reconstruct(capture, "metric")))
-    assert not found.live and found.probability < 0.01
+    assert not_covered(capture) == "" and found.answer != "attack"

@@ -23,7 +23,8 @@ import numpy as np
 from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.errors import HypothesisException, InvalidArgument
-from tests.png_files import PNG, chunk
+
+from png_files import PNG, chunk
 
 File = bytes | str
 Files = dict[str, File]

@@ -20,7 +20,7 @@ import threading
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -28,70 +28,64 @@ from unittest import mock
 
 import cv2
 import numpy as np
-from tests.batch.batch_stores import waves
-from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, encode
+from tests.fuzz import PACKAGES
 from tests.fuzz.mutators import Files
-from tests.handmade import finger
-from tests.png_files import png_of
 
-from splitknit.api import read_photographs
-from splitknit.batch.chunks import read_names, read_origin, write_chunk, write_timings
-from splitknit.batch.features import BANDS, QUALITY, _feature_schema
-from splitknit.batch.population import read_population
-from splitknit.batch.settings import BatchSettings, preset_cases
-from splitknit.batch.store import Store, open_store
-from splitknit.batch.surfaces import pack_surface, unpack_surface
-from splitknit.calibration.light_table import COLUMNS, read_tips
-from splitknit.calibration.lights_found import _check_tips
-from splitknit.calibration.nail_photos import read_stack
-from splitknit.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit.calibration.shading_folder import read_centres
-from splitknit.capture.enrolment import open_enrolment
-from splitknit.capture.tree import read_tree
+from batch_stores import waves
+from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, STANDARDS, encode
+from handmade import finger
+from png_files import png_of
+from splitknit.accuracy import read_truth
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import read_truth
-from splitknit.evaluation.gallery_scores import gallery_scores
-from splitknit.evaluation.study import _read_exclusion_list, _read_systems
-from splitknit.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
-from splitknit.gallery.gallery import Gallery
-from splitknit.gallery.identify import IdentifySettings, Question, identify_file
-from splitknit.gallery.key import Key, ScryptSettings, code_secret, key_of
-from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
-from splitknit.gallery.shards import Shards, _seal, write_shards
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.clouds import read_cloud
-from splitknit.io.finger_image import encode_finger_images
+from splitknit.io.enrolment import open_enrolment
 from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
-from splitknit.io.iso19794 import decode_iso19794, read_iso19794
-from splitknit.io.itl_reading import TransactionFacts, encode_transaction
-from splitknit.io.light_list import read_named_lights
-from splitknit.io.mesh import stl_chunks
-from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
-from splitknit.io.minutiae_files import (
-    decode_ansi378,
-    decode_ansi378_2009,
-    decode_minutiae_record,
-    read_minutiae_record,
-)
+from splitknit.io.light_list import read_intensities, read_named_lights
+from splitknit.io.mesh import stl_chunks, write_ply
 from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.photo_tree import read_tree
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import capture_from_plain_images, read_flat
-from splitknit.io.ply import write_ply
-from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
-from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
-from splitknit.io.templates import encode_template, read_template
 from splitknit.io.tiff import write_float_tiff
-from splitknit.io.wsq_image import encode_wsq
-from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.inputs import _read_surface as read_matched
-from splitknit.matching.inputs import read_side
-from splitknit.matching.minutiae_record import (
+from splitknit.jobs import read_photographs
+from splitknit.methods.cloud import CloudView, result_of_cloud
+from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
+from splitknit.networks.unet import load_network
+from splitknit.photometric.shading import Shading, read_shading, write_shading
+from splitknit.presets import preset_settings
+from splitknit.separation.folder import _read_light
+from splitknit.separation.pattern_folder import read_pattern_folder
+from splitknit.settings import override
+from splitknit.viewer.server import open_paths, start
+from splitknit.viewer.service import Service
+from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
+from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.batch.population import read_population
+from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.store import Store, open_store
+from splitknit_match.batch.surfaces import pack_surface, unpack_surface
+from splitknit_match.evaluation.gallery_scores import gallery_scores
+from splitknit_match.evaluation.score_files import read_exclusions, read_scores
+from splitknit_match.evaluation.study import _read_exclusion_list, _read_systems
+from splitknit_match.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
+from splitknit_match.gallery.file import describe
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.identify_job import identify
+from splitknit_match.gallery.key import Key, ScryptSettings, code_secret, key_of
+from splitknit_match.gallery.manage import export_gallery, import_gallery
+from splitknit_match.gallery.serve import read_token
+from splitknit_match.gallery.shards import Shards, _seal, write_shards
+from splitknit_match.matching.code import CODE_VERSION, code_of
+from splitknit_match.matching.inputs import _read_surface as read_matched
+from splitknit_match.matching.inputs import read_side
+from splitknit_match.matching.minutiae_record import (
     Minutiae,
     SpaceMinutiae,
     pack_minutiae,
@@ -99,37 +93,42 @@ from splitknit.matching.minutiae_record import (
     unpack_minutiae,
     unpack_space_minutiae,
 )
-from splitknit.matching.ridge_band import ridge_band
-from splitknit.matching.surface import MatchingSettings
-from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
-from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
-from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
-from splitknit.networks.unet import load_network
-from splitknit.photometric.shading import Shading, read_shading, write_shading
-from splitknit.presets import preset_settings
-from splitknit.prints.fingerphoto import read_fingerphoto
-from splitknit.prints.from_file import (
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
+from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
+from splitknit_match.prints.fingerphoto import read_fingerphoto
+from splitknit_match.prints.from_file import (
     _ridge_period_px,
     minutiae_of,
     read_one_finger,
     read_print_file,
     read_print_folder,
 )
-from splitknit.prints.sources import read_source
-from splitknit.rig.candidates import RigCandidate
-from splitknit.rig.optimise import Study, _SweepFolder
-from splitknit.scanners.cloud import CloudView, result_of_cloud
-from splitknit.separation.folder import _read_light
-from splitknit.separation.pattern_folder import read_pattern_folder
-from splitknit.settings import override
-from splitknit.training.separation import SeparationSettings
-from splitknit.training.separation_data import SeparationData
-from splitknit.training.trainer import TrainingRun, _plain, load_data, open_folder
-from splitknit.viewer.people import People
-from splitknit.viewer.server import open_paths, start
-from splitknit.viewer.service import Service
+from splitknit_match.prints.sources import read_source
+from splitknit_match.records.finger_image import encode_finger_images
+from splitknit_match.records.fmr_bytes import ISO_2005
+from splitknit_match.records.iso39794 import encode_finger_image_block
+from splitknit_match.records.itl_reading import TransactionFacts, encode_transaction
+from splitknit_match.records.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
+from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
+from splitknit_match.records.print_formats import read_prints
+from splitknit_match.records.templates import encode_template, read_template
+from splitknit_match.records.wsq_image import encode_wsq
+from splitknit_match.viewer.people import People
+from splitknit_rig.calibration.lights import COLUMNS, read_tips
+from splitknit_rig.calibration.lights_found import _check_tips
+from splitknit_rig.calibration.nail_photos import read_stack
+from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
+from splitknit_rig.calibration.shading_folder import read_centres
+from splitknit_rig.rig.candidates import RigCandidate
+from splitknit_rig.rig.optimise import Study, _SweepFolder
+from splitknit_simulator.training.separation import SeparationSettings
+from splitknit_simulator.training.separation_data import SeparationData
+from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
-TINY_NETWORK = Path(__file__).resolve().parents[1] / "networks" / "tiny.onnx"
+TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
 PHRASE = Key(b"correct horse battery", raw=False)
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())
@@ -441,6 +440,10 @@ def _results() -> list[Files]:
     return _npz(_arrays())
 
 
+_RATES = json.dumps({
+    "format": DECISION_FORMAT, "version": 1, "similarity": [0.0, 1.0, 2.0], "fmr": [0.1, 0.01, 0.001],
+    "impostors": 1000, "what": "prints", "method": "fusion", "least_mm2": 40.0,
+}).encode()  # fmt: skip
 _REPORT = (
     b'{"preset": "ea", "settings": {"mask": {}}, "quality": {}, "facts": {}, "warnings": ["dark"], "timings_s": {}}'
 )
@@ -508,18 +511,15 @@ def _record(folder: Path, files: Files) -> object:
     data = files.get("x.fmr")
     path = folder / "x.fmr"
     if not isinstance(data, bytes):
-        return _any(lambda: read_minutiae_record(path), lambda: read_iso19794(path))
+        return _any(lambda: read_minutiae_record(path), lambda: read_minutiae_record(path, ISO_2005))
 
     def same(record: Any) -> None:
         assert encode(record) == data
 
     return _any(
-        lambda: same(decode_iso19794(data)),
-        lambda: same(decode_ansi378(data)),
-        lambda: same(decode_ansi378_2009(data)),
-        lambda: same(decode_minutiae_record(data)),
+        *(partial(lambda one: same(decode_minutiae_record(data, standard=one)), one) for one in (None, *STANDARDS)),
         lambda: same(read_minutiae_record(path)),
-        lambda: same(read_iso19794(path)),
+        lambda: same(read_minutiae_record(path, ISO_2005)),
     )
 
 
@@ -637,7 +637,7 @@ def _relief(seed: int) -> Any:
 
 @cache
 def _gallery(key: Key | None) -> bytes:
-    from splitknit.gallery.enrol import templates_hash
+    from splitknit_match.gallery.enrol import templates_hash
 
     with tempfile.TemporaryDirectory() as scratch, _seeded():
         path = Path(scratch) / "x.skg"
@@ -667,8 +667,7 @@ def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
         return _any(
             contents,
             checked,
-            lambda: list_gallery(path, None, key=key),
-            lambda: gallery_info(path, key=key),
+            lambda: describe(path),
             lambda: gallery_scores(path, key=key),
         )
 
@@ -681,8 +680,7 @@ def _galleries() -> list[Files]:
 
 
 def _identified(folder: Path, files: Files) -> object:
-    question = Question(search="codes")
-    return identify_file(folder / "x.skg", folder / "x.skt", question, IdentifySettings())
+    return identify(folder / "x.skg", folder / "x.skt", search="codes")
 
 
 def _shards() -> list[Files]:
@@ -788,7 +786,7 @@ def _batch(folder: Path, files: Files) -> object:
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
         lambda: store.images("ea", "S01/session_1/right_index"),
-        lambda: [(read_names(file), read_origin(file)) for file in store.files("features", "ea")],
+        lambda: [(read_schema(file).names, read_origin(file)) for file in store.files("features", "ea")],
     )
 
 
@@ -796,7 +794,7 @@ def _training(folder: Path) -> None:
     open_folder(TrainingRun(folder), SeparationData(), SeparationSettings())
     (folder / "data").mkdir()
     np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
-    (folder / "data" / "finger_0000001.json").write_text(json.dumps(_plain({"finger": 1, "light": [1, 2]})))
+    (folder / "data" / "finger_0000001.json").write_text(json.dumps({"finger": 1, "light": [1, 2]}))
 
 
 def _trained(folder: Path, files: Files) -> object:
@@ -975,7 +973,9 @@ def _print_files() -> list[Files]:
     image, small = _print(), _noise(70, 66)
     png, jpeg, bmp = (cv2.imencode(suffix, image)[1].tobytes() for suffix in (".png", ".jpg", ".bmp"))
     bmp = bmp[:38] + struct.pack("<II", 19685, 19685) + bmp[46:]
-    records = [encode_finger_images([PrintFile(small, 500.0, {}, "left_thumb")], how) for how in ("none", "png")]
+    held = [PrintFile(small, 500.0, {}, "left_thumb")]
+    records = [encode_finger_images(held, how) for how in ("none", "png", "jp2")]
+    records += [encode_finger_image_block(held, how) for how in ("none", "jp2")]
     jfif = jpeg[:13] + struct.pack(">BHH", 2, 394, 394) + jpeg[18:]
     others = encode_print_tiff(image, 600.0), encode_wsq(image), ISO_BYTES, ANSI_BYTES, FIR_2011
     return _each("x", png, jfif, bmp, *records, *others)
@@ -1051,6 +1051,10 @@ TARGETS = (
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
     Target("shading", _shadings, _of_files("shading.npz", read_shading)),
+    Target("rates", lambda: _each("rates.json", _RATES), _of_files("rates.json", read_own_rates)),
+    Target("token", lambda: _each("token", b"b9T2cYw0\n"), _of_files("token", read_token)),
+    Target("intensities", lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
+           _of_files("light_intensities.txt", lambda path: read_intensities(path, 2))),
     Target("centres", lambda: _each("centres.txt", b"# balls\n10.5 20\n30, 40.25\n"),
            _of_files("centres.txt", read_centres)),
     Target("tree", _trees,

@@ -6,13 +6,14 @@ import json
 
 import numpy as np
 import pytest
-from page_raster import draw, objects_of
 
-from splitknit.calibration.plane import plane_scale
-from splitknit.calibration.targets import Board, find_board, find_disc
+from page_raster import draw, objects_of
 from splitknit.cli.main import main
-from splitknit.rig.target import (
+from splitknit_rig.calibration.plane import plane_scale
+from splitknit_rig.calibration.targets import Board, find_board, find_disc
+from splitknit_rig.rig.target import (
     _CARD_MARGIN_MM,
+    _DISC_MM,
     _DISC_RADIUS_MM,
     POINTS_PER_MM,
     RULER_MM,
@@ -60,8 +61,7 @@ def test_every_board_is_found_at_true_scale(sheet):
 
 
 def test_the_disc_is_found_at_true_scale(sheet):
-    settings = TargetSettings()
-    x, y = settings.disc_centre_mm
+    x, y = _DISC_MM
     r = _DISC_RADIUS_MM - 1
     half = 31  # what stands outside a square inside the circle is cut off, as in a picture of the disc
     assert half < r / np.sqrt(2) + 0.1
@@ -73,7 +73,7 @@ def test_the_disc_is_found_at_true_scale(sheet):
     scale = plane_scale(places, centres)
     assert scale.px_per_mm == pytest.approx(PX_PER_MM, rel=2e-4)
     assert scale.rms_px < 0.05
-    assert len(dots_mm(settings)) == 61
+    assert len(dots_mm(TargetSettings())) == 61
     area = (255 - picture.astype(float)).sum() / 255 / PX_PER_MM**2 / 49
     assert area == pytest.approx(np.pi * 0.75**2, rel=0.04)  # the drawing widens every edge by an eighth of a pixel
 

@@ -17,8 +17,8 @@ import pytest
 
 from script_folder import Script, scripts_of
 from splitknit.imaging.band import linear_channels, linear_stack
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
 
@@ -121,16 +121,16 @@ def test_glare_that_the_network_draws(script: Script, bench: Any, monkeypatch: p
 
     def in_two_turns(*_: object) -> str:
         for _ in range(2):
-            rows.pipeline.relief_by_network(SimpleNamespace(rig=None), None, None, None)
+            rows.metric.relief_by_network(SimpleNamespace(rig=None), None, None, None)
         return "surface"
 
     with monkeypatch.context() as patch:
-        patch.setattr(rows.pipeline, "relief_by_network", drawing)
+        patch.setattr(rows.metric, "relief_by_network", drawing)
         patch.setattr(rows, "glare_of", lambda found, *_: found.glare)
         patch.setattr(rows, "reconstruct", in_two_turns)
         patch.setattr(bench, "finger", replace(bench.finger, window=window))
         surface, glare = type(bench)._by_network.func(bench)
-        assert rows.pipeline.relief_by_network is drawing
+        assert rows.metric.relief_by_network is drawing
     assert surface == "surface"
     # that of the last turn, two pixels a side for one, and the row that is left over
     expected = np.zeros((7, height, width), dtype=np.float32)
@@ -246,10 +246,12 @@ def test_contrast_is_shown_with_intervals_over_fingers(script: Script) -> None:
     rows = {"a": {"words": "one"}, "b": {"words": "other"}}
     pairs = [{"words": "one instead of the other", "row": "a", "against": "b"}]
     results = {"seeds": [1, 2, 3], "scale": 0.5, "rows": rows, "pairs": pairs, "fingers": fingers}
-    text = report.contrast_section(results)
+    text = report.contrast_section(results, ["one", "other", "*one instead of the other*"])
     # of three fingers the mean of a draw is that of the lowest or of the highest in one of 27
     assert "| one | 0.600 [0.500, 0.700] |" in text and "| other | 0.100 [0.000, 0.200] |" in text
     assert "| *one instead of the other* | +0.500 [+0.500, +0.500] |" in text
+    assert "\none,0.600,0.500,0.700," in report.contrast_csv(results)
+    assert "\none instead of the other,+0.500,+0.500,+0.500," in report.contrast_csv(results)
 
 
 def test_page_is_filled(script: Script, tmp_path: Path) -> None:
@@ -260,15 +262,17 @@ def test_page_is_filled(script: Script, tmp_path: Path) -> None:
         "scale": 0.5,
         "check_mm": 0.42,
         "rows": {"ea-split": {"group": "one", "words": "all light", "refused": 1, "figures": figures}},
-        "pairs": [{"words": "a against b", "figures": figures}],
+        "pairs": [{"words": "a against b", "row": "a", "against": "b", "figures": figures}],
     }
     text = report.section(results)
-    assert "| all light (1 refused) | 0.500 [0.400, 0.600] | 0.50 [0.40, 0.60] | 0.5 [0.4, 0.6] |" in text
-    assert "| a against b | +0.500 [+0.400, +0.600] |" in text
+    assert "| `ea-split` (1 refused) | 0.500 [0.400, 0.600] | 0.50 [0.40, 0.60] | 0.5 [0.4, 0.6] |" in text
+    assert report.rows_csv(results).splitlines()[1].startswith("ea-split,one,all light,1,0.500,0.400,0.600,0.50,")
+    assert report.pairs_csv(results).splitlines()[1].startswith("a against b,a,b,+0.500,+0.400,+0.600,")
     # an interval ends where the figure does, a difference's does not
     figures = {key: {"mean": 0.9, "interval": [0.7, 1.1]} for key in report.COLUMNS}
-    assert "| x | 0.900 [0.700, 1.000] | 0.90 [0.70, 1.10] |" in report._line("x", figures, "")
-    assert "| x | +0.900 [+0.700, +1.100] |" in report._line("x", figures, "+")
+    assert "| x | 0.900 [0.700, 1.000] | 0.90 [0.70, 1.10] |" in report._line("x", figures)
+    pairs = {"pairs": [{"words": "x", "row": "a", "against": "b", "figures": figures}]}
+    assert "x,a,b,+0.900,+0.700,+1.100," in report.pairs_csv(pairs)
     page = report.filled("# Page\n", "old")
     assert page == "# Page\n\n## Ablation\n\n<!-- ablation -->\nold\n<!-- /ablation -->\n"
     assert report.filled(page + "more\n", "new") == page.replace("old", "new") + "more\n"

@@ -75,8 +75,8 @@ def test_intervals_hold_the_figure(script: Script) -> None:
 def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     """Directions run along the true ridges, with the right sign; ours of the true relief are mostly true ones."""
     from splitknit.io.npz import write_npz
-    from splitknit.prints.sources import Source
-    from splitknit.simulator.population.sessions import PopulationSettings, population_capture
+    from splitknit_match.prints.sources import Source
+    from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
     settings = PopulationSettings(seed=31, scale=0.3)
     shown = population_capture(settings, settings.person(1), "left_ring", 2)
@@ -120,7 +120,7 @@ def test_pressed_print_and_summary(script: Script, tmp_path: Path) -> None:
 
 def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     """A wave with one dislocation has one minutia, there, towards the side with one more ridge."""
-    from splitknit.prints.enhance import gabor_enhance
+    from splitknit_match.prints.enhance import gabor_enhance
 
     y, x = np.mgrid[0:180, 0:180].astype(float)
     phase = 2 * np.pi * y / 9 + np.arctan2(-(y - 90), x - 90)
@@ -135,5 +135,5 @@ def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     assert inner.quality[0] > 60
 
 
-def test_the_page_shows_the_figures(script: Script) -> None:
+def test_the_tables_show_the_figures(script: Script) -> None:
     assert script("agreement_report").main(["--check"]) == 0, "run validation/prints/agreement_report.py"

@@ -7,7 +7,7 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
-from splitknit.simulator.twin import twin_settings
+from splitknit_simulator.twin import twin_settings
 
 with scripts_of(VALIDATION / "pad") as script:
     attacks = script("attacks")

@@ -69,7 +69,6 @@ def test_rows_from_before_the_check_hear_of_specks_too(script: Script, tmp_path:
     assert [row["warnings"] for row in mended] == [[said], [said]]
     heard = summary.sentences(mended, "metric")["dusty 0.5"]
     assert heard["reconstruct silent"] == 0
-    assert "dark specks: wipe it 2/2" in summary.labelled(heard)
     assert summary.with_specks(rows, tmp_path / "none.jsonl") == rows
 
 

@@ -13,7 +13,7 @@ from script_folder import Script, scripts_of
 from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
 from splitknit.model import Surface, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 PATTERNS = ("left_loop", "whorl", "right_loop", "left_loop")

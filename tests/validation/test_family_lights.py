@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
+from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae
 
 
 def some(seed: int, count: int = 12) -> Minutiae:

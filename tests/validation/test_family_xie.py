@@ -1,4 +1,4 @@
-"""Xie's case: the painter of its skin agrees with the fit's model, figures come out, and its page is filled."""
+"""Xie's case: the painter of its skin agrees with the fit's model, figures come out, and its tables are filled."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_intervals_are_of_the_mean_difference(script: Script) -> None:
     assert mean - low == pytest.approx(expected, rel=0.15)
 
 
-def test_page_shows_the_results(script: Script) -> None:
+def test_the_tables_show_the_results(script: Script) -> None:
     assert script("xie_report").main(["--check"]) == 0, "run validation/family/xie_report.py"
 
 
@@ -109,6 +109,6 @@ def test_everything_runs_on_tiny_fingers(script: Script, tmp_path: Path, monkeyp
     assert xie.main(["--smoke", "--out", str(tmp_path / "xie.json")]) == 0
     results = json.loads((tmp_path / "xie.json").read_text(encoding="ascii"))
     for table in report.TABLES.values():
-        lines = table(results).splitlines()
-        assert results["photographs"] is None or len(lines) > 2
-        assert len({line.count("|") for line in lines}) == 1
+        rows = table(results)
+        assert results["photographs"] is None or len(rows) > 1
+        assert len({len(row) for row in rows}) <= 1

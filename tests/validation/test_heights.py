@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.simulator.light.skin import Boundary, SkinOptics, SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.light.skin import Boundary, SkinOptics, SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
-from splitknit.batch.chunks import SUFFIX, write_chunk
-from splitknit.batch.features import BANDS, QUALITY, _feature_schema
-from splitknit.matching.template import Template, pack
+from splitknit_match.batch.chunks import SUFFIX, write_chunk
+from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.matching.template import Template, pack
 
 pytest.importorskip("pyarrow")
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import splitknit
+import splitknit_simulator
 from script_folder import VALIDATION, scripts_of
 from splitknit.model import Capture
 
@@ -26,7 +27,7 @@ def test_both_ways_and_the_table(
         return results[polarised]
 
     monkeypatch.setattr(splitknit, "reconstruct", once)
-    capture, truth = splitknit.simulate_capture(3, settings={"scale": 0.2, "films.kind": "analyser"})
+    capture, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "films.kind": "analyser"})
     splitknit.write_capture(capture, tmp_path / "finger")
     np.savez(tmp_path / "finger_truth.npz", **{name: truth[name] for name in ("height_mm", "shape_mm", "mask")})
     with scripts_of(VALIDATION / "path_traced") as script:

@@ -13,8 +13,8 @@ import pytest
 
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
-from splitknit.simulator.finger.finger import SimulatedFinger, draw_finger
-from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print
+from splitknit_simulator.finger.finger import SimulatedFinger, draw_finger
+from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print
 
 sys.path.append(str(VALIDATION / "prints"))
 script: Any = importlib.import_module("pressed_finger")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import itertools
-import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -15,7 +13,7 @@ from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
 from splitknit.model import Reconstruction
 from splitknit.report.charts import standalone
-from splitknit.rig.candidates import (
+from splitknit_rig.rig.candidates import (
     LAMPS,
     BuildSettings,
     PhotonSettings,
@@ -23,7 +21,7 @@ from splitknit.rig.candidates import (
     candidate_rig,
     intensity_w_sr,
 )
-from splitknit.rig.optimise import FIRST_SEED as SEED
+from splitknit_rig.rig.optimise import FIRST_SEED as SEED
 
 RIG = RigCandidate(140.0, 52.5, 1.0, None, 6.0)
 
@@ -232,15 +230,3 @@ def test_heat_map_says_why_a_rig_is_missing(plots):
     ElementTree.fromstring(drawn)
     assert "glare" in drawn and "url(#stripes)" in drawn and "2.00 •" in drawn and "&lt;of&gt;" in drawn
     assert drawn.count('stroke-dasharray="4 3"') == 1
-
-
-def test_scatter_places_points_where_they_belong(plots):
-    dots = [plots.Dot(0.1, 1.0, low=0.9, high=1.1), plots.Dot(1.0, 2.0), plots.Dot(10.0, 3.0, thesis=True)]
-    drawn = standalone(plots.scatter(dots, "power", "error", log_x=True)).decode()
-    ElementTree.fromstring(drawn)
-    places = [tuple(map(float, found)) for found in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="4"', drawn)]
-    assert len(places) == 3
-    steps = [b[0] - a[0] for a, b in itertools.pairwise(places)]
-    assert steps[0] == pytest.approx(steps[1], abs=0.2), "a decade is as wide as another"
-    assert places[0][1] > places[1][1] > places[2][1], "larger errors lie higher"
-    assert 'r="8"' in drawn

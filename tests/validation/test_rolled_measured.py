@@ -10,10 +10,10 @@ import pytest
 
 from script_folder import scripts_of
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled.blend import RolledSettings
-from splitknit.mirrors.rolled.finger import rolled_finger
-from splitknit.mirrors.rolled.register import RidgeSearchSettings
-from splitknit.mirrors.rolled.work import ReliefSettings
+from splitknit_match.rolled.blend import RolledSettings
+from splitknit_match.rolled.finger import rolled_finger
+from splitknit_match.rolled.register import RidgeSearchSettings
+from splitknit_match.rolled.work import ReliefSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"

@@ -13,7 +13,6 @@ import pytest
 from script_folder import Script, scripts_of
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
-PAGE = THESIS.parents[1] / "docs" / "experiments" / "claims.md"
 
 
 @pytest.fixture
@@ -44,12 +43,13 @@ def test_the_dry_run_lists_the_steps_and_makes_nothing(tmp_path: Path) -> None:
 def test_the_claims_of_the_committed_tables_are_those_of_the_page(thesis: Script) -> None:
     claims, report = thesis("claims"), thesis("report")
     names = {part[1] for parts in claims.CLAIMS.values() for part in parts}
-    lines = claims.table({name: report.read(THESIS / f"{name}.csv") for name in names}, PAGE.read_text("utf-8"))
+    known = report.read(claims.KNOWN)
+    lines = claims.table({name: report.read(THESIS / f"{name}.csv") for name in names}, known)
     assert "not measured" not in lines
     first = next(line for line in lines.splitlines() if line.startswith("| 1 |"))
     page, here = first.split(" | ")[2:4]
     assert here == f"snk {page}"
-    assert re.search(r"not measured", claims.table({name: [] for name in names}, PAGE.read_text("utf-8"))) is not None
+    assert re.search(r"not measured", claims.table({name: [] for name in names}, known)) is not None
 
 
 def test_figure_5_6_has_the_thesis_s_bars_beside_ours(thesis: Script) -> None:
@@ -82,3 +82,22 @@ def test_pairs_and_fingers_are_discarded_by_estimated_roll(thesis: Script) -> No
     )
     assert agreement["rms_deg"][0] == 1.0
     assert agreement["above_10_deg"] == {"by truth": 2, "by estimate": 2, "by both": 2}
+
+
+def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> None:
+    trials, authors = thesis("trials"), thesis("authors")
+    fingers, sessions = ("S01/a", "S02/a", "S03/a"), ("1", "2")
+    names = [(f"{finger}/{session}", finger, session) for finger in fingers for session in sessions]
+    columns = zip(*((name, finger[:3], finger, session) for name, finger, session in names), strict=True)
+    captures = trials.Captures(*(np.array(column) for column in columns))
+    a, b = np.triu_indices(6, 1)
+    pairs = trials.Pairs(captures, a, b)
+    similarity = np.where(pairs.genuine, 5.0, 1.0 + 0.1 * (a + b))
+    across = authors.across_sessions(pairs)
+    assert across.sum() == 9
+    those, scaled = authors.closed_set(pairs.taken(across), similarity[across])
+    assert len(scaled) == 6 * 3
+    assert scaled.min() == 0.0
+    np.testing.assert_array_equal(scaled[those.genuine], 1.0)
+    ends = {"normals": np.array([0.0, 1.0, 0.5]), "shape_normals": np.array([1.0, 3.0, 2.0])}
+    np.testing.assert_allclose(authors.fused(ends), [0.0, 0.5, 0.25])

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import splitknit
+import splitknit_simulator
 from script_folder import Script, scripts_of
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
@@ -103,7 +104,7 @@ def read(file: Path) -> list[dict[str, str]]:
 def test_crossed_images_are_a_case_of_their_own(tmp_path: Path, thesis: Script, monkeypatch) -> None:
     run, chain, crossed = thesis("run"), thesis("chain"), thesis("crossed")
     people, apart = tmp_path / "people", tmp_path / "people-crossed"
-    capture, _ = splitknit.simulate_capture(1, settings={"scale": 0.05})
+    capture, _ = splitknit_simulator.simulate_capture(1, settings={"scale": 0.05})
     white = capture.bands["white"]
     dark = replace(white, name="white_crossed", pixels=white.pixels // 2, polarisation="crossed")
     plain = people / "S01" / "session_1" / "right_index"
@@ -191,10 +192,12 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
     assert {row["matcher"] for row in read(out / "matchers.csv")} == {"ridge"}
     assert {row["factor"] for row in read(out / "sensitivity.csv")} == {"roll", "glare", "moisture", "partial"}
-    filled = thesis("report").fill(
-        (THESIS.parents[1] / "docs" / "experiments" / "thesis-tables.md").read_text(), thesis("report").blocks(out)
-    )
+    thesis("report").write(out, out / "page.md")
+    filled = (out / "page.md").read_text()
     assert "| 5.4 | normals, SnK | 1 % | 92 |" in filled and "too few impostors (270)" in filled
+    first, *cases = (out / "tables" / "ridge_margin.csv").read_text().splitlines()
+    assert first.startswith("case,least genuine") and [row.split(",")[0] for row in cases] == ["snk", "pr", "ea"]
+    assert not [name for name in ("family", "failures") if (out / "tables" / f"{name}.csv").exists()], "not measured"
     assert (out / "figure-5-4.svg").read_text().startswith('<svg xmlns="http://www.w3.org/2000/svg"')
 
 
@@ -250,11 +253,11 @@ def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None
 
 @pytest.mark.slow
 def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
-    from splitknit.matching.surface import surface_images
     from splitknit.model import surface_of
     from splitknit.pipeline import reconstruct
-    from splitknit.simulator.scene import TwinSettings
-    from splitknit.simulator.twin import simulate_capture
+    from splitknit_match.matching.surface import surface_images
+    from splitknit_simulator.scene import TwinSettings
+    from splitknit_simulator.twin import simulate_capture
 
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))
@@ -274,6 +277,14 @@ def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> N
     np.testing.assert_array_equal(first[::-1], drawn(a[::-1], b[::-1], 0.25, 3))
     assert drawn(a, b, 1.0, 3).all() and not drawn(a, b, 0.0, 3).any()
     assert (first != drawn(a, b, 0.25, 4)).any()
+
+
+def test_the_tables_for_reading_are_those_of_the_committed_figures(thesis: Script) -> None:
+    report = thesis("report")
+    for file, text in report.files(THESIS).items():
+        assert file.read_text("utf-8") == text, f"{file.name}: run validation/thesis/report.py"
+    page = report.PAGE.read_text("utf-8")
+    assert report.fill(page, report.blocks(THESIS)) == page
 
 
 def test_the_page_marks_what_too_few_impostors_cannot_support(thesis: Script) -> None:
@@ -296,7 +307,7 @@ def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> No
 
 def handmade(seed: int, session: int) -> Any:
     """A finger's images: ridges of a direction and period of its own, noise of the session."""
-    from splitknit.matching.thesis import FingerImages
+    from splitknit_match.matching.thesis import FingerImages
 
     finger, day = np.random.default_rng(seed), np.random.default_rng([seed, session])
     y, x = np.mgrid[0:150, 0:100]
@@ -340,7 +351,7 @@ def test_other_descriptors_are_compared_by_the_same_rule(
 
 
 def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis: Script) -> None:
-    from splitknit.matching.features import lbp_codes, lbp_features
+    from splitknit_match.matching.features import lbp_codes, lbp_features
 
     neighbours = thesis("neighbours")
     image = handmade(3, 1).channels["relief"]
@@ -360,8 +371,8 @@ def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis:
 @pytest.mark.slow
 def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) -> None:
     """A tiny population: ridges are found at their frequency, more scales take in more of the shape."""
-    from splitknit.batch.simulate import simulate_population
-    from splitknit.simulator.population.sessions import PopulationSettings
+    from splitknit_simulator.population.folder import simulate_population
+    from splitknit_simulator.population.sessions import PopulationSettings
 
     figures = thesis("figures")
     simulate_population(
@@ -386,7 +397,7 @@ def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) ->
 
 
 def test_a_window_is_a_disc_of_the_finger(thesis: Script) -> None:
-    from splitknit.matching.template import Template
+    from splitknit_match.matching.template import Template
 
     windows, rng = thesis("windows"), np.random.default_rng(7)
     valid = np.zeros((240, 160), dtype=np.bool_)

@@ -14,8 +14,8 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel
+from splitknit_simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "twin"))
 reference: Any = importlib.import_module("reference")

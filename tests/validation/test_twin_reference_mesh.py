@@ -9,7 +9,7 @@ import numpy as np
 
 from script_folder import VALIDATION
 from splitknit.model import Camera
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "twin"))
 scene: Any = importlib.import_module("reference_scene")

@@ -14,14 +14,14 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
-from splitknit.simulator.light.films import FilmSettings
-from splitknit.simulator.light.skin import (
+from splitknit_simulator.light.films import FilmSettings
+from splitknit_simulator.light.skin import (
     REFRACTIVE_INDEX,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "path_traced"))
 finger: Any = importlib.import_module("walked_finger")

@@ -13,14 +13,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from chromium import Page, PageMaker, why_not
-from viewer_server import Asking, started
 
-from splitknit.gallery.entry import Entry, NewCapture
-from splitknit.gallery.gallery import Gallery
+from chromium import Page, PageMaker, why_not
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.matching.template import Template, pack
 from splitknit.viewer import service
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.matching.template import Template, pack
+from viewer_server import Asking, started
 from written_files import read_glb
 
 pytestmark = [

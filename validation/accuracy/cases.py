@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Capture, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinOptics
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import SimulatedSurface
-from splitknit.simulator.twin import photograph, simulate_capture
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, NDArray[Any]]
 

@@ -3,7 +3,8 @@
     python validation/accuracy/light_orders.py
 
 Objects, path-traced fingers and the field of balls of SPLITKNIT_DATA, and three simulated fingers, each with its lights
-in their own order, in wrong orders, and in another frame. It prints ``docs/experiments/objects.md``'s second table.
+in their own order, in wrong orders, and in another frame. It prints the table that
+``tables/light_orders.csv`` holds; docs/experiments/objects.md has the conclusions.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from objects import scanned, sphere
-
 import splitknit
+import splitknit_simulator
+from objects import scanned, sphere
 from splitknit.finger.locate import reduced
 from splitknit.imaging.band import linear_stack
 from splitknit.io.images import read_image
@@ -87,7 +88,7 @@ def scenes(data: Path) -> Iterator[Scene]:
         mask = read_npz(data / "path_traced" / f"{name}_truth.npz")["mask"].astype(bool)
         yield _of_capture(f"path-traced {name}", splitknit.read_capture(data / "path_traced" / name), mask)
     for seed in (1, 2, 3):
-        capture, truth = splitknit.simulate_capture(seed, settings={"scale": 0.12})
+        capture, truth = splitknit_simulator.simulate_capture(seed, settings={"scale": 0.12})
         yield _of_capture(f"simulated finger {seed}", capture, np.asarray(truth["mask"], dtype=bool))
 
 

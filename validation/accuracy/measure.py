@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import splitknit
+import splitknit_simulator
 from cases import Case, Truth, photographed
-from splitknit.evaluation.accuracy import Comparison, compare
+from splitknit.accuracy import Comparison, compare
 from splitknit.model import Reconstruction
-from splitknit.simulator.finger.finger import draw_finger
+from splitknit_simulator.finger.finger import draw_finger
 
 CREASE_TOLERANCE_MM = 1.0
 """A cut that lies further below the crease has kept skin of the next phalanx."""
@@ -26,13 +27,13 @@ IN_VIEW_MM = 1.5
 
 
 def source_hash() -> str:
-    """SHA-256 of the package's sources: results of other code are not mixed with these."""
-    folder = Path(splitknit.__file__).parent
+    """SHA-256 of the sources of core and simulator: results of other code are not mixed with these."""
     digest = hashlib.sha256()
-    for file in sorted(folder.rglob("*")):
-        if file.suffix in (".py", ".npz", ".onnx"):
-            digest.update(file.relative_to(folder).as_posix().encode())
-            digest.update(file.read_bytes())
+    for folder in (Path(str(member.__file__)).parent for member in (splitknit, splitknit_simulator)):
+        for file in sorted(folder.rglob("*")):
+            if file.suffix in (".py", ".npz", ".onnx"):
+                digest.update(file.relative_to(folder.parent).as_posix().encode())
+                digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

@@ -6,8 +6,9 @@ A file has ``images`` (N, H, W) linear, ``lights`` (N, 3) towards the lights (x 
 (H, W) and ``normals`` (H, W, 3). A sphere's folder has photographs ``*.N.png``, a mask ``*.mask.png`` and, in it or
 above it, ``lights.txt``; its normals follow from its outline. Without arguments: the objects of SPLITKNIT_DATA.
 
-It prints ``docs/experiments/objects.md``'s table: mean angular error in degrees of the normals as photometric stereo
-measured them, and of the integrated surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
+It prints the table that ``tables/objects.csv`` holds and docs/experiments/objects.md quotes: mean angular error in
+degrees of the normals as photometric stereo measured them, and of the integrated surface; with all lights, and with
+seven of them (mean, min to max of DRAWS draws).
 """
 
 from __future__ import annotations

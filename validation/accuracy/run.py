@@ -3,7 +3,7 @@
     python validation/accuracy/run.py                          # 24 drawn fingers: metric, ea, snk
     python validation/accuracy/run.py --vary scattering 0.7 1 1.4
     python validation/accuracy/run.py --vary all               # everything of cases.py, with its own values
-    python validation/accuracy/report.py                       # docs/experiments/accuracy.md from results.json
+    python validation/accuracy/report.py                       # docs/experiments/accuracy.md, tables/ from results.json
 
 One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so that a run that was
 stopped goes on where it was, and results of other code are never mixed in. One process a core; figures do not depend
@@ -82,25 +82,26 @@ def _parser() -> argparse.ArgumentParser:
 
 def _measure_all(cases: Sequence[Any], presets: Sequence[str], folder: Path, workers: int) -> list[dict[str, Any]]:
     """Results of all cases in their order; those that are on disk already are not measured again."""
-    from tqdm import tqdm
-
     folder.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)}
-    bar = tqdm(total=len(wanted), disable=not sys.stderr.isatty(), unit="finger", file=sys.stderr)
-    with bar:
-        if workers <= 1 or len(wanted) <= 1:
-            _one_thread()
-            for case in wanted.values():
-                _measure_one(case, tuple(presets), folder)
-                bar.update()
-        else:
-            context = multiprocessing.get_context("spawn")
-            with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-                jobs = [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]
-                for job in concurrent.futures.as_completed(jobs):
-                    job.result()
-                    bar.update()
+    if workers <= 1 or len(wanted) <= 1:
+        _one_thread()
+        for done, case in enumerate(wanted.values(), start=1):
+            _measure_one(case, tuple(presets), folder)
+            _report(done, len(wanted))
+    else:
+        context = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+            jobs = [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]
+            for done, job in enumerate(concurrent.futures.as_completed(jobs), start=1):
+                job.result()
+                _report(done, len(wanted))
     return [json.loads((folder / f"{case.name}.json").read_text()) for case in cases]
+
+
+def _report(done: int, of: int) -> None:
+    if sys.stderr.isatty():
+        print(f"{done} of {of} fingers", file=sys.stderr)
 
 
 def _holds(file: Path, presets: Sequence[str]) -> bool:
@@ -181,13 +182,10 @@ def _rounded(value: Any) -> Any:
 
 
 def _show(results: dict[str, Any], names: Sequence[str]) -> None:
-    from report import population_table, variation_table
+    from report import population_csv, variations_csv
 
-    if names:
-        for name in names:
-            print(variation_table(results["variations"][name]), end="\n\n")
-    else:
-        print(population_table(results["population"]))
+    some = {name: results["variations"][name] for name in names}
+    print(variations_csv(some) if names else population_csv(results["population"]))
 
 
 if __name__ == "__main__":

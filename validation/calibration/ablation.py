@@ -4,15 +4,16 @@ Every rig is another person's (``simulate --bench``): its camera, lights and bri
 by the command line, as a person does it. One finger is photographed by the true rig, and reconstructed with the true
 rig, with the calibrated one, with the drawings, and with one part of the calibration left out at a time.
 
-    python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write docs/experiments/calibration.md]
+    python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write FILE.csv]
 
 Finished parts are kept: a second call goes on. Results: ``ablation.json`` in ``validation/out/calibration`` and a table
-on stdout (with ``--write FILE`` between the marks ``<!-- ablation -->`` of a document).
+on stdout, with ``--write FILE.csv`` in a file too (``tables/ablation.csv`` is the one of docs/experiments).
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import subprocess
 import sys
@@ -23,22 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.io.rig import read_rig
 from splitknit.model import Capture, Led, Reconstruction, Rig, nominal_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 FIRST_FINGER = 2000
-FIGURES = {
-    "surface_rms_mm": "surface rms, mm",
-    "misplaced_mm": "misplaced across, mm",
-    "scale_error": "error of size",
-    "normals_deg": "normals, deg",
-    "ridge_correlation": "ridge correlation",
-    "ridge_gain": "ridge gain",
-}
+FIGURES = ("surface_rms_mm", "misplaced_mm", "scale_error", "normals_deg", "ridge_correlation", "ridge_gain")
 
 
 def run(out: Path, rigs: int, scale: float) -> list[dict[str, Any]]:
@@ -163,32 +157,26 @@ def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> 
     }
 
 
-def table(records: list[dict[str, Any]]) -> str:
+def table(records: list[dict[str, Any]]) -> list[list[str]]:
     """Means over the rigs with 95 % intervals (bootstrap over rigs), and the surface's rms over the true rig's."""
     names = list(dict.fromkeys(record["row"] for record in records))
-    seeds = sorted({record["rig"] for record in records})
     values = {name: {f: np.array([r[f] for r in records if r["row"] == name]) for f in FIGURES} for name in names}
-    lines = [
-        f"{len(seeds)} rigs with one finger each; means with 95 % intervals.",
-        "",
-        "| known of the rig | " + " | ".join(FIGURES.values()) + " | surface rms / true rig |",
-        "| --- |" + " --- |" * (len(FIGURES) + 1),
-    ]
+    columns = [*FIGURES, "surface_rms_over_true_rig"]
+    rows = [["known_of_the_rig", *(f"{column}{end}" for column in columns for end in ("", "_low", "_high"))]]
     base = values["true rig"]["surface_rms_mm"]
     for name in names:
-        cells = [interval(values[name][f], np.mean) for f in FIGURES]
         own = values[name]["surface_rms_mm"]
         ratio = interval(np.stack([own, base], axis=1), lambda v: v[:, 0].mean() / v[:, 1].mean())
-        lines.append(f"| {name} | " + " | ".join([*cells, ratio]) + " |")
-    return "\n".join(lines)
+        rows.append([name, *(cell for f in FIGURES for cell in interval(values[name][f], np.mean)), *ratio])
+    return rows
 
 
-def interval(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> str:
-    """The statistic, and its interval over resampled rigs."""
+def interval(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> list[str]:
+    """The statistic, and the ends of its interval over resampled rigs."""
     rng = np.random.default_rng(0)
     drawn = [float(statistic(values[rng.integers(0, len(values), len(values))])) for _ in range(2000)]
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return f"{float(statistic(values)):.3f} [{low:.3f}, {high:.3f}]"
+    return [f"{float(value):.3f}" for value in (statistic(values), low, high)]
 
 
 def main() -> None:
@@ -196,18 +184,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("validation/out/calibration"))
     parser.add_argument("--rigs", type=int, default=6)
     parser.add_argument("--scale", type=float, default=0.5)
-    parser.add_argument("--write", type=Path, default=None, help="document whose <!-- ablation --> part is replaced")
+    parser.add_argument("--write", type=Path, default=None, help="CSV file for the table")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     records = run(options.out, options.rigs, options.scale)
     (options.out / "ablation.json").write_text(json.dumps(records, indent=1) + "\n")
-    text = table(records)
-    print(text)
+    rows = table(records)
+    for row in rows:
+        print(", ".join(row))
     if options.write is not None:
-        page = options.write.read_text()
-        head, _, rest = page.partition("<!-- ablation -->")
-        _, _, tail = rest.partition("<!-- /ablation -->")
-        options.write.write_text(f"{head}<!-- ablation -->\n{text}\n<!-- /ablation -->{tail}")
+        with options.write.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibration.camera import CameraCalibration, fit_camera, fit_lens
-from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
-from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.model import Rig
-from splitknit.simulator.calibration_set import bench, flat
-from splitknit.simulator.camera.device import LitScene
-from splitknit.simulator.rigs import built_rig
+from splitknit_rig.calibration.camera import CameraCalibration, fit_camera, fit_lens
+from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
+from splitknit_rig.calibration.targets import Board, find_board, find_disc
+from splitknit_simulator.calibration_set import bench, flat
+from splitknit_simulator.camera.device import LitScene
+from splitknit_simulator.rigs import built_rig
 
 BOARD = Board(9, 6, 3.0)
 PRINTED = flat.PrintedBoard(columns=9, rows=6, square_mm=3.0)

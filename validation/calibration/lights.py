@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.light_table import BANDS, Tip
-from splitknit.calibration.lights import Circle, by_circle
-from splitknit.calibration.nail import NailSettings, by_joint_fit
-from splitknit.calibration.shadow import find_nail
 from splitknit.model import Rig, default_rig
-from splitknit.simulator.calibration_set.bench import photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.solids import NailScene
-from splitknit.simulator.rigs import built_rig
+from splitknit_rig.calibration.lights import BANDS, Circle, Tip, by_circle
+from splitknit_rig.calibration.nail import NailSettings, by_joint_fit
+from splitknit_rig.calibration.shadow import find_nail
+from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.solids import NailScene
+from splitknit_simulator.rigs import built_rig
 
 Points = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent

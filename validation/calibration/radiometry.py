@@ -6,12 +6,14 @@
 Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams and brightness of 14
 LEDs. The twin photographs a white card; the calibration knows the camera and the LEDs' places (exactly or not) and
 finds the rest. Judged are all pixels of all 14 images against the twin's own noise-free light on an even card, with one
-factor free for the whole rig. Figures land in ``validation/calibration/radiometry.json``, tables on the screen.
+factor free for the whole rig. Figures go to ``validation/calibration/radiometry.json``, tables to the screen; with
+``--tables FOLDER`` as CSV, too (``tables/`` holds those of the stored figures).
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 from collections.abc import Sequence
@@ -31,6 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=0.12, help="of the images (default: 0.12)")
     parser.add_argument("--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)")
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
+    parser.add_argument("--tables", type=Path, help="folder for the tables as CSV")
     options = parser.parse_args(arguments)
     seeds = range(options.first_seed, options.first_seed + options.rigs)
     results: dict[str, Any] = {
@@ -45,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="ascii")
     print(summary(results))
+    if options.tables is not None:
+        write_tables(results, options.tables)
     return 0
 
 
@@ -83,9 +88,9 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
     from radiometry_cards import Card, as_placed, photograph
 
-    from splitknit.calibration.card_model import CardPlane
-    from splitknit.calibration.radiometry import fit_radiometry
-    from splitknit.simulator.rigs import built_rig
+    from splitknit_rig.calibration.card_model import CardPlane
+    from splitknit_rig.calibration.radiometry import fit_radiometry
+    from splitknit_simulator.rigs import built_rig
 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
@@ -110,7 +115,7 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     import numpy as np
     from radiometry_cards import CASES, Card
 
-    from splitknit.simulator.rigs import built_rig
+    from splitknit_simulator.rigs import built_rig
 
     case = next(one for one in CASES if one.name == "LEDs 0.5 mm off")
     found: dict[tuple[float, str], dict[str, list[float]]] = {}
@@ -157,8 +162,8 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
 
     from splitknit.finger.led_drift import drift_words, led_drift
     from splitknit.imaging.band import linear_stack
-    from splitknit.simulator.scene import TwinSettings
-    from splitknit.simulator.twin import simulate_capture
+    from splitknit_simulator.scene import TwinSettings
+    from splitknit_simulator.twin import simulate_capture
 
     calm, errors_found, named, asked = [], {0.95: [], 0.88: []}, 0, 0
     alarms = 0
@@ -207,7 +212,7 @@ def _light(card: Any) -> Any:
 def _model(rig: Any, height_mm: float) -> Any:
     import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, card_light
+    from splitknit_rig.calibration.card_model import CardPlane, card_light
 
     return np.stack([card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds])
 
@@ -216,7 +221,7 @@ def _directions(rig: Any, height_mm: float) -> Any:
     """(14, N, 3) true directions to the LEDs from what the pixels see at a height."""
     import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, rays_to_led
+    from splitknit_rig.calibration.card_model import CardPlane, rays_to_led
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([rays_to_led(led, points)[0] for led in rig.leds])
@@ -226,7 +231,7 @@ def _directions_weight(rig: Any, height_mm: float) -> Any:
     """(14, N) inverse squares of the true distances: LEDs all equal, without beams, and no lens."""
     import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, rays_to_led
+    from splitknit_rig.calibration.card_model import CardPlane, rays_to_led
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([1e4 / np.pi / rays_to_led(led, points)[1] ** 2 for led in rig.leds])
@@ -289,6 +294,30 @@ def summary(results: dict[str, Any]) -> str:
         f"{found['asked']}; error of their gain at {errors_found}.",
     ]
     return "\n".join(lines)
+
+
+def write_tables(results: dict[str, Any], folder: Path) -> None:
+    """``radiometry.csv`` (the finger plane) and ``radiometry_heights.csv``; intervals as half their width."""
+    errors_of = ["mean_error_percent", "mean_error_half_interval", "largest_error_percent"]
+    plane_rows = [["case", *errors_of, "largest_error_half_interval", "largest_of_all_rigs_percent", "refused"]]
+    for row in results["plane"]:
+        mean, worst = row["mean_percent"], row["worst_percent"]
+        cells = [""] * 5 if mean is None else [*_half(mean), *_half(worst), f"{worst['largest']:.2f}"]
+        plane_rows.append([row["case"], *cells, str(len(row["refused"]))])
+    errors_of = ["largest_error_percent", "largest_error_half_interval", "between_leds_rms_percent"]
+    height_rows = [["height_mm", "way", *errors_of, "between_leds_half_interval", "lean_rms_deg", "lean_largest_deg"]]
+    for row in results["heights"]:
+        lean = [f"{row[name]['mean']:.2f}" for name in ("lean_deg", "worst_lean_deg")]
+        figures = [*_half(row["worst_percent"], 1), *_half(row["lights_percent"]), *lean]
+        height_rows.append([f"{row['height_mm']:g}", row["way"], *figures])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, rows in (("radiometry", plane_rows), ("radiometry_heights", height_rows)):
+        with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+def _half(value: dict[str, Any], digits: int = 2) -> list[str]:
+    return [f"{value['mean']:.{digits}f}", f"{value['half']:.{digits}f}"]
 
 
 def _words(value: dict[str, Any], digits: int = 2) -> str:

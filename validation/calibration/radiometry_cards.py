@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Band, Camera, Capture, FloatArray, Rig
-from splitknit.simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.flat import CardScene
-from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.flat import CardScene
+from splitknit_simulator.camera.sensor import SensorSettings
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ CASES = (
     Case("LEDs 1 mm off", error_mm=1.0),
     Case("8-bit files", error_mm=0.5, sensor=SensorSettings()),
     Case("8-bit sRGB files", error_mm=0.5, sensor=SensorSettings(encoding="srgb")),
-    Case("room light of 5 %", error_mm=0.5, ambient=0.05),
+    Case("ambient light of 5 %", error_mm=0.5, ambient=0.05),
     Case("base tilted, known", error_mm=0.5, base_tilt="known"),
     Case("base tilted, unknown", error_mm=0.5, base_tilt="unknown"),
     Case("card mottled by 1 %, dust", error_mm=0.5, mottle=0.01),

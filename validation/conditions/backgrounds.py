@@ -1,15 +1,15 @@
-"""Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py SCRATCH --page PAGE``.
+"""Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py SCRATCH``.
 
 Six simulated fingers (or ``--seeds``) before the twin's black background and before black, green, blue and purple paper
 (the thesis, section 4.1.2); presets metric and snk. A row of SCRATCH/backgrounds.jsonl is one preset on one capture;
-running it again goes on. ``--page`` writes the table between the page's ``<!-- backgrounds -->`` marks.
+running it again goes on. The table is written to ``tables/backgrounds.csv``.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 from summary import interval
 
+from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import compare
 from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged_mask
 from splitknit.finger.mask import finger_mask
 from splitknit.imaging.band import linear_survey
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.scene import BackgroundSettings, TwinSettings
-from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 SCALE = 0.35
@@ -42,13 +42,14 @@ COLOURS = {
 """Reflectance in red, green, blue and NIR. Assumed: dyed papers take their colour from the dye, which is transparent in
 NIR; black paper holds soot, which is not."""
 FIGURES = {
-    "iou": ("overlap of mask and truth", "{:.4f}"),
-    "border_mm": ("worst distance of the outlines, mm", "{:.2f}"),
-    "ridge_correlation": ("ridge correlation", "{:.3f}"),
-    "ridge_gain": ("ridge gain", "{:.2f}"),
-    "normals_mean_deg": ("normals, deg", "{:.1f}"),
-    "shape_rms_mm": ("shape, mm", "{:.3f}"),
+    "iou": "{:.4f}",  # overlap of mask and truth
+    "border_mm": "{:.2f}",  # worst distance of the outlines
+    "ridge_correlation": "{:.3f}",
+    "ridge_gain": "{:.2f}",
+    "normals_mean_deg": "{:.1f}",
+    "shape_rms_mm": "{:.3f}",
 }
+TABLE = Path(__file__).with_name("tables") / "backgrounds.csv"
 
 
 def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]:
@@ -92,20 +93,20 @@ def rows_of(seed: int, background: str, presets: list[str], scale: float) -> lis
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[dict[str, Any]]) -> list[list[str]]:
     """Medians over fingers with 95 % intervals."""
-    head = ["background", "preset", "fingers", *(title for title, _ in FIGURES.values())]
-    lines = ["| " + " | ".join(head) + " |", "| " + " | ".join(["---"] * len(head)) + " |"]
+    ends = ("", "_low", "_high")
+    lines = [["background", "preset", "fingers", *(name + end for name in FIGURES for end in ends)]]
     for background in COLOURS:
         for preset in sorted({row["preset"] for row in rows}):
             mine = [row for row in rows if (row["background"], row["preset"]) == (background, preset)]
             good = [row for row in mine if "refused" not in row]
-            cells = [background, f"`{preset}`", f"{len(good)} of {len(mine)}"]
-            for name, (_, form) in FIGURES.items():
+            cells = [background, preset, f"{len(good)} of {len(mine)}"]
+            for name, form in FIGURES.items():
                 values = np.array([row[name] for row in good])
-                cells.append("{} ({} to {})".format(*(form.format(v) for v in (np.median(values), *interval(values)))))
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+                cells += [form.format(value) for value in (np.median(values), *interval(values))]
+            lines.append(cells)
+    return lines
 
 
 def main() -> None:
@@ -115,7 +116,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--presets", nargs="+", default=["metric", "snk"])
     parser.add_argument("--scale", type=float, default=SCALE)
-    parser.add_argument("--page", type=Path)
+    parser.add_argument("--table", type=Path, default=TABLE)
     options = parser.parse_args()
     options.scratch.mkdir(parents=True, exist_ok=True)
     kept = options.scratch / "backgrounds.jsonl"
@@ -129,11 +130,8 @@ def main() -> None:
                 with kept.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(json.dumps(row), flush=True)
-    print(table(rows))
-    if options.page:
-        page = options.page.read_text()
-        parts = re.split("(<!-- /?backgrounds -->)", page)
-        options.page.write_text("".join([*parts[:2], "\n", table(rows), "\n", *parts[3:]]))
+    with options.table.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(table(rows))
 
 
 if __name__ == "__main__":

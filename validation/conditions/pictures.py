@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from run import KINDS
 
+from splitknit.finger.ridges import surface_print
 from splitknit.model import Capture, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints.ridges import surface_print
-from splitknit.simulator.finger.conditions import Condition
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.conditions import Condition
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "images" / "conditions.jpg"
 SEED, LIGHT, SIDE_MM, SIDE_PX, MIDDLE_MM = 7, 3, 9.0, 260, (0.3, 0.0)

@@ -22,24 +22,24 @@ from typing import Any
 import cv2
 import numpy as np
 
-import splitknit.simulator.finger.finger as drawing
+import splitknit_simulator.finger.finger as drawing
+from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import compare
-from splitknit.matching.methods import false_match_rate
-from splitknit.matching.minutiae import nfiq2
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import Template, pack, unpack
 from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints.folder import advice
-from splitknit.prints.make import enhance, make_print, measured
-from splitknit.prints.sources import source_of
-from splitknit.simulator.finger.conditions import Condition
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
+from splitknit_match.matching.methods import false_match_rate
+from splitknit_match.matching.minutiae import nfiq2
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import Template, pack, unpack
+from splitknit_match.prints.folder import advice
+from splitknit_match.prints.make import enhance, make_print, measured
+from splitknit_match.prints.sources import source_of
+from splitknit_simulator.finger.conditions import Condition
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 SEEDS = (7301, 7302, 7303, 7304, 7305, 7306)
 KINDS = ("wet", "dry", "dusty", "scarred", "glossy")

@@ -4,7 +4,8 @@ On clean captures drawn from a population, on three of the reported fingers at o
 condition and severity (captures that ``run.py --keep`` left in SCRATCH, else made anew), and on six with other faults:
 the fraction of the finger under dark and under bright specks in both bands, and whether the sentence about dust, or
 that about dry skin, was said.
-SCRATCH/specks.jsonl holds a row for each capture, and running it again goes on; ``specks.json`` is the summary.
+SCRATCH/specks.jsonl holds a row for each capture, and running it again goes on; ``specks.json`` is the summary,
+``--table`` writes ``tables/specks.csv``.
 ``summary.py`` takes the sentences from there for rows that were made before the check existed.
 
 The thresholds were chosen on other fingers: seeds 7401 to 7406, and subjects S16 and S17 of the population.
@@ -13,6 +14,7 @@ The thresholds were chosen on other fingers: seeds 7401 to 7406, and subjects S1
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -25,12 +27,12 @@ import numpy as np
 from run import KINDS, SEEDS, photographed
 from scipy.stats import binomtest
 
-import splitknit.simulator.finger.finger as drawing
+import splitknit_simulator.finger.finger as drawing
 from splitknit.finger.locate import find_finger
 from splitknit.io.capture import read_capture
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.twin import simulate_capture
 
 OUT = Path(__file__).with_name("specks.json")
 SEVERITIES = (0.25, 0.5, 0.75, 1.0)
@@ -128,23 +130,29 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {part: {name: reports_of(some) for name, some in named.items()} for part, named in groups.items()}
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown for docs/experiments/conditions.md."""
-    lines = ["| captures | dust reported | dry skin reported | dark specks, % | bright specks, % |", "| --- " * 5 + "|"]
+COLUMNS = (
+    *("captures", "count", "dust_reported", "dust_percent_low", "dust_percent_high"),
+    *("dry_reported", "dry_percent_low", "dry_percent_high"),
+    *(f"{what}_specks_percent{end}" for what in ("dark", "bright") for end in ("", "_min", "_max")),
+)
+
+
+def table(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """Rows of ``tables/specks.csv``: how many were warned, with intervals, and the white band's median and range."""
+    lines = [list(COLUMNS)]
 
     def line(name: str, some: list[dict[str, Any]]) -> None:
         if not some:
             return
         found = reports_of(some)
-        n = len(some)
-        cells = []
+        cells = [name, str(len(some))]
         for what in ("dust", "dry"):
             low, high = (100 * end for end in found[what]["interval"])
-            cells.append(f"{found[what]['told']} of {n} ({low:.3g} to {high:.3g} %)")
+            cells += [str(found[what]["told"]), f"{low:.3g}", f"{high:.3g}"]
         for what in ("dark", "bright"):
             low, middle, high = found[f"white_{what}_percent"]
-            cells.append(f"{middle:.2f} ({low:.2f} to {high:.2f})")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            cells += [f"{middle:.2f}", f"{low:.2f}", f"{high:.2f}"]
+        lines.append(cells)
 
     line("clean, from the population", [row for row in rows if row["set"] == "population"])
     mine = [row for row in rows if row["set"] == "conditions"]
@@ -159,7 +167,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         for kind, words in (("none", "clean"), ("dusty", "dusty 0.25 and 1"), ("dry", "dry 0.5 and 1")):
             some = [row for row in rows if (row.get("scale"), row.get("kind")) == (scale, kind)]
             line(f"{words}, at {PX_PER_MM * scale:.0f} px/mm", some)
-    return "\n".join(lines)
+    return lines
 
 
 def main() -> None:
@@ -174,7 +182,7 @@ def main() -> None:
         "--faults", type=int, nargs="*", default=range(9201, 9207), help="seeds of fingers with a fault"
     )
     parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--page", type=Path, help="page whose table is replaced, such as conditions.md")
+    parser.add_argument("--table", type=Path, help="CSV to write, such as tables/specks.csv")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     drawing.master_print = lru_cache(maxsize=8)(drawing.master_print)  # type: ignore[assignment]
@@ -205,10 +213,9 @@ def main() -> None:
             lines.write(json.dumps(rows[-1]) + "\n")
         print(_key(task), rows[-1]["said"], flush=True)
     options.out.write_text(json.dumps(summary(rows), indent=1) + "\n")
-    if options.page:
-        page = options.page.read_text()
-        start, end = "<!-- specks -->", "<!-- /specks -->"
-        options.page.write_text(f"{page.split(start)[0]}{start}\n{table(rows)}\n{end}{page.split(end)[1]}")
+    if options.table:
+        with options.table.open("w", newline="") as written:
+            csv.writer(written, lineterminator="\n").writerows(table(rows))
 
 
 def _key(task: dict[str, Any]) -> tuple[Any, ...]:

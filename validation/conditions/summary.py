@@ -1,8 +1,8 @@
 """What fails first: ``python validation/conditions/summary.py SCRATCH``, after ``run.py``.
 
 Writes ``conditions.csv`` (medians over fingers with 95 % bootstrap intervals, beside the range of clean captures) and
-``conditions.json`` (what leaves its clean range first, and what the software said), and prints the tables of
-``docs/experiments/conditions.md``.
+``conditions.json`` (what leaves its clean range first, and what the software said), and prints the table of
+``docs/experiments/conditions.md``: the first preset at severity 1.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.prints.folder import advice
-from splitknit.prints.print_quality import PrintQuality, QualityFigures, score_of
+from splitknit_match.prints.folder import advice
+from splitknit_match.prints.print_quality import PrintQuality, QualityFigures, score_of
 
 HERE = Path(__file__).parent
 WORSE_WHEN_LOWER = ("ridge_correlation", "ridge_good_area", "print_quality", "similarity", "mask_overlap")
@@ -27,7 +27,7 @@ WORSE_BOTH_WAYS = ("ridge_gain", "nfiq2")
 SHOWN_ONLY = ("saturated", "ridge_contrast")
 FIGURES = (*WORSE_WHEN_LOWER, *WORSE_WHEN_HIGHER, *WORSE_BOTH_WAYS, *SHOWN_ONLY)
 JUDGED = ("ridge_correlation", "ridge_gain", "normals_mean_deg", "shape_rms_mm", "print_quality", "nfiq2", "similarity")
-"""Figures that may fail first: those that the issue names."""
+"""Figures that may fail first: those by which a condition is judged."""
 
 
 def interval(values: np.ndarray, rounds: int = 2000) -> tuple[float, float]:
@@ -153,86 +153,32 @@ def plain(text: str) -> str:
     return re.sub(r"\d+(\.\d+)?", "N", text.replace("white band: ", "").replace("nir band: ", "nir: "))
 
 
-def show(table: list[dict[str, Any]], preset: str) -> str:
-    """Markdown: medians of every condition and severity, bold where they left the clean range."""
-    lines = []
-    head = (
-        "ridge_correlation",
-        "ridge_gain",
-        "normals_mean_deg",
-        "shape_rms_mm",
-        "print_quality",
-        "nfiq2",
-        "similarity",
-    )
-    lines.append("| condition | severity | " + " | ".join(NAMES[name] for name in head) + " |")
-    lines.append("| --- " * (2 + len(head)) + "|")
-    keys = list(dict.fromkeys((r["kind"], r["severity"]) for r in table if r["preset"] == preset))
-    for kind, severity in keys:
+def show(document: dict[str, Any], table: list[dict[str, Any]], preset: str) -> str:
+    """Markdown: clean fingers and every condition at severity 1, bold where a figure left its clean range."""
+    lines = ["| condition | from severity | " + " | ".join(NAMES.values()) + " |", "| --- " * (2 + len(NAMES)) + "|"]
+    chosen = {
+        (row["kind"], row["figure"]): row
+        for row in table
+        if row["preset"] == preset and (row["kind"] == "none" or row["severity"] == 1)
+    }
+    for kind in dict.fromkeys(kind for kind, _ in chosen):
         values = []
-        for figure in head:
-            match = [
-                r
-                for r in table
-                if (r["preset"], r["kind"], r["severity"], r["figure"]) == (preset, kind, severity, figure)
-            ]
-            if not match:
-                values.append("")
-                continue
-            r = match[0]
-            digits = {"nfiq2": 0, "print_quality": 0, "normals_mean_deg": 1}.get(figure, 2)
-            text = f"{r['median']:.{digits}f} ({r['low']:.{digits}f}-{r['high']:.{digits}f})"
-            values.append(f"**{text}**" if r["beyond"] > 0 else text)
-        lines.append(f"| {kind} | {severity:g} | " + " | ".join(values) + " |")
+        for figure in NAMES:
+            row = chosen.get((kind, figure))
+            digits = {"nfiq2": 0, "normals_mean_deg": 1}.get(figure, 2)
+            three = [] if row is None else [f"{row[end]:.{digits}f}" for end in ("median", "low", "high")]
+            text = f"{three[0]} ({three[1]}-{three[2]})" if three else ""
+            values.append(f"**{text}**" if row is not None and row["beyond"] > 0 else text)
+        first = "" if kind == "none" else document["first"][preset][kind]["severity"]
+        lines.append(f"| {kind} | {'never' if first is None else first} | " + " | ".join(values) + " |")
     return "\n".join(lines)
 
 
-LABELS = {
-    "dark specks": "dark specks: wipe it", "bright specks": "bright specks: wipe or moisten it",
-    "is saturated": "saturated: dry the finger", "ridges hardly show": "ridges hardly show",
-    "Ridges are weak": "print: ridges weak (dry, worn, wet or out of focus)",
-    "Ridges are missing": "print: ridges missing", "shows none": "print: gaps (wipe it)",
-    "edges are soft": "print: soft", "noisy": "print: noisy or dusty", "mm2) are in view": "print: short",
-    "silent": "nothing said", "beside the finger": "print: beside the middle", "refused": "refused (exit code 2)",
-    "not the same finger": "not matched at FMR 1e-4",
-}  # fmt: skip
-"""Short forms of what is said; what is not among them (a crease that is not in view) is left out."""
 NAMES = {
     "ridge_correlation": "ridge correlation", "ridge_gain": "ridge gain", "normals_mean_deg": "normals, deg",
-    "shape_rms_mm": "shape, mm", "print_quality": "print quality", "nfiq2": "NFIQ 2", "similarity": "similarity",
+    "nfiq2": "NFIQ 2", "similarity": "similarity",
 }  # fmt: skip
-
-
-def labelled(heard: dict[str, int]) -> str:
-    """What was said to how many of the fingers, in short."""
-    count: Counter[str] = Counter()
-    for sentence, times in heard.items():
-        for part, label in LABELS.items():
-            if part in sentence and times and sentence != "reconstruct silent":
-                count[label] = max(count[label], times)
-    captures = heard["captures"]
-    return "; ".join(f"{label} {times}/{captures}" for label, times in count.most_common()) or "nothing"
-
-
-def first_table(document: dict[str, Any], preset: str) -> str:
-    """Markdown: what leaves its clean range first, and what the software then reports."""
-    lines = [
-        "| condition | first at severity | what leaves its clean range | what the software reports | at severity 1 |"
-    ]
-    lines.append("| --- " * 5 + "|")
-    for kind, found in document["first"][preset].items():
-        said = document["said"][preset]
-        parts = [
-            f"{NAMES[f['figure']]} {f['median']:.3g} ({f['low']:.3g} to {f['high']:.3g}; clean {f['clean_low']:.3g} to "
-            f"{f['clean_high']:.3g})"
-            for f in found["figures"][:4]
-        ]
-        severity = found["severity"]
-        then = labelled(said[f"{kind} {severity:g}"]) if severity else ""
-        worst = labelled(said[f"{kind} 1"]) if f"{kind} 1" in said else ""
-        where = f"{severity:g} (of {', '.join(f'{v:g}' for v in found['measured'])})" if severity else "never"
-        lines.append(f"| {kind} | {where} | {'; '.join(parts)} | {then} | {worst} |")
-    return "\n".join(lines)
+"""Columns of the page's table."""
 
 
 def main() -> None:
@@ -240,7 +186,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--out", type=Path, default=HERE)
-    parser.add_argument("--page", type=Path, help="page whose tables are replaced, such as conditions.md")
+    parser.add_argument("--page", type=Path, help="page whose table is replaced, such as conditions.md")
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.scratch / "rows.jsonl").read_text().splitlines()]
     rows = with_specks(rows, options.scratch / "specks.jsonl")
@@ -257,20 +203,12 @@ def main() -> None:
         "said": {preset: sentences(rows, preset) for preset in presets},
     }
     (options.out / "conditions.json").write_text(json.dumps(document, indent=1) + "\n")
-    shown = [p for p in presets if any(row["preset"] == p and row["kind"] != "none" for row in rows)]
-    tables = "\n\n".join(
-        [f"`{p}`, {len(document['fingers'])} fingers:\n\n{first_table(document, p)}" for p in shown]
-        + [
-            f"All medians of `{p}` (95 % intervals), bold where they left the range of the clean captures; the others' "
-            "are in `validation/conditions/conditions.csv`:\n\n" + show(table, p)
-            for p in shown[:1]
-        ]
-    )
+    text = show(document, table, presets[0])
     if options.page:
         page = options.page.read_text()
         start, end = "<!-- conditions -->", "<!-- /conditions -->"
-        options.page.write_text(f"{page.split(start)[0]}{start}\n{tables}\n{end}{page.split(end)[1]}")
-    print(tables)
+        options.page.write_text(f"{page.split(start)[0]}{start}\n{text}\n{end}{page.split(end)[1]}")
+    print(text)
 
 
 if __name__ == "__main__":

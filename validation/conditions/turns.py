@@ -1,15 +1,15 @@
-"""Which way the finger points, for any turn: ``python validation/conditions/turns.py --page PAGE``.
+"""Which way the finger points, for any turn: ``python validation/conditions/turns.py``.
 
 Simulated fingers (``--seeds``) are photographed in a large frame, then images and LEDs are turned together by 0 to 345
 deg and cut to pictures of three shapes. Counted: direction found within 15 deg of the truth, wrong with and without a
-warning, refused. ``--whole N`` reconstructs the widest pictures of the first finger in N turns and matches the result
-with that of the finger pointing up.
+warning, refused; the counts are written to ``tables/turns.csv``. ``--whole N`` reconstructs the widest pictures of the
+first finger in N turns and matches the result with that of the finger pointing up.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
+import csv
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -23,13 +23,13 @@ from splitknit.errors import BadInput
 from splitknit.finger.mask import finger_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.band import linear_survey
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.model import Band, Capture, Led, default_rig, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger.finger import PoseRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_simulator.finger.finger import PoseRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 SEEDS = (7511, 7512, 7513)
 SCALE = 0.2
@@ -39,6 +39,7 @@ SHAPES = {"wide, 29 x 42 mm": (440, 640), "tall, 42 x 29 mm": (640, 440), "squar
 OTHERS = {"small, 20 x 26 mm": (300, 400), "whole finger part inside, 59 x 59 mm": (900, 900)}
 """Harder pictures: less of the finger, and a finger that a mask cuts off inside the picture."""
 WRONG_DEG = 15.0
+TABLE = Path(__file__).with_name("tables") / "turns.csv"
 
 
 def large_capture(seed: int) -> tuple[Capture, float]:
@@ -106,7 +107,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--turns", type=int, default=24)
     parser.add_argument("--whole", type=int, default=0)
-    parser.add_argument("--page", type=Path)
+    parser.add_argument("--table", type=Path, default=TABLE)
     options = parser.parse_args()
     counts: dict[str, Counter[str]] = {name: Counter() for name in (*SHAPES, *OTHERS)}
     for seed in options.seeds:
@@ -125,17 +126,13 @@ def main() -> None:
                 if found != "right":
                     print(seed, angle, name, found, said, flush=True)
     names = ("right", "right, warned", "wrong, warned", "WRONG", "refused")
-    lines = ["| picture | " + " | ".join(names).replace("WRONG", "wrong, not warned") + " |"]
-    lines.append("| --- |" + " --- |" * len(names))
-    lines += [
-        f"| {shape} | " + " | ".join(str(count[name]) for name in names) + " |" for shape, count in counts.items()
-    ]
+    lines = [["picture", "right", "right_warned", "wrong_warned", "wrong_not_warned", "refused"]]
+    lines += [[shape, *(str(count[name]) for name in names)] for shape, count in counts.items()]
+    with options.table.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)
+    print("\n".join(", ".join(line) for line in lines))
     if options.whole:
-        lines += ["", matched(options.seeds[0], options.whole)]
-    print("\n".join(lines))
-    if options.page:
-        parts = re.split("(<!-- /?turns -->)", options.page.read_text())
-        options.page.write_text("".join([*parts[:2], "\n", *(line + "\n" for line in lines), *parts[3:]]))
+        print(matched(options.seeds[0], options.whole))
 
 
 def matched(seed: int, turns: int) -> str:

@@ -92,7 +92,15 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=400_000)
     parser.add_argument("--most", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=1)
-    here = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "skin" / "diffusion_table.npz"
+    here = (
+        Path(__file__).resolve().parents[2]
+        / "packages"
+        / "splitknit"
+        / "src"
+        / "splitknit"
+        / "skin"
+        / "diffusion_table.npz"
+    )
     parser.add_argument("--out", type=Path, default=here)
     options = parser.parse_args()
     result = table(options.walks, options.most, options.seed)

@@ -24,11 +24,11 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from splitknit import reconstruct
-from splitknit.calibration.shading import calibrate_shading
 from splitknit.imaging.band import coarse_flat, over_flat
 from splitknit.integration.poisson import trusted_height
 from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.photometric.shading import shading_slopes
+from splitknit_rig.calibration.shading import calibrate_shading
 
 STEPS = 24
 """Cells of the lookup table along each axis."""

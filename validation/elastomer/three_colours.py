@@ -19,11 +19,10 @@ from pathlib import Path
 import numpy as np
 from caps import score
 
-from splitknit.calibration.shading import calibrate_shading
-from splitknit.capture.live import linear_colours
-from splitknit.capture.live_heights import HeightMeter
 from splitknit.io.images import read_image
 from splitknit.photometric.shading import flat_of_fall_off, shading_slopes
+from splitknit_rig.calibration.shading import calibrate_shading
+from splitknit_rig.capture.live import HeightMeter, linear_colours
 
 
 def outlines(path):

@@ -24,21 +24,26 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import read_chunk
-from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput
-from splitknit.evaluation.fusion import FusionSettings, fuse
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit.evaluation.scores import Scores
+from splitknit.finger.ridges import surface_print
 from splitknit.io.capture import read_capture
-from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
-from splitknit.matching.space_features import space_minutiae, surface_code
-from splitknit.matching.surface_code import PreparedSurface, surface_code_match
 from splitknit.model import Surface, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints.ridges import surface_print
+from splitknit_match.batch.chunks import read_chunk
+from splitknit_match.batch.surfaces import unpack_surface
+from splitknit_match.evaluation.fusion import FusionSettings, fuse
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit_match.evaluation.scores import Scores
+from splitknit_match.matching.minutiae import extract, minutiae_match
+from splitknit_match.matching.minutiae3d import (
+    PreparedMinutiae3D,
+    PreparedTetrahedra,
+    minutiae3d_match,
+    tetrahedra_match,
+)
+from splitknit_match.matching.space_features import space_minutiae, surface_code
+from splitknit_match.matching.surface_code import PreparedSurface, surface_code_match
 
 RESULTS = Path(__file__).with_name("features.json")
 FINGERS = ("right_thumb", "right_index", "right_middle", "right_ring", "right_little", "left_index")

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import linear_stack
 from splitknit.io.atomic import atomic_file
@@ -27,9 +27,9 @@ from splitknit.model import COLOURS, Capture
 from splitknit.photometric.lambertian import left_out
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
-from splitknit.simulator.rigs import coloured_rig
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.rigs import coloured_rig
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 FIRST_SEED = 4100
 KEPT = ("normals_mean_deg", "ridge_correlation", "ridge_gain", "ridge_rms_um", "shape_rms_mm", "ridge_good_area")

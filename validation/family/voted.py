@@ -23,9 +23,9 @@ from agreement_compare import agreed, counts
 from voted_measure import Judge, lists_of, name_of, plain_of, unpacked
 
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.minutiae import minutiae_match
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.matching.voted_minutiae import PICTURES, VoteSettings, vote
+from splitknit_match.matching.minutiae import minutiae_match
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.matching.voted_minutiae import PICTURES, VoteSettings, vote
 
 TUNED = [(subject, 1, finger) for subject in ("S15", "S16", "S17") for finger in ("right_index", "left_thumb")]
 REPORTED = [(f"S{k:02d}", session, "right_index") for session in (1, 2) for k in range(1, 11)]

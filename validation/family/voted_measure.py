@@ -14,17 +14,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "prints"))
 from agreement_measure import against_truth
 from agreement_truth import Truth, read_truth
 
-from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import stored_places
-from splitknit.batch.store import Store
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
-from splitknit.matching.minutiae import extract
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
-from splitknit.matching.voted_minutiae import left_out_pictures
 from splitknit.presets import preset_settings
-from splitknit.prints.print_map import plane_map, resample
+from splitknit_match.batch.chunks import read_chunk
+from splitknit_match.batch.reading import stored_places
+from splitknit_match.batch.store import Store
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit_match.matching.voted_minutiae import left_out_pictures
+from splitknit_match.prints.print_map import plane_map, resample
 
 PPI = 500.0
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from splitknit.io.capture import read_capture
-from splitknit.matching.minutiae import extract
-from splitknit.matching.voted_minutiae import PICTURES, left_out_pictures, vote
 from splitknit.presets import preset_settings
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.matching.voted_minutiae import PICTURES, left_out_pictures, vote
 
 
 def main() -> None:

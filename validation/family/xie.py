@@ -2,7 +2,7 @@
 
     python validation/family/xie.py            # some five minutes of one core; xie.json
     python validation/family/xie.py --smoke    # one tiny finger, to validation/out/family
-    python validation/family/xie_report.py     # the tables of docs/experiments/published-systems.md
+    python validation/family/xie_report.py     # its tables, validation/family/tables/xie_*.csv
 
 Fingers of the twin, skins drawn from its ranges, photographed with glare and again without, in the true
 mask. The model's settings were chosen on fingers of other seeds (``trials`` of the results). One JSON a finger lands in
@@ -33,9 +33,9 @@ from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
-from splitknit.simulator.light.skin import SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.light.skin import SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 Array = NDArray[Any]
 HERE = Path(__file__).resolve().parent
@@ -54,7 +54,7 @@ def source_hash() -> str:
     files = [file for folder in folders for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256()
     own = [HERE / f"{name}.py" for name in ("xie", "xie_itself", "xie_photographs", "xie_skin", "xie_ways")]
-    for file in [*files, *own, package / "evaluation" / "accuracy.py"]:
+    for file in [*files, *own, package / "accuracy.py"]:
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

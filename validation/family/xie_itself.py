@@ -12,8 +12,8 @@ from xie_ways import SHIPPED, error_deg
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, SkinLayers
 from splitknit.photometric.lambertian import lambertian
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import lay_down
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import lay_down
 
 SKINS = {
     "skin of the book": Skin(),

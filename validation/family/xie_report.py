@@ -1,12 +1,14 @@
-"""Write the tables of ``xie.json`` into ``docs/experiments/published-systems.md``, between their marks.
+"""Write the tables of ``xie.json`` as CSV into ``validation/family/tables``.
 
 python validation/family/xie_report.py            # writes
-python validation/family/xie_report.py --check    # exit code 1 if the page does not show what the file holds
+python validation/family/xie_report.py --check    # exit code 1 if the tables do not show what the file holds
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -16,7 +18,7 @@ from typing import Any
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "experiments" / "published-systems.md"
+FOLDER = HERE / "tables"
 RESAMPLES, CONFIDENCE, SEED = 10_000, 0.95, 42
 COLUMNS = {
     "normals_deg": ("normals, deg", 2),
@@ -33,6 +35,7 @@ PAIRS = (
     ("near lights, equal weights", "lambertian near", "layers near"),
 )
 Tree = Mapping[str, Any]
+Table = list[list[str]]
 
 
 def interval(differences: Sequence[float]) -> tuple[float, float, float]:
@@ -48,55 +51,55 @@ def difference(fingers: Sequence[Tree], light: str, first: str, second: str, fig
     return interval([finger[light][second][figure] - finger[light][first][figure] for finger in fingers])
 
 
-def pairs_table(results: Tree) -> str:
+def pairs_table(results: Tree) -> Table:
     """Lambertian, layers and their difference by glare and channel."""
-    lines = _head("light, channel", "", *(words for words, _ in COLUMNS.values()))
+    lines = [["light, channel", "model", *(words for words, _ in COLUMNS.values())]]
     for light in (key for key in results["fingers"][0] if key != "seed"):
         for way in ("lambertian", "layers"):
             means = [np.mean([f[light][way][figure] for f in results["fingers"]]) for figure in COLUMNS]
             cells = [f"{m:.{d}f}" for m, (_, d) in zip(means, COLUMNS.values(), strict=True)]
-            lines.append(_row(light if way == "lambertian" else "", way, *cells))
+            lines.append([light, way, *cells])
         cells = [
             _signed(difference(results["fingers"], light, "lambertian", "layers", figure), digits)
             for figure, (_, digits) in COLUMNS.items()
         ]
-        lines.append(_row("", "**difference**", *cells))
-    return "\n".join(lines)
+        lines.append([light, "difference", *cells])
+    return lines
 
 
-def causes_table(results: Tree) -> str:
+def causes_table(results: Tree) -> Table:
     """What of the difference comes from where, in grey."""
-    lines = _head("in grey: what is compared", "glare", *(words for words, _ in COLUMNS.values()))
+    lines = [["in grey: what is compared", "glare", *(words for words, _ in COLUMNS.values())]]
     for words, first, second in PAIRS:
         for glare in ("glare", "no glare"):
             cells = [
                 _signed(difference(results["fingers"], f"{glare}, grey", first, second, figure), digits + 1)
                 for figure, (_, digits) in COLUMNS.items()
             ]
-            lines.append(_row(words if glare == "glare" else "", glare, *cells))
-    return "\n".join(lines)
+            lines.append([words, glare, *cells])
+    return lines
 
 
-def slopes_table(results: Tree) -> str:
+def slopes_table(results: Tree) -> Table:
     """Slopes of the finger's shape, found over true, in grey."""
     names = ("lambertian", "layers", "lambertian near", "layers near")
-    lines = _head("slopes found over true, in grey", *names)
+    lines = [["slopes found over true, in grey", *names]]
     for glare in ("glare", "no glare"):
         for low, high in ((0, 30), (30, 60)):
             cells = [
                 f"{np.mean([f[f'{glare}, grey'][name][f'slopes_{low}_{high}'] for f in results['fingers']]):.2f}"
                 for name in names
             ]
-            lines.append(_row(f"{glare}, skin at {low} to {high} deg", *cells))
-    return "\n".join(lines)
+            lines.append([f"{glare}, skin at {low} to {high} deg", *cells])
+    return lines
 
 
-def itself_table(results: Tree) -> str:
+def itself_table(results: Tree) -> Table:
     """Fingers that the model has painted."""
-    lines = _head(
+    lines = [[
         "skin", "noise", "lambertian, deg", "layers, deg", "layers, rms deg", "the noise allows, rms deg",
         "share: correlation, error / spread", "depth: correlation, error / spread",
-    )  # fmt: skip
+    ]]  # fmt: skip
     for row in results["itself"]:
         found = [
             f"{row[f'{name}_correlation']:.2f}, {row[f'{name}_error']:.2f} / {row[f'{name}_spread']:.2f}"
@@ -104,62 +107,43 @@ def itself_table(results: Tree) -> str:
         ]
         allowed = f"{row['allowed_rms_deg']:.2f}" if "allowed_rms_deg" in row else ""
         errors = [f"{row[name]:.2f}" for name in ("lambertian_deg", "layers_deg", "layers_rms_deg")]
-        lines.append(_row(row["skin"], f"{100 * row['noise']:g} %", *errors, allowed, *found))
-    return "\n".join(lines)
+        lines.append([row["skin"], f"{100 * row['noise']:g} %", *errors, allowed, *found])
+    return lines
 
 
-def photographs_table(results: Tree) -> str:
+def photographs_table(results: Tree) -> Table:
     """Mean errors on the bear."""
     found = results["photographs"]
-    if found is None:
-        return "The photographs were not there when this was measured."
+    if found is None:  # the photographs were not there when this was measured
+        return []
     ways = ("lambertian", "layers", "lambertian robust", "layers robust")
-    lines = _head("mean error on the bear, deg", *ways)
+    lines = [["mean error on the bear, deg", *ways]]
     for name, errors in found.items():
-        lines.append(_row(name, *(f"{errors[way]:.2f}" for way in ways)))
-    return "\n".join(lines)
+        lines.append([name, *(f"{errors[way]:.2f}" for way in ways)])
+    return lines
 
 
-def trials_table(results: Tree) -> str:
+def trials_table(results: Tree) -> Table:
     """What the settings were chosen from."""
-    lines = _head("trial (n of the skin, base reflectance, g of a scattering, layers)", "normals, deg, mean of all")
+    lines = [["trial (n of the skin, base reflectance, g of a scattering, layers)", "normals, deg, mean of all"]]
     names = results["trials"][0]["glare"]
     means = {
         name: float(np.mean([trial[glare][name] for trial in results["trials"] for glare in ("glare", "no glare")]))
         for name in names
     }
     for name in sorted(means, key=lambda key: means[key]):
-        lines.append(_row(name, f"{means[name]:.3f}"))
-    return "\n".join(lines)
+        lines.append([name, f"{means[name]:.3f}"])
+    return lines
 
 
 TABLES = {
-    "xie pairs": pairs_table,
-    "xie causes": causes_table,
-    "xie slopes": slopes_table,
-    "xie itself": itself_table,
-    "xie photographs": photographs_table,
-    "xie trials": trials_table,
+    "xie_pairs": pairs_table,
+    "xie_causes": causes_table,
+    "xie_slopes": slopes_table,
+    "xie_itself": itself_table,
+    "xie_photographs": photographs_table,
+    "xie_trials": trials_table,
 }
-
-
-def filled(text: str, results: Tree) -> str:
-    """The page with its tables."""
-    for name, table in TABLES.items():
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        if begin not in text or end not in text:
-            sys.exit(f"{PAGE} has no marks {begin} and {end}.")
-        before, rest = text.split(begin, 1)
-        text = before + begin + "\n" + table(results) + "\n" + end + rest.split(end, 1)[1]
-    return text
-
-
-def _head(*names: str) -> list[str]:
-    return [_row(*names), "| --- " * len(names) + "|"]
-
-
-def _row(*cells: str) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _signed(found: tuple[float, float, float], digits: int) -> str:
@@ -172,11 +156,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--results", type=Path, default=HERE / "xie.json")
     chosen = parser.parse_args(arguments)
-    page = PAGE.read_text(encoding="utf-8")
-    wanted = filled(page, json.loads(chosen.results.read_text(encoding="ascii")))
-    if not chosen.check:
-        PAGE.write_text(wanted, encoding="utf-8")
-    return int(chosen.check and wanted != page)
+    results = json.loads(chosen.results.read_text(encoding="ascii"))
+    stale = False
+    for name, table in TABLES.items():
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(table(results))
+        file = FOLDER / f"{name}.csv"
+        stale |= not file.exists() or file.read_text(encoding="ascii") != text.getvalue()
+        if not chosen.check:
+            FOLDER.mkdir(exist_ok=True)
+            file.write_text(text.getvalue(), encoding="ascii")
+    return int(chosen.check and stale)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration.poisson import poisson
@@ -18,7 +18,7 @@ from splitknit.model import BoolArray, FloatArray, Reconstruction, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger, hanrahan_krueger_near
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, SkinLayers
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.near_light import NearLightSettings, near_light
+from splitknit.photometric.near_light import near_light
 from splitknit.photometric.robust import robust
 from splitknit.presets import PRESETS
 
@@ -75,7 +75,7 @@ def ways(settings: HanrahanKruegerSettings = SHIPPED) -> dict[str, Way]:
         "lambertian robust": lambda scene: robust(scene.stack, scene.lights, scene.mask),
         "layers robust": layered(weighted),
         "lambertian near": lambda scene: near_light(
-            scene.stack, scene.rig, *_near(scene), settings=NearLightSettings(None), view=_view(scene)
+            scene.stack, scene.rig, *_near(scene), robust=None, view=_view(scene)
         ),
         "layers near": lambda scene: hanrahan_krueger_near(
             scene.stack, scene.rig, *_near(scene), settings=equal, view=_view(scene)
@@ -93,7 +93,7 @@ def _view(scene: Scene) -> Any:
 
 
 def figures(scene: Scene, normals: FloatArray) -> dict[str, float]:
-    """Normals, ridge band and shape against the truth: see :mod:`splitknit.evaluation.accuracy`."""
+    """Normals, ridge band and shape against the truth: see :mod:`splitknit.accuracy`."""
     camera = scene.rig.camera
     gradients = gradients_from_normals(normals, scene.mask, PRESETS["ea"].normals.max_slope)
     pitch = np.float32(camera.pitch_mm)

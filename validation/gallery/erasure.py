@@ -23,10 +23,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from splitknit.gallery.entry import Entry, NewCapture
-from splitknit.gallery.gallery import Gallery
-from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_file
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.key import Key
 
 IMAGE_BYTES = 48 * 2**20
 PIECE = 16
@@ -148,7 +148,7 @@ def cells(path: Path) -> dict[bytes, str]:
 def step(path: str, what: str, number: str, how: str) -> None:
     """One change, in a program of its own."""
     if how.endswith("unlinked"):
-        from splitknit.gallery import rows as gallery_rows
+        from splitknit_match.gallery import rows as gallery_rows
 
         def unlinked(database: sqlite3.Connection, path: Path) -> None:
             Path(f"{path}-journal").unlink(missing_ok=True)

@@ -22,15 +22,15 @@ from typing import Any
 import numpy as np
 
 import splitknit
-from splitknit.evaluation.accuracy import compare
+from splitknit.accuracy import compare
 from splitknit.finger.hand import fingers_apart
 from splitknit.imaging.crop import cropped
 from splitknit.model import Rig, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.light.skin import SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import SimulatedSurface
-from splitknit.simulator.twin import photograph
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.light.skin import SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.twin import photograph
 
 VIEW_MM = (46.0, 94.0)
 ALONE_MM = (46.0, 34.0)

@@ -22,8 +22,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.simulator.finger.finger import FREQUENCIES
-from splitknit.simulator.finger.master_print import ink_print, master_print
+from splitknit_simulator.finger.finger import FREQUENCIES
+from splitknit_simulator.finger.master_print import ink_print, master_print
 
 HERE = Path(__file__).resolve().parent
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from splitknit.finger.orientation import find_upright
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import Template, pack, unpack
 from splitknit.model import Surface, default_rig
-from splitknit.simulator.finger.deformation import deformed, draw_deformation
-from splitknit.simulator.finger.finger import finger_surface
-from splitknit.simulator.population.people import FINGERS, draw_person
-from splitknit.simulator.population.sessions import SessionRanges, draw_impression, finger_of_today
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import Template, pack, unpack
+from splitknit_simulator.finger.deformation import deformed, draw_deformation
+from splitknit_simulator.finger.finger import finger_surface
+from splitknit_simulator.population.people import FINGERS, draw_person
+from splitknit_simulator.population.sessions import SessionRanges, draw_impression, finger_of_today
 
 SCALE = 0.15
 CHUNK = 50

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from flat_fingers import Laid
 
-from splitknit.matching.code import CELLS, COLUMNS, ROWS, FactorModel, code_field, origin_of, sampled
-from splitknit.matching.template import Template
 from splitknit.model import FloatArray
+from splitknit_match.matching.code import CELLS, COLUMNS, ROWS, FactorModel, code_field, origin_of, sampled
+from splitknit_match.matching.template import Template
 
 JITTER_MM, JITTER_DEG = 0.5, 2.5
 """What is left of a probe's alignment between its variants: half their steps."""

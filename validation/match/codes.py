@@ -4,11 +4,12 @@
     python validation/match/codes.py test --work FOLDER --population POPULATION
     python validation/match/codes.py stages --work FOLDER --population POPULATION
 
-`learn` writes ``src/splitknit/matching/code_model.npz`` and its card ``code_model.json``; `test` (codes alone, and what
-follows for larger galleries) and `stages` (the whole search) write their parts of ``codes.json`` here. FOLDER keeps
-simulated fingers, made where they are not there yet (half an hour of one core). Seeds: 7001 for outlines and for
-choices, 7100 and 7300 to learn, 7400 for impostors, the population's own (680) to test: its true surfaces, the first
-20 mm of each finger; the first session is the gallery, the later ones are probes.
+`learn` writes ``packages/splitknit-match/src/splitknit_match/matching/code_model.npz`` and its card
+``code_model.json``; `test` (codes alone, and what follows for larger galleries) and `stages` (the whole search) write
+their parts of ``codes.json`` here. FOLDER keeps simulated fingers, made where they are not there yet (half an hour of
+one core). Seeds: 7001 for outlines and for choices, 7100 and 7300 to learn, 7400 for impostors, the population's own
+(680) to test: its true surfaces, the first 20 mm of each finger; the first session is the gallery, the later ones are
+probes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from numpy.typing import NDArray
 from splitknit.finger.orientation import find_upright
 from splitknit.io.atomic import atomic_file
 from splitknit.io.npz import read_npz
-from splitknit.matching.code import (
+from splitknit.model import FloatArray, Surface
+from splitknit_match.matching.code import (
     CODE_VERSION,
     SCALE,
     FactorModel,
@@ -40,17 +42,26 @@ from splitknit.matching.code import (
     probe_codes,
     sampled,
 )
-from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import Template, pack, unpack
-from splitknit.model import FloatArray, Surface
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.search import SearchSettings, glance, nearest_codes
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import Template, pack, unpack
 
-MODEL = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching" / "code_model.npz"
+MODEL = (
+    Path(__file__).resolve().parents[2]
+    / "packages"
+    / "splitknit-match"
+    / "src"
+    / "splitknit_match"
+    / "matching"
+    / "code_model.npz"
+)
 RESULT = Path(__file__).with_name("codes.json")
 OUTLINES, FLAT, FIELDS, IMPOSTORS = 7001, 7100, 7300, 7400
 SIZE, TEMPER = 192, 4.0
 PHALANGE_MM = 20.0
 RANKS = (1, 5, 10, 20, 50, 100)
+FINALISTS = 3
 
 
 def learn(work: Path) -> None:
@@ -70,7 +81,7 @@ def learn(work: Path) -> None:
         noise=model.noise,
     )
     card = {
-        "what": "factor model of ridge fields behind the codes of 1:N search (splitknit.matching.code)",
+        "what": "factor model of ridge fields behind the codes of 1:N search (splitknit_match.matching.code)",
         "command": "python validation/match/codes.py learn --work FOLDER",
         "code_version": CODE_VERSION,
         "latent_numbers": SIZE,
@@ -199,21 +210,25 @@ def stages(work: Path, folder: Path, subjects: int, share: int) -> dict[str, Any
     everyone = dict(gallery)
     everyone |= {f"surface {n}": t for n, t in enumerate(load(work, OUTLINES, 100)[0][::3])}
     everyone |= {f"grown {n}": laid.template for n, laid in enumerate(load_flat(work, FLAT, 1000)[0][::2])}
-    index = CodeIndex(everyone, np.stack([code_of(template) for template in everyone.values()]))
+    names, codes = list(everyone), np.stack([code_of(template) for template in everyone.values()])
+    prepared = {name: Prepared(template) for name, template in everyone.items()}
     first, by_code, missed = [], [], []
     settings = SearchSettings()
     for name in list(probes)[::share]:
         if probes[name].empty:
             continue
-        found = identify(probes[name], everyone, index, settings=settings)
-        codes, _ = index.search(probes[name], settings.candidates)
-        by_code.append(finger_of(name) in codes)
-        first.append(found[0].id == finger_of(name))
+        variants, probe = probe_codes(probes[name]), Prepared(probes[name])
+        best = [names[place] for place in nearest_codes(codes, variants, settings.candidates)[0]]
+        laid = {one: int(np.argmax(variants @ codes[names.index(one)].astype(np.float32))) for one in best}
+        finalists = sorted(best, key=lambda one: -glance(probe, prepared[one], settings.probe, laid[one]))[:FINALISTS]
+        score, found = max((ridge_match(probe, prepared[one]).similarity, one) for one in finalists)
+        by_code.append(finger_of(name) in best)
+        first.append(found == finger_of(name))
         if not first[-1]:
-            missed.append(f"{name}: in the codes' best {by_code[-1]}, found {found[0].id} {found[0].similarity:.2f}")
+            missed.append(f"{name}: in the codes' best {by_code[-1]}, found {found} {score:.2f}")
     return {
         "gallery": len(everyone), "probes": len(first), "candidates": settings.candidates,
-        "finalists": settings.finalists, "codes_hit": rate(np.array(by_code)), "rank_1": rate(np.array(first)),
+        "finalists": FINALISTS, "codes_hit": rate(np.array(by_code)), "rank_1": rate(np.array(first)),
         "missed": missed,
     }  # fmt: skip
 

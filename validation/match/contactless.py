@@ -28,17 +28,18 @@ import numpy as np
 from fvc import FAR_0, REAL, Job, kept, made, prints
 from pressed_prints import PressRanges, press
 
-from splitknit import reconstruct, simulate_capture
+from splitknit import reconstruct
 from splitknit.errors import BadInput
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.scores import Scores, ids_of
-from splitknit.matching.fusion import fused_match
-from splitknit.matching.inputs import print_template
-from splitknit.matching.ridge import Prepared
-from splitknit.matching.template import Template
-from splitknit.prints.make import make_print
-from splitknit.prints.sources import Source, source_of, source_of_capture
-from splitknit.simulator.finger.finger import draw_finger
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.template import Template
+from splitknit_match.prints.make import make_print
+from splitknit_match.prints.sources import Source, source_of, source_of_capture
+from splitknit_simulator import simulate_capture
+from splitknit_simulator.finger.finger import draw_finger
 
 OUT = Path(__file__).with_suffix(".json")
 SEED = 96_000

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from splitknit.matching.minutiae_record import Minutiae
+from splitknit_match.matching.minutiae_record import Minutiae
 
 Array = NDArray[np.float64]
 _R, _NS, _ND = 70.0, 16, 6

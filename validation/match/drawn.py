@@ -6,7 +6,7 @@ import numpy as np
 
 from splitknit.finger.orientation import find_upright
 from splitknit.model import Surface, default_rig
-from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 PHALANGE_MM = 20.0
 """Of each finger so much is used, from the tip on: what a reconstruction keeps."""

@@ -14,11 +14,11 @@ import numpy as np
 from flat_fingers import BELOW_TIP_MM, log_periods
 
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.code import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, code_field
-from splitknit.matching.template import Template
 from splitknit.model import FloatArray
-from splitknit.simulator.finger.ridges import orientation_field
-from splitknit.simulator.population.people import FINGERS, OwnFinger, draw_person
+from splitknit_match.matching.code import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, code_field
+from splitknit_match.matching.template import Template
+from splitknit_simulator.finger.ridges import orientation_field
+from splitknit_simulator.population.people import FINGERS, OwnFinger, draw_person
 
 PITCH_MM = 0.5
 MARGIN = 4

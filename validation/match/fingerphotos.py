@@ -28,20 +28,19 @@ from numpy.typing import NDArray
 from pressed_prints import press
 
 from splitknit.errors import BadInput
-from splitknit.evaluation.intervals import BootstrapSettings
-from splitknit.evaluation.scores import Scores, ids_of
-from splitknit.matching import methods
-from splitknit.matching.fusion import fused_match
-from splitknit.matching.inputs import print_template
-from splitknit.matching.ridge import Prepared
-from splitknit.matching.score import calibrate_scores
-from splitknit.matching.template import Template
 from splitknit.model import Led, Rig, nominal_rig
-from splitknit.prints.fingerphoto import source_of_photo
-from splitknit.prints.make import make_print
-from splitknit.simulator.finger.finger import draw_finger
-from splitknit.simulator.scene import BackgroundSettings, TwinSettings
-from splitknit.simulator.twin import FingerScene
+from splitknit_match.evaluation.intervals import BootstrapSettings
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.matching import methods
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.template import Template
+from splitknit_match.prints.fingerphoto import source_of_photo
+from splitknit_match.prints.make import make_print
+from splitknit_simulator.finger.finger import draw_finger
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.twin import FingerScene
 
 OUT = Path(__file__).with_suffix(".json")
 SEED = 98_000
@@ -110,7 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--fingers", type=int, default=24)
-    parser.add_argument("--write", action="store_true", help=f"write {OUT.name} and the table of impostor scores")
+    parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)
@@ -123,7 +122,6 @@ def main() -> None:
     for light in ("flash", "daylight"):
         off = np.array([errors[light] for _, _, errors in everything if light in errors])
         facts["scale_error"][light] = [round(100 * float(v), 1) for v in (off.mean(), off.std(), np.abs(off).max())]
-    impostors: list[float] = []
     for kind in KINDS:
         file = options.work / f"scores_{count}_{kind}.pickle"
         if not file.is_file():
@@ -138,26 +136,13 @@ def main() -> None:
         row["far_at_prints_0.1"] = round(100 * float(np.nanmean(scores.impostor >= at)), 2)
         facts["rates"][kind] = row | {"failures": int(np.isnan(scores.genuine).sum())}
         print(f"{kind:36s}", facts["rates"][kind], flush=True)
-        if "unrolled, scale assumed" in kind:
-            impostors += [float(one) for one in scores.impostor if np.isfinite(one)]
     print(facts["scale_error"])
     if options.write:
-        impostors += strangers([found for found, _, _ in everything], options.work)
+        strangers([found for found, _, _ in everything], options.work)
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-        table = calibrate_scores(np.array(impostors))
-        rows = {
-            "what": f"photographs of {count} simulated fingers against presses",
-            "by": "validation/match/fingerphotos.py, unrolled, scale assumed",
-            "seed": SEED,
-            "impostors": table.impostors,
-            "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-            "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-        }
-        place = Path(methods.__file__).with_name("match_fmr_fingerphotos.json")
-        place.write_text(json.dumps(rows) + "\n", encoding="utf-8")
 
 
-def strangers(photos: list[dict[str, Template]], folder: Path) -> list[float]:
+def strangers(photos: list[dict[str, Template]], folder: Path) -> None:
     """Scores of photographs by flash, unrolled and scale assumed, with presses of fingers that nobody photographed."""
     file = folder / "strangers.pickle"
     if not file.is_file():
@@ -168,7 +153,6 @@ def strangers(photos: list[dict[str, Template]], folder: Path) -> list[float]:
         kept(file, [_score(one, side) for one in probes for side in sides])
     scores: list[float] = pickle.loads(file.read_bytes())
     print("strangers", len(scores), "largest", sorted(scores)[-6:], flush=True)
-    return scores
 
 
 def _score(a: Prepared | None, b: Prepared) -> float:

@@ -16,23 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.ridge_band import RidgeBandSettings, even
-from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import BoolArray, FloatArray
-from splitknit.simulator.finger.master_print import (
+from splitknit_match.matching.ridge_band import RidgeBandSettings, even
+from splitknit_match.matching.template import Template, make_template, pack, unpack
+from splitknit_simulator.finger.master_print import (
     FAN_WIDENING,
     PERIOD_VARIATION,
     PROXIMAL_WIDENING,
     MasterPrintSettings,
 )
-from splitknit.simulator.finger.ridges import (
+from splitknit_simulator.finger.ridges import (
     OrientationField,
     fan_log_period,
     grow_ridges,
     orientation_field,
     smooth_noise,
 )
-from splitknit.simulator.population.people import FINGERS, draw_person
+from splitknit_simulator.population.people import FINGERS, draw_person
 
 PITCH_MM = 0.1
 BELOW_TIP_MM = 2.0

@@ -39,14 +39,14 @@ from numpy.typing import NDArray
 from pressed_prints import finger, press
 from real_prints import turned
 
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.scores import Scores, ids_of
 from splitknit.io.prints import read_print_png
-from splitknit.matching.fusion import fused_match
-from splitknit.matching.inputs import print_template
-from splitknit.matching.minutiae import at_500_ppi, extract, minutiae_match
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.prints.from_file import print_minutiae
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.minutiae import at_500_ppi, extract, minutiae_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.prints.from_file import print_minutiae
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "fvc.json"

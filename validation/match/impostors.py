@@ -4,10 +4,10 @@
     python validation/match/impostors.py minutiae --fingers 250 --seed 60000
     python validation/match/impostors.py minutiae3d tetrahedra surface_code --fingers 80 --seed 70000
 
-writes the tables that ``splitknit match`` reads, ``src/splitknit/matching/match_fmr*.json``: scores alone. Surfaces are
-the true ones, in poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not on how well they
-were reconstructed. Real prints (FVC2002 DB1_B) are added to ``ridge`` for comparison where the independent data is
-present.
+writes the tables that ``splitknit match`` reads,
+``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces are the true ones, in
+poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not on how well they were reconstructed.
+Real prints (FVC2002 DB1_B) are added to ``ridge`` for comparison where the independent data is present.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ import numpy as np
 from drawn import drawn_surface
 from pressed_prints import finger, press
 
+from splitknit.finger.ridges import surface_print
 from splitknit.io.prints import read_print_png
-from splitknit.matching.fusion import fused_match
-from splitknit.matching.inputs import print_template
-from splitknit.matching.methods import TABLES
-from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.ridge_band import print_band
-from splitknit.matching.score import calibrate_scores
-from splitknit.matching.space_features import space_minutiae, surface_code
-from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.surface_code import surface_code_match
-from splitknit.matching.template import make_template
-from splitknit.prints.from_file import print_minutiae
-from splitknit.prints.ridges import surface_print
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.methods import TABLES
+from splitknit_match.matching.minutiae import extract, minutiae_match
+from splitknit_match.matching.minutiae3d import minutiae3d_match, tetrahedra_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge_band import print_band
+from splitknit_match.matching.score import calibrate_scores
+from splitknit_match.matching.space_features import space_minutiae, surface_code
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface_code import surface_code_match
+from splitknit_match.matching.template import make_template
+from splitknit_match.prints.from_file import print_minutiae
 
-FOLDER = Path(__file__).resolve().parents[2] / "src" / "splitknit" / "matching"
+FOLDER = Path(__file__).resolve().parents[2] / "packages" / "splitknit-match" / "src" / "splitknit_match" / "matching"
 
 
 @dataclass(frozen=True, slots=True)

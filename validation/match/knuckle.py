@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger
-from splitknit.simulator.finger.skin_map import FlexionCrease, SkinRelief
+from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger
+from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
 
 
 def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
-    """Draw the back of the finger that :func:`splitknit.simulator.finger.finger.draw_finger` draws for `seed`.
+    """Draw the back of the finger that :func:`splitknit_simulator.finger.finger.draw_finger` draws for `seed`.
 
     Creases stay; how deep all of them are changes by a fifth from `session` to session, as the joint bends.
     """

@@ -25,16 +25,18 @@ from knuckle import draw_knuckle, knuckle_pose
 from pressed_prints import press
 
 import splitknit
-from splitknit.evaluation.intervals import BootstrapSettings
-from splitknit.evaluation.protocol import comparisons
-from splitknit.matching.fusion import fused_match
-from splitknit.matching.inputs import print_template
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import Template
+import splitknit_match
+import splitknit_simulator
 from splitknit.model import surface_of
-from splitknit.simulator.finger.finger import draw_finger
-from splitknit.simulator.scene import TwinSettings
+from splitknit_match.evaluation.intervals import BootstrapSettings
+from splitknit_match.evaluation.protocol import comparisons
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import Template
+from splitknit_simulator.finger.finger import draw_finger
+from splitknit_simulator.scene import TwinSettings
 
 OUT = Path(__file__).with_suffix(".json")
 SEED = 99_000
@@ -48,7 +50,7 @@ def made(person: int, session: int, folder: Path, scale: float) -> tuple[Templat
         seed = SEED + person
         pose = knuckle_pose(np.random.default_rng([seed, session, 0xD04]))
         finger, settings = draw_knuckle(seed, session), TwinSettings(scale=scale, pose=pose)
-        capture, _ = splitknit.simulate_capture(seed, settings=settings, impression=session, finger=finger)
+        capture, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=session, finger=finger)
         found = splitknit.reconstruct(capture, settings={"cut_at_crease": False})
         knuckle = surface_template(surface_of(found), MatchingSettings())
         kept(file, (print_template(press(draw_finger(seed).master(), session, SENSORS[SENSOR])), knuckle))
@@ -80,7 +82,7 @@ def main() -> None:
                 found = match(sides[a], sides[b])
                 score = f"{found.similarity:.5f}" if found.compared else ""
                 rows.writerow([int(genuine), score, person[a], person[b], session[a], session[b]])
-    study = splitknit.evaluate(files, fuse="all", bootstrap=BootstrapSettings(targets=(0.01,), curve_points=0))
+    study = splitknit_match.evaluate(files, fuse="all", bootstrap=BootstrapSettings(targets=(0.01,), curve_points=0))
     facts: dict[str, Any] = {"what": "simulated people", "people": options.people, "rates": {}}
     for one in study.results:
         figures = {"eer": one.eer, "gar_far_1": one.gar_at(0.01)}

@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluation.intervals import bootstrap
-from splitknit.evaluation.scores import Scores, ids_of
 from splitknit.finger.orientation import find_upright
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.surface import MatchingSettings, surface_images, surface_template
-from splitknit.matching.thesis import ThesisSettings, thesis_match
 from splitknit.model import Surface
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_match.evaluation.intervals import bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit_match.matching.thesis import ThesisSettings, thesis_match
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 HERE = Path(__file__).resolve().parent
 

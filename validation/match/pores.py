@@ -22,16 +22,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pore_match import PoreTemplate, pore_match, pore_template
 from scipy.special import betaincinv
 
 import splitknit
 from splitknit.imaging.geometry import bounding_box
-from splitknit.matching.pores import PoreTemplate, pore_match, pore_template
-from splitknit.matching.ridge import Prepared
 from splitknit.model import Surface
-from splitknit.prints.pores import find_pores
-from splitknit.simulator.population.people import FINGERS
-from splitknit.simulator.population.sessions import PopulationSettings, population_capture
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.prints.pores import find_pores
+from splitknit_simulator.population.people import FINGERS
+from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
 SEED, SCALE, SESSIONS = 36, 0.4, (1, 2)
 DISCS_MM, PLACES = (6.0, 4.0), 4

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulator.finger.finger import FREQUENCIES
-from splitknit.simulator.finger.master_print import MasterPrint, master_print
-from splitknit.simulator.finger.ridges import smooth_noise
+from splitknit_simulator.finger.finger import FREQUENCIES
+from splitknit_simulator.finger.master_print import MasterPrint, master_print
+from splitknit_simulator.finger.ridges import smooth_noise
 
 STEP_MM = 25.4 / 500
 SIZE = (380, 380)

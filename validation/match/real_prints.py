@@ -26,15 +26,15 @@ from code_tails import wilson
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
-from splitknit.evaluation.fusion import fit_linear, fit_logistic
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap, differences
-from splitknit.evaluation.scores import Scores, ids_of
 from splitknit.io.prints import read_print_png
-from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.ridge_band import print_band
-from splitknit.matching.template import make_template
-from splitknit.prints.from_file import print_minutiae
+from splitknit_match.evaluation.fusion import fit_linear, fit_logistic
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap, differences
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.matching.minutiae import extract, minutiae_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge_band import print_band
+from splitknit_match.matching.template import make_template
+from splitknit_match.prints.from_file import print_minutiae
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "real_prints.json"
@@ -48,7 +48,7 @@ Image = NDArray[np.uint8]
 
 def nbis_py(images: Sequence[Image]) -> Callable[[int, int], float]:
     """As nbis-py comes: PNG in, its own minutiae, its own comparison."""
-    import nbis  # here to compare with; the library's way in is splitknit.matching.minutiae
+    import nbis  # here to compare with; the library's way in is splitknit_match.matching.minutiae
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(

@@ -22,9 +22,9 @@ from codes import IMPOSTORS, impostor_codes
 from field_fingers import load_fields, make_fields
 from fvc import KNOWN, REAL, Job, made, prints
 
-from splitknit.matching.code import code_model, code_of, probe_codes
-from splitknit.matching.search import SearchSettings
-from splitknit.matching.template import Template
+from splitknit_match.matching.code import code_model, code_of, probe_codes
+from splitknit_match.matching.search import SearchSettings
+from splitknit_match.matching.template import Template
 
 OUT = Path(__file__).with_suffix(".json")
 ENROLLED = 5

@@ -36,11 +36,12 @@ from field_fingers import load_fields, make_fields
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
-from splitknit.batch.store import Store
-from splitknit.gallery.key import Key
-from splitknit.gallery.shards import ROWS_A_SHARD, Shards, write_shards
 from splitknit.io.prints import read_print_png
-from splitknit.matching.code import (
+from splitknit.model import FloatArray
+from splitknit_match.batch.store import Store
+from splitknit_match.gallery.key import Key
+from splitknit_match.gallery.shards import ROWS_A_SHARD, Shards, write_shards
+from splitknit_match.matching.code import (
     COLUMNS,
     ROWS,
     SCALE,
@@ -51,10 +52,9 @@ from splitknit.matching.code import (
     code_size,
     probe_codes,
 )
-from splitknit.matching.renewable import BITS, RenewableCode
-from splitknit.matching.ridge_band import print_band
-from splitknit.matching.template import Template, make_template, unpack
-from splitknit.model import FloatArray
+from splitknit_match.matching.renewable import BITS, RenewableCode
+from splitknit_match.matching.ridge_band import print_band
+from splitknit_match.matching.template import Template, make_template, unpack
 
 RESULT = Path(__file__).with_name("shards.json")
 FIELDS, NEAR = 7400, 0.9

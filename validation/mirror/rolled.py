@@ -23,10 +23,10 @@ import numpy as np
 from rolled_measure import measure
 
 from splitknit.errors import BadInput
-from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.ridge_band import ridge_band
-from splitknit.matching.template import Template, make_template
+from splitknit_match.matching.minutiae import extract, minutiae_match
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.template import Template, make_template
 
 HERE = Path(__file__).resolve().parent
 ROLLS_DEG = (0, 20, -20, 10, -10)
@@ -35,7 +35,7 @@ SCALE = 0.6
 PRINT_PITCH_MM = 25.4 / 500.0
 
 
-def simulated(folder: Path, seed: int, number: int, scale: float = SCALE) -> Path:
+def simulated(folder: Path, seed: int, number: int, scale: float = SCALE, model: str = "orthographic") -> Path:
     """The capture of a finger at one of the rolls, from the folder or made now."""
     out = folder / f"{seed}_{number}"
     if not (out / "capture.json").is_file():
@@ -52,19 +52,20 @@ def simulated(folder: Path, seed: int, number: int, scale: float = SCALE) -> Pat
             "left,right",
         ]
         arguments += ["--no-nir", "--impression", str(number), "--set", f"pose.roll_deg=[{roll},{roll}]"]
+        arguments += ["--set", f"mirrors.model={model}"]
         program = [sys.executable, "-m", "splitknit.cli.main"]
         if subprocess.run([*program, *arguments, "--json"], check=False).returncode != 0:
             raise SystemExit(f"{out} could not be simulated.")
     return out
 
 
-def kept(
-    folder: Path, seed: int, number: int, keep: bool, scale: float = SCALE
+def kept(  # noqa: PLR0917
+    folder: Path, seed: int, number: int, keep: bool, scale: float = SCALE, model: str = "orthographic"
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Row and prints of one capture, from the folder or made now."""
     file = folder / f"{seed}_{number}.npz"
     if not file.is_file():
-        capture = simulated(folder, seed, number, scale)
+        capture = simulated(folder, seed, number, scale, model)
         arrays = {}
         row: dict[str, Any] = {"seed": seed, "roll_deg": ROLLS_DEG[number]}
         try:
@@ -192,6 +193,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=103)
     parser.add_argument("--rolls", type=int, default=len(ROLLS_DEG), help="how many of 0, 20, -20, 10, -10 deg")
     parser.add_argument("--scale", type=float, default=SCALE, help="of the camera of 44 px/mm; each in its own folder")
+    parser.add_argument("--model", default="orthographic", help="or perspective; each in its own folder")
     parser.add_argument("--folder", type=Path, default=Path("/tmp/rolled-captures"))
     parser.add_argument("--keep", action="store_true", help="keep the captures")
     parser.add_argument("--done", action="store_true", help="only what is there already")
@@ -203,7 +205,7 @@ def main() -> None:
         for seed in range(options.seed, options.seed + options.fingers):
             if options.done and not (options.folder / f"{seed}_{number}.npz").is_file():
                 continue
-            row, prints = kept(options.folder, seed, number, options.keep, options.scale)
+            row, prints = kept(options.folder, seed, number, options.keep, options.scale, options.model)
             if "refused" in row:
                 refused.append(row)
                 continue
@@ -212,6 +214,7 @@ def main() -> None:
     pairs = compared(sides)
     facts = {
         "scale": options.scale,
+        "camera": options.model,
         "mirrors": ["left", "right"],
         "values": "median, least, largest over the captures; correlation of the ridge band by slant (deg)",
         "summary": summary(rows),

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from splitknit.finger.ridges import ink
 from splitknit.io.capture import read_capture
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
-from splitknit.mirrors.rolled.chart import read
-from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
-from splitknit.mirrors.rolled.register import ridges_of
-from splitknit.mirrors.rolled.views import find_mirror_views
-from splitknit.mirrors.rolled.work import ReliefSettings
 from splitknit.presets import preset_settings
-from splitknit.prints.print_map import resample
-from splitknit.prints.ridges import ink
-from splitknit.prints.rolled import laid_flat, rolled_facts
-from splitknit.prints.unroll import UnrollSettings
+from splitknit_match.prints.print_map import resample
+from splitknit_match.prints.rolled import laid_flat, rolled_facts
+from splitknit_match.prints.unroll import UnrollSettings
+from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
+from splitknit_match.rolled.chart import read
+from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.register import ridges_of
+from splitknit_match.rolled.views import find_mirror_views
+from splitknit_match.rolled.work import ReliefSettings
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""

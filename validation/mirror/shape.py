@@ -16,6 +16,7 @@ import argparse
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,9 @@ from splitknit.mirrors.views import Views
 from splitknit.model import Capture, Mirror
 from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.rigs import MirrorSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.rigs import MirrorSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parent / "shape.json"
 SEEDS = tuple(range(9101, 9117))
@@ -96,10 +97,8 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
                 seen[off] = found_views(taken, settings.mask)
             views, grey = seen[off]
             part = Views(views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning)
-            shape = mirror_shape(part, taken.rig, own)
-            if with_slopes:
-                slopes = skin_slopes(taken, grey, views, shape)
-                shape = mirror_shape(part, taken.rig, own, slopes=slopes)
+            slopes_on = partial(skin_slopes, taken, grey, views) if with_slopes else None
+            shape = mirror_shape(part, taken.rig, own, slopes_on=slopes_on)
             yield case, rms_mm(shape, truth)
         except BadInput as error:
             yield case, str(error)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from splitknit.io.capture import write_capture
-from splitknit.simulator.finger.motion import HandMotion
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.motion import HandMotion
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "motion"
 SEEDS = tuple(range(7001, 7009))

@@ -1,7 +1,7 @@
 """What coloured LEDs are for: fewer exposures, so that a finger has less time to move.
 
     python validation/motion/coloured.py                  # resumable: simulates and measures what is missing
-    python validation/motion/coloured.py --summary        # prints the table of what is there
+    python validation/motion/coloured.py --summary        # prints what is there, and writes tables/coloured.csv
 
 The same hands hold the same fingers under seven white LEDs (seven exposures), nine coloured ones (three) and six (two).
 The drift is a random walk, so that over fewer exposures it goes less far: each capture has the amplitude that its
@@ -13,6 +13,7 @@ coloured lights) and `ea`, and, for what a better reconstruction makes of seven 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,13 +29,14 @@ from splitknit import reconstruct
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.model import Rig, default_rig
-from splitknit.simulator.finger.motion import HandMotion
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.rigs import coloured_rig
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.motion import HandMotion
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.rigs import coloured_rig
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 RESULTS = Path(__file__).resolve().parent / "coloured.json"
+TABLE = Path(__file__).resolve().parent / "tables" / "coloured.csv"
 SHOTS_IN_ALL = 14
 LIGHTS: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "seven white": (7, ("ea-split", "metric")),
@@ -101,22 +103,19 @@ def measured(lights: str, seed: int, whole_mm: float, scale: float) -> dict[str,
     return row
 
 
-def table(results: dict[str, Any]) -> list[str]:
-    """The table as lines of Markdown: ridge correlation, mean and 95 % interval over the fingers."""
+def table(results: dict[str, Any]) -> list[list[str]]:
+    """Rows of the table, its head first: ridge correlation, mean and 95 % interval over the fingers."""
     kinds = ("still", "uncorrected", "corrected", "oracle")
-    lines = [
-        f"| lights, preset | exposures | motion, mm | fingers | undone | refused | {' | '.join(kinds)} |",
-        "| --- | --- | --- | --- | --- | --- |" + " --- |" * len(kinds),
-    ]
+    found_rows = [["lights, preset", "exposures", "motion, mm", "fingers", "undone", "refused", *kinds]]
     for lights, (exposures, presets) in LIGHTS.items():
         rows = [row for row in results["rows"] if row["lights"] == lights]
         for preset in presets if rows else ():
             found = [row[preset] for row in rows]
             counts = [len(rows), sum(f.get("undone", False) for f in found), sum("refused" in f for f in found)]
             cells = [interval([f[kind] for f in found if kind in f]) for kind in kinds]
-            first = [f"{lights}, `{preset}`", exposures, f"{rows[0]['amplitude_mm']:.2f}", *counts]
-            lines.append(f"| {' | '.join(map(str, [*first, *cells]))} |")
-    return lines
+            first = [f"{lights}, {preset}", exposures, f"{rows[0]['amplitude_mm']:.2f}", *counts]
+            found_rows.append([str(cell) for cell in (*first, *cells)])
+    return found_rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -139,7 +138,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 done["rows"].append(rounded(measured(lights, seed, options.amplitude, options.scale)))
                 options.out.write_text(json.dumps(done, indent=1) + "\n")
                 print(seed, lights, flush=True)
-    print("\n".join(table(done)))
+    rows = table(done)
+    print("\n".join(" | ".join(row) for row in rows))
+    if options.out == RESULTS:
+        TABLE.parent.mkdir(exist_ok=True)
+        with TABLE.open("w", encoding="ascii", newline="") as stream:
+            csv.writer(stream, lineterminator="\n").writerows(rows)
 
 
 if __name__ == "__main__":

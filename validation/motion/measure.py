@@ -14,8 +14,8 @@ from captures import capture_folder
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
+from splitknit.accuracy import BAND_SIGMA_MM, compare, high_passed
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import BAND_SIGMA_MM, compare, high_passed
 from splitknit.finger.locate import find_finger
 from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction
@@ -90,10 +90,10 @@ def shifted_correlation(result: Reconstruction, truth: Truth, reach_mm: float = 
     """Largest correlation of the ridge bands over shifts: what is lost beside the place of the finger."""
     mask = result.mask & np.asarray(truth["mask"], dtype=np.bool_)
     sigma, reach = BAND_SIGMA_MM / result.pitch_mm, round(reach_mm / result.pitch_mm)
-    found = high_passed(np.where(mask, result.ridge_mm, 0).astype(np.float32), mask, sigma)
+    found = high_passed(mask, sigma)(np.where(mask, result.ridge_mm, 0).astype(np.float32))
     inside = np.asarray(truth["mask"], dtype=np.bool_)
     relief = np.where(inside, truth["height_mm"] - truth["shape_mm"], 0).astype(np.float32)
-    true = high_passed(relief, inside, sigma)
+    true = high_passed(inside, sigma)(relief)
     core = cv2.erode(mask.astype(np.uint8), np.ones((3, 3)), iterations=reach + round(0.8 / result.pitch_mm)) > 0
     rows, columns = np.nonzero(core)
     box = (slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1))

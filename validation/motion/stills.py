@@ -17,6 +17,7 @@ from pathlib import Path
 
 from splitknit import read_capture
 from splitknit.finger.locate import find_finger
+from splitknit.finger.motion import CORRECT_MM
 from splitknit.finger.steady import HELPS, register, seen_motion_mm
 from splitknit.presets import preset_settings
 
@@ -36,7 +37,7 @@ def measured(folder: Path) -> dict[str, float]:
 def summary(captures: dict[str, dict[str, float]]) -> dict[str, float]:
     """The worst of each figure, and how many captures would be touched."""
     rows = list(captures.values())
-    min_mm = preset_settings("metric").motion.correct_mm
+    min_mm = CORRECT_MM
     touched = [
         row["seen_mm"] >= min_mm and row["registered_mm"] >= min_mm and row["left_over_before"] < HELPS for row in rows
     ]

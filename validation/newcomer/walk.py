@@ -1,4 +1,4 @@
-"""What a newcomer does, command by command, in a fresh environment that has nothing but the wheel.
+"""What a newcomer does, command by command, in a fresh environment that has nothing but the wheels.
 
     python validation/newcomer/walk.py [photographs] [prints] [rig] [--out DIR] [--python EXE] [--log FILE.md]
 
@@ -6,7 +6,8 @@ photographs: a folder of photographs to a surface and a print; prints: real prin
 from the parts to the first finger, on the simulated rig. Each walk also takes the wrong steps that newcomers take; the
 message of each is printed, and is what is judged: exit code 2 and the words that tell what to do.
 
-Without ``--python`` the wheel is built and put into a new environment; with it, that interpreter's splitknit walks.
+Without ``--python`` the wheels of ``packages/`` are built and put into a new environment; with it, that interpreter's
+splitknit walks. ``log.md`` holds what came out.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = {"photographs": "", "prints": "[minutiae,records]", "rig": ""}
-"""What each walk installs with the wheel."""
+"""Extras of splitknit-match that each walk installs with the wheels."""
 LIGHTS = """5.25 0.0 14.0
 3.27 4.1 14.0
 -1.17 5.12 14.0
@@ -98,7 +99,8 @@ def photographs(folder: Path) -> Iterator[Step]:
     (folder / "mirrored.txt").write_text("\n".join(mirrored) + "\n")
     yield Step(
         "reconstruct --images photos --lights mirrored.txt --material skin --px-per-mm 22.7 --out mirrored",
-        says="--light-frame",
+        2,
+        "--light-frame",
     )
     reverse = LIGHTS.splitlines()[::-1]
     (folder / "reversed.txt").write_text("\n".join(reverse) + "\n")
@@ -217,14 +219,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def fresh_environment(folder: Path, walks: Sequence[str]) -> Path:
-    """Build the wheel and install it, with what the walks need, into a new environment; return its interpreter."""
-    wheels = folder / "wheels"
-    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, ROOT], check=True)
-    (wheel,) = wheels.glob("splitknit-*.whl")
+    """Build the wheels and install them, with what the walks need, into a new environment; return its interpreter."""
+    wheels, members = folder / "wheels", sorted((ROOT / "packages").iterdir())
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, *members], check=True)
+    extras = "".join(sorted({EXTRAS[name] for name in walks}))
+    names = [f"{wheel}{extras if wheel.name.startswith('splitknit_match') else ''}" for wheel in wheels.glob("*.whl")]
     venv.create(folder / "venv", with_pip=True)
     python = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
-    for extra in sorted({EXTRAS[name] for name in walks}):
-        subprocess.run([python, "-m", "pip", "install", "-q", f"{wheel}{extra}"], check=True)
+    subprocess.run([python, "-m", "pip", "install", "-q", *names], check=True)
     return python
 
 

@@ -17,12 +17,12 @@ from scipy.optimize import brentq
 
 from splitknit.errors import require
 from splitknit.model import Capture, FloatArray, Led
-from splitknit.simulator.light.renderer import BandLight, render_band
-from splitknit.simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit.simulator.mirror_twin import Drawn
-from splitknit.simulator.scene import Scene, TwinSettings, ambient_level, surface_truth, take_capture
-from splitknit.simulator.surface import SimulatedSurface, Texture
-from splitknit.simulator.twin import lay_down
+from splitknit_simulator.light.renderer import BandLight, render_band
+from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
+from splitknit_simulator.mirror_twin import Drawn
+from splitknit_simulator.scene import Scene, TwinSettings, ambient_level, surface_truth, take_capture
+from splitknit_simulator.surface import SimulatedSurface, Texture
+from splitknit_simulator.twin import lay_down
 
 Range = tuple[float, float]
 _NONE: Range = (0.0, 0.0)
@@ -94,11 +94,11 @@ def simulate_attack(
     impression : number of the capture: pose, noise and instrument change with it
 
     Returns the capture, with exposures, so that near infrared compares with visible light, and the truth, as those
-    of :func:`splitknit.simulator.twin.simulate_capture`. Raises BadInput if there is no such species, or setting.
+    of :func:`splitknit_simulator.twin.simulate_capture`. Raises BadInput if there is no such species, or setting.
 
     Examples
     --------
-    >>> from splitknit.simulator.twin import twin_settings
+    >>> from splitknit_simulator.twin import twin_settings
     >>> capture, truth = simulate_attack(1, "photo-matt", twin_settings(0.08, None))
     >>> capture.shape
     (176, 256)

@@ -3,7 +3,8 @@
 A simulated finger is measured bare and then, laid down anew, under powder, pressed on a gel, or as a cast. First the
 true surfaces alone are registered and compared: what they differ by is the protocol's own error, whatever measures
 them. Then the same is done with what ``metric`` makes of photographs of both. About two minutes of processor time a
-finger; a run goes on where it stopped. ``--table`` prints the tables of docs/experiments/pair-protocol.md.
+finger; a run goes on where it stopped. ``--table`` prints the tables (as in ``tables/``) behind
+docs/experiments/pair-protocol.md.
 
 Powder, gel and cast are models, and not the reconstruction's: a map of thickness over the skin, waves that the gel
 follows the less the shorter they are, skin that shifts.
@@ -22,20 +23,20 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from splitknit.evaluation.pair import BANDS_MM, SLANTS_DEG, PairComparison, compare_results
 from splitknit.model import Band, Capture, Reconstruction, Rig, default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.camera.sensor import SensorSettings, record
-from splitknit.simulator.finger.deformation import deformed, draw_deformation
-from splitknit.simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger, finger_surface
-from splitknit.simulator.finger.ridges import smooth_noise
-from splitknit.simulator.finger.skin_map import SkinMap, skin_map
-from splitknit.simulator.light.lighting import render_opaque, white_card
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import SimulatedSurface
-from splitknit.simulator.twin import photograph
+from splitknit_match.evaluation.pair import BANDS_MM, SLANTS_DEG, PairComparison, compare_results
+from splitknit_simulator.camera.sensor import SensorSettings, record
+from splitknit_simulator.finger.deformation import deformed, draw_deformation
+from splitknit_simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger, finger_surface
+from splitknit_simulator.finger.ridges import smooth_noise
+from splitknit_simulator.finger.skin_map import SkinMap, skin_map
+from splitknit_simulator.light.lighting import render_opaque, white_card
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.twin import photograph
 
 RESULTS = Path(__file__).with_name("results.json")
 FINGERS = (8801, 8802, 8803, 8804, 8805)

@@ -7,7 +7,7 @@ degrees, the relative brightness of every light's image in the band of ridges is
 relief's height, height times ln(1 / cos t), t the angle between the light and the skin without ridges, the slope
 towards the light and the specular reflection. Printed for each channel: the first two in %/um, and the second over the
 first and over the square root of the effective attenuation. Coarse images reduce all of them by the same factor, so
-that the ratio is what :meth:`splitknit.simulator.light.skin.Boundary.oblique_signal` follows.
+that the ratio is what :meth:`splitknit_simulator.light.skin.Boundary.oblique_signal` follows.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 import splitknit
 from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture
-from splitknit.simulator.light.lighting import towards
-from splitknit.simulator.light.skin import ChannelOptics
+from splitknit_simulator.light.lighting import towards
+from splitknit_simulator.light.skin import ChannelOptics
 
 BAND_MM = 0.32
 """Standard deviation of the Gaussian whose mean is taken away."""

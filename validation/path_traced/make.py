@@ -27,11 +27,12 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.model import Rig, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger
-from splitknit.simulator.light.films import FilmSettings
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import SimulatedSurface
-from splitknit.simulator.twin import lay_down
+from splitknit_simulator.finger.finger import FingerPose, draw_finger
+from splitknit_simulator.light.films import FilmSettings
+from splitknit_simulator.rigs import with_side_lights
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.twin import lay_down
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,8 @@ class PolarisedCase:
     """Of the finger, at most."""
     entering: int = 1
     """Rays along each side of a cell, see :func:`walked_finger.render_finger`."""
+    side_lights: int = 0
+    """White LEDs to the side of the finger."""
 
 
 def _films(kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float) -> FilmSettings:
@@ -89,7 +92,7 @@ _P01 = PolarisedCase(
     "p01", 9201, "whorl", 60.0, FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.12, 1.0, 0.30, 1.0, 0.004),
     _films(0.25, 0, 1000, 0.5), size_px=(640, 700), width_mm=16.5, entering=2,
 )  # fmt: skip
-POLARISED = (
+_WITHOUT_SIDE_LIGHTS = (
     _P01,
     PolarisedCase("p02", 9202, "loop", 55.0, FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
                   _films(0.20, 90, 500, 0.5)),
@@ -105,10 +108,16 @@ POLARISED = (
                   _films(0.30, -30, 1000, 0.5)),
     PolarisedCase("p08", 9208, "loop", 25.0, FingerOptics(0.0, 1.0, 0.10, 0.003, 0.006, 0.10, 1.0, 0.25, 1.0, 0.004),
                   _films(0.15, 10, 1000, 0.5)),
+)  # fmt: skip
+POLARISED = (
+    *_WITHOUT_SIDE_LIGHTS,
     replace(_P01, name="p01_ext", films=_films(0.25, 0, 100, 0.5), as_walked="p01"),
     replace(_P01, name="p01_angle", films=_films(0.25, 0, 1000, 3.0), as_walked="p01"),
     replace(_P01, name="p01_motion", moved_mm=(0.15, -0.13), as_walked="p01"),
-)  # fmt: skip
+    *(replace(case, name=f"{case.name}_side", side_lights=7) for case in _WITHOUT_SIDE_LIGHTS),
+)
+FINE = 3
+"""Pixels of the reflecting skin along each side of one of the camera's."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -172,15 +181,20 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
     size = round(rows * 2 * scale), round(columns * 2 * scale)
     camera = replace(default_rig(scale).camera, image_size=size)
     white = [led for led in default_rig(scale, None).leds if led.band == "white"]
-    rig = Rig(camera, (*white, *(replace(led, band="nir") for led in white)))
+    rig = with_side_lights(Rig(camera, (*white, *(replace(led, band="nir") for led in white))), case.side_lights)
     finger = draw_finger(case.seed, case.pattern)
     width = min(finger.shape.width_mm, case.width_mm)
     finger = replace(
         finger, shape=replace(finger.shape, width_mm=width), skin=replace(finger.skin, ridge_depth_um=case.ridge_um)
     )
     settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1)))
-    surface = lay_down(case.seed, None, settings, finger=finger)[0]
-    surface = surface if case.ridges else without_ridges(surface)
+    closer = replace(camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * size[0], FINE * size[1]))
+    surface, fine = (
+        lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
+        for one in (camera, closer)
+    )
+    if not case.ridges:
+        surface, fine = without_ridges(surface), without_ridges(fine)
 
     def walk() -> FingerLight:
         rays = max(round(0.6 * walks), 2)
@@ -190,8 +204,9 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
 
     light = without_walk_noise(_walked(case, out, walk), surface)
     capture, truth, info = photograph_finger(
-        surface, rig, case.optics, walks=walks, seed=case.seed, light=light, films=case.films, moved_mm=case.moved_mm
-    )
+        surface, rig, case.optics, walks=walks, seed=case.seed, light=light, films=case.films, moved_mm=case.moved_mm,
+        fine=fine,
+    )  # fmt: skip
     info |= {"name": case.name, "pattern": case.pattern, "ridges": case.ridges, "ridge_depth_um": case.ridge_um}
     with atomic_folder(out / case.name) as target:
         write_capture(capture, target, overwrite=True)

@@ -1,19 +1,20 @@
 """A slow reference for whole fingers: random walks in the volume below the ridged skin, compiled, in minutes.
 
-It shares no transport code with :mod:`splitknit.simulator.light.renderer`; the coefficients of skin are the same. Light
+It shares no transport code with :mod:`splitknit_simulator.light.renderer`; the coefficients of skin are the same. Light
 of every LED enters through the ridged surface, which diffuses a fraction of it and refracts the rest at micro-facets.
 Where it is scattered for the first time, walks begin that serve all LEDs of a band; rays from the pixels gather what
 they leave in the volume. So the noise is mostly the same in all images of a channel. Scattering is isotropic with the
 reduced coefficient; absorption, in two layers and mottled, weighs the light.
 
 The finger is closed by the mirror image of its smooth shape from below, with walls along the outline, and is mirrored
-where the picture ends. Cast shadows are not traced: the LEDs stand 69 degrees above the finger plane. Needs the extra
+where the picture ends. Skin hides the LEDs from skin (cast shadows), as soft as their faces make it. Needs the extra
 ``reference`` (numba).
 """
 
 from __future__ import annotations
 
 import importlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
@@ -25,10 +26,10 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.model import Band, Camera, Capture, FloatArray, Led, Progress, Rig, no_progress
 from splitknit.settings import Checked, Limits
-from splitknit.simulator.camera.sensor import SensorSettings, record
-from splitknit.simulator.light.films import Films, FilmSettings, mounted_films, moved
-from splitknit.simulator.light.lighting import towards
-from splitknit.simulator.light.skin import (
+from splitknit_simulator.camera.sensor import SensorSettings, record
+from splitknit_simulator.light.films import Films, FilmSettings, mounted_films, moved
+from splitknit_simulator.light.lighting import towards
+from splitknit_simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
     REFRACTIVE_INDEX,
@@ -37,7 +38,7 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,8 @@ MOST_PX = 3.0
 """Largest standard deviation of these Gaussians."""
 REGRESSION_MM = (0.3, 0.15)
 """Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of its own."""
+FACE_MM = 1.5
+"""Side of an LED's face, for the edge of its cast shadows."""
 RAYS = 2
 """Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
 
@@ -215,10 +218,10 @@ def _solid(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     rows_px = (rows - 1) / 2 - lights[:, 1] / pitch - corner[0]
     lights = np.stack([columns_px, rows_px, lights[:, 2] / pitch], axis=1)
     strength = np.array([led.intensity for led in leds]) * UNIT / pitch**2
-    return _Solid(sides, lean, lights, strength, _entering(sides, lights, strength), corner)
+    return _Solid(sides, lean, lights, strength, _entering(sides, lights, strength, pitch), corner)
 
 
-def _entering(sides: FloatArray, lights: Array, strength: Array) -> FloatArray:
+def _entering(sides: FloatArray, lights: Array, strength: Array, pitch: float) -> FloatArray:
     """(2, H - 1, W - 1, L) light that passes the boundary, for each cell between four pixel centres, of each side."""
     rows, columns = sides.shape[0] - 1, sides.shape[1] - 1
     result = np.zeros((2, rows, columns, len(lights)), dtype=np.float32)
@@ -235,7 +238,34 @@ def _entering(sides: FloatArray, lights: Array, strength: Array) -> FloatArray:
             facing = sign * (way[2] - across * way[0] - down * way[1])
             cosine = np.maximum(facing / np.sqrt(squared * (1.0 + across**2 + down**2)), 0.0)
             result[side, ..., k] = power / squared * cosine * (1.0 - fresnel(cosine))
+            if side == 0:
+                result[side, ..., k] *= _lit(middle, light - (0.5, 0.5, 0.0), FACE_MM / pitch)
     return result
+
+
+def _lit(height: Array, light: Array, face: float) -> FloatArray:
+    """(H, W) part of an LED's face (a square of side `face`, upright) that no skin hides. All in pixels: `height` with
+    z up, `light` column, row and z. Lines of sight are followed in steps that grow with the distance.
+    """
+    rows, columns = height.shape
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    sharp, top = height.astype(np.float32), float(height.max())
+    over = np.array((light[0] - (columns - 1) / 2, light[1] - (rows - 1) / 2))
+    across = np.array((-over[1], over[0])) / max(float(np.hypot(*over)), 1e-9)
+    seen = np.zeros((rows, columns), dtype=np.float32)
+    for side, up in itertools.product((-0.25, 0.25), repeat=2):
+        place = light + face * np.array((*(side * across), up))
+        way = [np.float32(place[0]) - x, np.float32(place[1]) - y]
+        far = np.maximum(np.hypot(*way), np.float32(1e-3))
+        right, down, rise = way[0] / far, way[1] / far, (np.float32(place[2]) - sharp) / far
+        free, step = np.ones((rows, columns), dtype=np.bool_), 0.7
+        while step < min(max(rows, columns), (top - float(height.min())) / max(float(rise.min()), 1e-3) + 1.0):
+            x_there, y_there = x + np.float32(step) * right, y + np.float32(step) * down
+            there = cv2.remap(sharp, x_there, y_there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            free &= there <= sharp + np.float32(step) * rise + np.float32(1e-3)
+            step *= 1.0 + 0.12 / (1.0 + 4.0 / step)
+        seen += free
+    return seen / 4
 
 
 def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: int) -> FloatArray:
@@ -327,43 +357,36 @@ def _load() -> tuple[Any, Any]:
 # Light that the surface alone reflects.
 
 
-def specular(surface: SimulatedSurface, led: Led, roughness: float, samples: int = 1) -> FloatArray:
-    """(H, W) radiance of the GGX reflection at the ridged skin, without shadows and inter-reflection.
+def specular(surface: SimulatedSurface, led: Led, roughness: float, fine: SimulatedSurface | None = None) -> FloatArray:
+    """(H, W) radiance of the GGX reflection at the ridged skin, without inter-reflection.
 
-    `samples`: places along each side of a pixel whose mean it is; the skin between the pixels' centres is interpolated.
+    `fine`: the same finger with several pixels along each side of one of `surface`, whose mean is taken. On steep
+    flanks the slope at a pixel's centre is not that of its heights: integrated, it gives 0.95 of a ridge at 30 to 45
+    deg and 0.72 at 45 to 60.
 
     References
     ----------
     Walter, Marschner, Li and Torrance 2007, equations (20), (33), (34).
     """
+    (rows, columns), pitch, light = surface.mask.shape, surface.camera.pitch_mm, np.asarray(led.position_mm)
+    total = _pixel_means(_reflected(fine or surface, led, roughness), surface)
+    column, row = light[0] / pitch + (columns - 1) / 2, (rows - 1) / 2 - light[1] / pitch
+    beside = float(surface.shape_mm[surface.mask].min()) - 6.0
+    heights = np.where(surface.mask, surface.height_mm, beside) / pitch
+    total *= _lit(heights, np.array((column, row, light[2] / pitch)), FACE_MM / pitch)
+    return np.asarray(total, dtype=np.float32)
+
+
+def _pixel_means(field: Array, surface: SimulatedSurface) -> Array:
     rows, columns = surface.mask.shape
-    offsets = (np.arange(samples) + 0.5) / samples - 0.5
-    normals, height = surface.normals, np.where(surface.mask, surface.height_mm, 0.0).astype(np.float32)
-    total = np.zeros((rows, columns))
-    for down in offsets:
-        for right in offsets:
-            shift = np.float32([[1, 0, right], [0, 1, down]])
-
-            def at(field: FloatArray, shift: Any = shift) -> Array:
-                if samples == 1:
-                    return field.astype(np.float64)
-                how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-                moved = cv2.warpAffine(field, shift, (columns, rows), flags=how, borderMode=cv2.BORDER_REPLICATE)
-                return np.asarray(moved, dtype=np.float64)
-
-            here = at(normals)
-            if samples > 1:
-                here /= np.maximum(np.linalg.norm(here, axis=-1, keepdims=True), 1e-9)
-            total += _specular_at(surface, led, roughness, (here, at(height)), (right, down))
-    return np.asarray(total / samples**2, dtype=np.float32)
+    return np.asarray(field.reshape(rows, len(field) // rows, columns, -1).mean(axis=(1, 3)))
 
 
-def _specular_at(
-    surface: SimulatedSurface, led: Led, roughness: float, skin: tuple[Array, Array], off: tuple[float, float]
-) -> Array:
-    """(H, W) reflection of skin with normals (H, W, 3) and heights (H, W), off the pixels' centres (columns, rows)."""
-    (normals, height), (x, y), pitch = skin, _pixel_places(surface.camera), surface.camera.pitch_mm
-    way = np.asarray(led.position_mm) - np.stack([x + off[0] * pitch, y - off[1] * pitch, height], axis=-1)
+def _reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
+    """(H, W) radiance at the pixels' centres, no skin hiding the light."""
+    normals, (x, y) = surface.normals.astype(np.float64), _pixel_places(surface.camera)
+    height = np.where(surface.mask, surface.height_mm, 0.0)
+    way = np.asarray(led.position_mm) - np.stack([x, y, height], axis=-1)
     squared = np.sum(way * way, axis=-1)
     towards = way / np.sqrt(squared)[..., None]
     half = towards + np.array([0.0, 0.0, 1.0])
@@ -527,6 +550,7 @@ def photograph_finger(
     surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
     light: FingerLight | None = None, films: FilmSettings | None = None, moved_mm: tuple[float, float] = (0.0, 0.0),
+    fine: SimulatedSurface | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
     """Photograph a finger under every LED of `rig` by random walks.
 
@@ -543,6 +567,7 @@ def photograph_finger(
     films : before the white LEDs and the camera: the white band becomes a parallel and a crossed series of the same
         LEDs (``analyser``)
     moved_mm : by which the finger has moved (x, y up) after the parallel series; its light is taken as unchanged
+    fine : see :func:`specular`; true heights are its pixels' means too
 
     Returns
     -------
@@ -565,8 +590,8 @@ def photograph_finger(
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         if name == "white" and films is not None:
             mount_seed = np.random.SeedSequence([seed, 0x4C2])
-            mounted = mounted_films(films, len(members), np.random.default_rng(mount_seed))
-            frames = _polarised(surface, rig, optics, light, mounted)
+            mounted = mounted_films(films, [rig.leds[k] for k in members], np.random.default_rng(mount_seed))
+            frames = _polarised((surface, fine), rig, optics, light, mounted)
             series = [name, "white_crossed"]
             seeds = [*noise_seeds, *np.random.SeedSequence([seed, 0x4C1]).spawn(len(members))]
             numbers = [members, [len(rig.leds) + k for k in range(len(members))]]
@@ -574,7 +599,7 @@ def photograph_finger(
             frames = np.empty((1, *diffuse.shape), dtype=np.float32)
             for k, member in enumerate(members):
                 led = rig.leds[member]
-                frames[0, k] = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness)[..., None]
+                frames[0, k] = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness, fine)[..., None]
                 frames[0, k] += _background_beside(surface, led)
             series, seeds, numbers = [name], noise_seeds, [members]
         level = diffuse if len(frames) == 1 else frames[0]
@@ -592,10 +617,14 @@ def photograph_finger(
             "white": replace(bands["white"], polarisation="parallel"),
             "white_crossed": replace(bands["white_crossed"], polarisation="crossed"),
         } | {name: band for name, band in bands.items() if name == "nir"}
+    height = surface.height_mm
+    if fine is not None:
+        whole = _pixel_means(fine.mask, surface) == 1.0
+        height = np.where(whole, _pixel_means(np.where(fine.mask, fine.height_mm, 0.0), surface), height)
     truth = {
-        "height_mm": surface.height_mm,
+        "height_mm": height.astype(np.float32),
         "shape_mm": surface.shape_mm,
-        "ridge_mm": surface.height_mm - surface.shape_mm,
+        "ridge_mm": height.astype(np.float32) - surface.shape_mm,
         "mask": surface.mask,
         "px_mm": np.array(surface.camera.pitch_mm),
     }
@@ -612,16 +641,18 @@ def photograph_finger(
 
 
 def _polarised(
-    surface: SimulatedSurface, rig: Rig, optics: FingerOptics, light: FingerLight, mounted: Films
-) -> FloatArray:
+    skin: tuple[SimulatedSurface, SimulatedSurface | None], rig: Rig, optics: FingerOptics, light: FingerLight,
+    mounted: Films,
+) -> FloatArray:  # fmt: skip
     """(2, L, H, W, 3) radiance behind the films, parallel and crossed, under every white LED."""
+    surface, fine = skin
     leds = [led for led in rig.leds if led.band == "white"]
     diffuse, once, passing = light.diffuse["white"], light.once["white"], mounted.transmitted()
     x, y = _pixel_places(surface.camera)
     z = np.where(surface.mask, surface.height_mm, 0.0)
     frames = np.empty((2, *diffuse.shape), dtype=np.float32)
     for k, led in enumerate(leds):
-        gloss = optics.gloss * specular(surface, led, optics.roughness, samples=3)
+        gloss = optics.gloss * specular(surface, led, optics.roughness, fine)
         lx, ly, lz, _ = towards(led, x, y, z)
         background = _background_beside(surface, led)
         for series in range(2):

@@ -22,11 +22,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.rates import d_prime, equal_error
-from splitknit.simulator.finger.finger import SimulatedFinger, finger_surface
-from splitknit.simulator.finger.master_print import MasterPrint, ink_print
-from splitknit.simulator.population.people import DIGITS, FINGERS, Person, class_fractions
-from splitknit.simulator.population.sessions import (
+from splitknit_match.evaluation.rates import d_prime, equal_error
+from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
+from splitknit_simulator.finger.master_print import MasterPrint, ink_print
+from splitknit_simulator.population.people import DIGITS, FINGERS, Person, class_fractions
+from splitknit_simulator.population.sessions import (
     PopulationSettings,
     draw_impression,
     finger_of_today,

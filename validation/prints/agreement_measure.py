@@ -15,17 +15,17 @@ from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
 from pressed_finger import press_finger
 
-from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import stored_places
-from splitknit.batch.store import Store
-from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
-from splitknit.matching.minutiae import extract, nfiq2
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
-from splitknit.prints.make import Print, enhance, make_print
-from splitknit.prints.sources import Source
+from splitknit_match.batch.chunks import read_chunk
+from splitknit_match.batch.reading import stored_places
+from splitknit_match.batch.store import Store
+from splitknit_match.batch.surfaces import unpack_surface
+from splitknit_match.matching.minutiae import extract, nfiq2
+from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae
+from splitknit_match.prints.make import Print, enhance, make_print
+from splitknit_match.prints.sources import Source
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

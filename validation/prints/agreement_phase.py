@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.prints.enhance import Enhanced
-from splitknit.simulator.finger.ridges import phase_singularities
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.enhance import Enhanced
+from splitknit_simulator.finger.ridges import phase_singularities
 
 
 def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced) -> Minutiae:

@@ -1,102 +1,102 @@
-"""Tables of ``docs/experiments/prints.md`` from ``agreement.json``: ``python validation/prints/agreement_report.py
-[--check]``."""
+"""Tables of ``agreement.json`` as CSV, in ``tables/``: ``python validation/prints/agreement_report.py [--check]``.
+
+``docs/experiments/prints.md`` quotes them.
+"""
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "agreement.json"
-PAGE = HERE.parents[1] / "docs" / "experiments" / "prints.md"
-MARKS = "<!-- agreement -->", "<!-- /agreement -->"
-WORDS = {
-    "metric": "`metric`", "truth": "true relief", "snk": "`snk`", "pr-split": "`pr-split`",
-    "ea-split": "`ea-split`", "pressed": "pressed print",
-}  # fmt: skip
+TABLES = HERE / "tables"
+WORDS = {"truth": "true relief", "pressed": "pressed print"}
 PICTURES = {"print": "mindtct", "enhanced": "mindtct, enhanced", "phase": "phase"}
 
 
-def cell(figure: list[float | None], digits: int = 2) -> str:
-    """A figure and its interval."""
-    value, low, high = ("-" if v is None else f"{v:.{digits}f}" for v in figure)
-    return f"{value} [{low}, {high}]"
+def cells(figure: Sequence[float | None], digits: int = 2) -> list[str]:
+    """A figure and the two ends of its interval."""
+    return ["" if v is None else f"{v:.{digits}f}" for v in figure]
+
+
+def columns(name: str) -> list[str]:
+    """Names of a figure's column and those of its interval."""
+    return [name, f"{name}_low", f"{name}_high"]
 
 
 def named(key: str) -> tuple[str, str]:
-    """What was printed, and how its minutiae were sought."""
+    """What was printed, and how its minutiae were found."""
     *what, picture = key.split()
-    words = [WORDS[what[0]]] + ([f"`{what[1]}`"] if len(what) > 1 else [])
-    return " ".join(words), PICTURES[picture]
+    return " ".join([WORDS.get(what[0], what[0]), *what[1:]]), PICTURES[picture]
 
 
-def section(facts: dict[str, Any]) -> str:
-    """All tables."""
-    fingers = facts["fingers"]
-    many = ", ".join(f"{WORDS[k.split()[0]]} {v}" for k, v in fingers.items() if k.endswith(" 1"))
-    lines = [
-        f"Fingers measured so far, session 1: {many}.", "",
-        "| print | minutiae by | recall | precision | direction off, median / 90th percentile, deg "
-        "| below 60 deg of slant: recall / precision |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]  # fmt: skip
+def minutiae(facts: dict[str, Any]) -> list[list[str]]:
+    """Recall, precision and direction of the minutiae on every print."""
+    rows = [["print", "minutiae_by", *columns("recall"), *columns("precision"), "direction_median_deg"]]
+    rows[0] += ["direction_p90_deg", *columns("recall_below_60_deg"), *columns("precision_below_60_deg")]
     for key, row in facts["minutiae"].items():
-        what, how = named(key)
-        off = f"{row['direction_median_deg'][0]:.1f} / {row['direction_p90_deg'][0]:.1f}"
+        off = [f"{row[name][0]:.1f}" for name in ("direction_median_deg", "direction_p90_deg")]
         flat = row["below_60_deg"]
-        below = "-" if key.startswith("pressed") else f"{cell(flat['recall'])} / {cell(flat['precision'])}"
-        lines.append(f"| {what} | {how} | {cell(row['recall'])} | {cell(row['precision'])} | {off} | {below} |")
-    lines += ["", "Of the true minutiae on a print:", ""]
-    lines += ["| print | mindtct finds | it misses, the phase shows | neither |", "| --- | --- | --- | --- |"]
+        below = [""] * 6 if key.startswith("pressed") else [*cells(flat["recall"]), *cells(flat["precision"])]
+        rows.append([*named(key), *cells(row["recall"]), *cells(row["precision"]), *off, *below])
+    return rows
+
+
+def held(facts: dict[str, Any]) -> list[list[str]]:
+    """Which of the true minutiae mindtct finds on a print, and which the phase shows besides."""
+    rows = [["print", "mindtct_finds_percent", "missed_but_shown_by_phase_percent", "neither_percent"]]
     for key, row in facts["held"].items():
-        fractions = " | ".join(f"{100 * value:.0f} %" for name, value in row.items() if name != "minutiae")
-        lines.append(f"| {named(key + ' print')[0]} | {fractions} |")
-    if "nfiq2" in facts:
-        lines += ["", "NFIQ 2, medians over fingers:", ""]
-        lines += ["| print | `metric` | true relief | median of the difference |", "| --- | --- | --- | --- |"]
-        for method, row in facts["nfiq2"].items():
-            lines.append(
-                f"| `{method}` | {row['median']:.0f} | {row['median_of_true_relief']:.0f} | "
-                f"{cell(row['median_difference'], 1)} |"
-            )
-    scores = [(named(key), row) for key, row in facts.get("bozorth3", {}).items()]
+        fractions = [f"{100 * value:.0f}" for name, value in row.items() if name != "minutiae"]
+        rows.append([named(key + " print")[0], *fractions])
+    return rows
+
+
+def nfiq2(facts: dict[str, Any]) -> list[list[str]]:
+    """NFIQ 2, medians over fingers."""
+    rows = [["print", "metric_median", "true_relief_median", *columns("median_difference")]]
+    for method, row in facts.get("nfiq2", {}).items():
+        medians = [f"{row['median']:.0f}", f"{row['median_of_true_relief']:.0f}"]
+        rows.append([method, *medians, *cells(row["median_difference"], 1)])
+    return rows
+
+
+def scores(facts: dict[str, Any]) -> list[list[str]]:
+    """Scores of bozorth3, session 1 against session 2 or against the pressed print."""
+    rows = [["print", "minutiae_by", "fingers", *columns("genuine_above_all_impostors")]]
+    rows[0] += ["genuine_median", "impostor_largest"]
+    found = [(named(key), row) for key, row in facts.get("bozorth3", {}).items()]
     for key, row in facts.get("cross_modal", {}).items():
         method, picture = key.split()[:2]
-        scores.append(((f"`metric` `{method}` against the pressed print", PICTURES[picture]), row))
-    if scores:
-        lines += ["", "Scores of bozorth3 (session 1 against session 2, or against the pressed print):", ""]
-        lines += [
-            "| print | minutiae by | fingers | genuine above every impostor's | genuine, median | largest impostor |"
-        ]
-        lines += ["| --- | --- | --- | --- | --- | --- |"]
-    for (what, how), row in scores:
-        lines.append(
-            f"| {what} | {how} | {row['fingers']} | {cell(row['above_all_impostors'])} | {row['genuine_median']:.0f} "
-            f"| {row['impostor_largest']:.0f} |"
-        )
-    return "\n".join(lines)
-
-
-def filled(page: str, text: str) -> str:
-    """The page with the tables between its marks."""
-    head, rest = page.split(MARKS[0])
-    return f"{head}{MARKS[0]}\n{text}\n{MARKS[1]}{rest.split(MARKS[1])[1]}"
+        found.append(((f"metric {method} against the pressed print", PICTURES[picture]), row))
+    for name, row in found:
+        ends = [f"{row['genuine_median']:.0f}", f"{row['impostor_largest']:.0f}"]
+        rows.append([*name, str(row["fingers"]), *cells(row["above_all_impostors"]), *ends])
+    return rows
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fill the page, or say whether it is filled with these results."""
+    """Write the tables, or return 1 if they are not those of the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args(arguments)
-    page = PAGE.read_text(encoding="utf-8")
-    wanted = filled(page, section(json.loads(RESULTS.read_text(encoding="utf-8"))))
-    if options.check:
-        return int(page != wanted)
-    PAGE.write_text(wanted, encoding="utf-8")
-    return 0
+    facts = json.loads(RESULTS.read_text(encoding="utf-8"))
+    current = True
+    for table in (minutiae, held, nfiq2, scores):
+        text, path = io.StringIO(), TABLES / f"{table.__name__}.csv"
+        csv.writer(text, lineterminator="\n").writerows(table(facts))
+        if options.check:
+            current = current and path.is_file() and path.read_text(encoding="utf-8") == text.getvalue()
+        else:
+            TABLES.mkdir(exist_ok=True)
+            path.write_text(text.getvalue(), encoding="utf-8")
+    return int(not current)
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.io.npz import read_npz
-from splitknit.prints.sources import Source
-from splitknit.simulator.finger.deformation import Deformation, deformed_minutiae
-from splitknit.simulator.finger.finger import FingerPose, placement_of
-from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.population.sessions import PopulationSettings, draw_impression, finger_of_today
+from splitknit_match.prints.sources import Source
+from splitknit_simulator.finger.deformation import Deformation, deformed_minutiae
+from splitknit_simulator.finger.finger import FingerPose, placement_of
+from splitknit_simulator.finger.shape import FingerBody
+from splitknit_simulator.population.sessions import PopulationSettings, draw_impression, finger_of_today
 
 Array = NDArray[np.float64]
 SAME_MM = 0.06

@@ -23,9 +23,9 @@ from agreement_scores import told_apart
 from agreement_summary import MARGIN_PX
 from agreement_truth import read_truth
 
-from splitknit.matching.minutiae import extract
-from splitknit.prints.make import enhance, make_print
-from splitknit.prints.phase_minutiae import by_phase
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.prints.make import enhance, make_print
+from splitknit_match.prints.phase_minutiae import by_phase
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "phase.json"

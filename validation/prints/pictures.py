@@ -17,12 +17,11 @@ import cv2
 import numpy as np
 
 from splitknit.io.npz import read_npz
-from splitknit.prints.curvature import CurvatureSettings, curvature
-from splitknit.prints.enhance import as_print, ridge_mask, thin
-from splitknit.prints.folder import distortion_picture
-from splitknit.prints.make import enhance, make_print
-from splitknit.prints.print_map import plane_map, resample
-from splitknit.prints.sources import read_source
+from splitknit_match.prints.curvature import CurvatureSettings, curvature
+from splitknit_match.prints.enhance import as_print, ridge_mask, thin
+from splitknit_match.prints.folder import distortion_picture
+from splitknit_match.prints.make import enhance, make_print
+from splitknit_match.prints.sources import read_source
 
 
 def beside(panels: list[np.ndarray], gap: int = 10) -> np.ndarray:
@@ -79,26 +78,21 @@ def main() -> None:
     panels = [distortion_picture(made.map, made.unrolled) for made in kinds if made.unrolled is not None]
     save(options.out / "prints-distortion.jpg", beside(panels[:2]))
     save(options.out / "prints-unrolled.jpg", beside([made.image for made in kinds]))
-    print(json.dumps(fits(options.capture, surface, options.out / "prints-curvature.jpg"), indent=1))
+    print(json.dumps(fits(options.capture, surface), indent=1))
 
 
-def fits(capture: Path, surface, path: Path) -> dict[str, dict[str, float]]:
-    """Quadratic against cubic on the reconstruction (picture), and under noise on the true surface (figures)."""
+def fits(capture: Path, surface) -> dict[str, dict[str, float]]:
+    """Quadratic against cubic under noise on the true surface."""
     pitch = surface.pitch_mm
-    frame = plane_map(pitch, surface.input_from_upright, surface.upright_size)
     truth = read_npz(capture / "truth.npz")
     height, mask = truth["height_mm"], surface.mask & np.isfinite(truth["height_mm"])
     half = CurvatureSettings().side(1 / pitch) // 2
     deep = cv2.erode(np.pad(mask.astype(np.uint8), 1), np.ones((2 * half + 1,) * 2))[1:-1, 1:-1] > 0
     rim = mask & ~deep
     rng = np.random.default_rng(1)
-    panels, facts = [], {}
+    facts = {}
     for degree, word in ((2, "quadratic"), (3, "cubic")):
         settings = CurvatureSettings(degree=degree)
-        found = curvature(surface.height_mm, surface.mask, pitch, settings).shape_index
-        known = np.isfinite(found)
-        values, weight = resample(found, known, pitch, frame)
-        panels.append(np.round(255 * (1 - np.clip((values - 0.25) / 0.5, 0, 1) * weight)).astype(np.uint8))
         clean = curvature(height, mask, pitch, settings).shape_index
         for sigma_um in (0.5, 2.0, 5.0):
             noise = rng.standard_normal(height.shape).astype(np.float32) * np.float32(sigma_um / 1000)
@@ -108,8 +102,6 @@ def fits(capture: Path, surface, path: Path) -> dict[str, dict[str, float]]:
                 both = where & np.isfinite(clean) & np.isfinite(noisy)
                 row[zone] = round(float(np.sqrt(np.mean((noisy - clean)[both] ** 2))), 4)
             facts[f"{word}, noise {sigma_um} um"] = row
-    difference = np.abs(panels[0].astype(int) - panels[1]).clip(0, 255).astype(np.uint8)
-    save(path, beside([*panels, 255 - difference]))
     return facts
 
 

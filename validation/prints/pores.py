@@ -21,7 +21,8 @@ import numpy as np
 from agreement_compare import paired
 
 import splitknit
-from splitknit.prints.pores import find_pores
+import splitknit_simulator
+from splitknit_match.prints.pores import find_pores
 
 REACH_MM, BORDER_MM, CHANCE_MM = 0.1, 0.5, 0.45
 SLANT_COS = float(np.cos(np.deg2rad(45)))
@@ -29,7 +30,7 @@ SLANT_COS = float(np.cos(np.deg2rad(45)))
 
 def figures(seed: int, scale: float) -> dict[str, Any]:
     """Counts by what pores are sought on: true pores, found ones, both, and both by chance."""
-    capture, truth = splitknit.simulate_capture(seed, settings={"scale": scale})
+    capture, truth = splitknit_simulator.simulate_capture(seed, settings={"scale": scale})
     results = {name: splitknit.reconstruct(capture, name) for name in ("metric", "snk")}
     metric = results["metric"]
     pitch = metric.pitch_mm

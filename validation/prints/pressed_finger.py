@@ -17,12 +17,12 @@ from scipy.interpolate import LinearNDInterpolator
 
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits
-from splitknit.simulator.finger.deformation import Deformation, deformed, deformed_minutiae, draw_deformation
-from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger
-from splitknit.simulator.finger.master_print import MasterPrint
-from splitknit.simulator.finger.ridges import smooth_noise
-from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.finger.skin_map import skin_map
+from splitknit_simulator.finger.deformation import Deformation, deformed, deformed_minutiae, draw_deformation
+from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger
+from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.ridges import smooth_noise
+from splitknit_simulator.finger.shape import FingerBody
+from splitknit_simulator.finger.skin_map import skin_map
 
 Array = NDArray[np.float64]
 

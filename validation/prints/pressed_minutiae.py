@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from splitknit.evaluation.intervals import BootstrapSettings
-from splitknit.matching.minutiae import extract
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.prints.enhance import gabor_enhance
-from splitknit.prints.from_file import print_minutiae
-from splitknit.prints.phase_minutiae import by_phase
+from splitknit_match.evaluation.intervals import BootstrapSettings
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.enhance import gabor_enhance
+from splitknit_match.prints.from_file import print_minutiae
+from splitknit_match.prints.phase_minutiae import by_phase
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "match"))
 from pressed_prints import PressRanges, finger, press

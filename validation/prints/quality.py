@@ -21,12 +21,12 @@ import numpy as np
 from quality_measure import capture_facts, facts_of
 from scipy.stats import spearmanr
 
-from splitknit.batch.reading import stored_places
-from splitknit.batch.store import Store
 from splitknit.io.npz import read_npz
-from splitknit.prints.folder import advice
-from splitknit.prints.print_quality import PrintQuality, QualityFigures, score_of
-from splitknit.prints.sources import Source
+from splitknit_match.batch.reading import stored_places
+from splitknit_match.batch.store import Store
+from splitknit_match.prints.folder import advice
+from splitknit_match.prints.print_quality import PrintQuality, QualityFigures, score_of
+from splitknit_match.prints.sources import Source
 
 CHOSEN_ON = {"S01", "S09"}
 LOOKED_AT = {

@@ -14,12 +14,12 @@ import numpy as np
 
 from splitknit.io.npz import write_npz
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 BASE = TwinSettings(scale=0.35, render=RenderSettings(workers=1))
 FAULTS = {

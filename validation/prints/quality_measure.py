@@ -12,17 +12,17 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import stored_places
-from splitknit.batch.store import Store
-from splitknit.batch.surfaces import unpack_surface
 from splitknit.io.npz import read_npz
-from splitknit.matching.minutiae import extract, nfiq2
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.template import unpack
-from splitknit.prints.folder import advice
-from splitknit.prints.make import Print, enhance, make_print, measured
-from splitknit.prints.sources import Source
+from splitknit_match.batch.chunks import read_chunk
+from splitknit_match.batch.reading import stored_places
+from splitknit_match.batch.store import Store
+from splitknit_match.batch.surfaces import unpack_surface
+from splitknit_match.matching.minutiae import extract, nfiq2
+from splitknit_match.matching.ridge import ridge_match
+from splitknit_match.matching.template import unpack
+from splitknit_match.prints.folder import advice
+from splitknit_match.prints.make import Print, enhance, make_print, measured
+from splitknit_match.prints.sources import Source
 
 HALF_PERIOD_PX = 5.0
 """A true minutia is found if one lies within half a ridge period."""

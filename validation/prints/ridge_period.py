@@ -15,14 +15,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from splitknit.finger.ridges import ink
 from splitknit.io.npz import read_npz
-from splitknit.prints.make import make_print
-from splitknit.prints.print_map import resample, unrolled_map
-from splitknit.prints.ridge_field import ridge_field
-from splitknit.prints.ridges import ink
-from splitknit.prints.sources import Source, read_source
-from splitknit.prints.unroll import KINDS, unroll
-from splitknit.prints.unroll_grid import GridSettings, slant_cos, surface_grid
+from splitknit_match.prints.make import make_print
+from splitknit_match.prints.print_map import resample, unrolled_map
+from splitknit_match.prints.ridge_field import ridge_field
+from splitknit_match.prints.sources import Source, read_source
+from splitknit_match.prints.unroll import KINDS, unroll
+from splitknit_match.prints.unroll_grid import GridSettings, slant_cos, surface_grid
 
 ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
 PATCH_MM = 3.2

@@ -30,8 +30,8 @@ from splitknit.imaging.band import linear_stack
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients
 from splitknit.integration.poisson import poisson
 from splitknit.photometric.lambertian import lambertian
-from splitknit.simulator.finger.finger import SimulatedFinger, draw_finger
-from splitknit.simulator.twin import simulate_capture
+from splitknit_simulator.finger.finger import SimulatedFinger, draw_finger
+from splitknit_simulator.twin import simulate_capture
 
 RESULTS = Path(__file__).with_name("normals.json")
 SEEDS = (1000, 1001)

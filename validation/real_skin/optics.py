@@ -1,6 +1,6 @@
 """The simulator's optics of skin against published measurements: each check passes, or says why it differs.
 
-    python validation/real_skin/optics.py
+    python validation/real_skin/optics.py    # prints the table and writes tables/optics.csv
 
 Coefficients (Jensen et al. 2001), reflectance at 780 nm (Cooksey et al. 2017), and how much of the detail is left in
 red, by its scale. What is drawn for a simulated finger (`SkinRanges`) should cover what was measured.
@@ -8,15 +8,17 @@ red, by its scale. What is drawn for a simulated finger (`SkinRanges`) should co
 
 from __future__ import annotations
 
+import csv
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulator.light.skin import (
+from splitknit_simulator.light.skin import (
     EFFECTIVE,
     Channel,
     ChannelOptics,
@@ -27,6 +29,7 @@ from splitknit.simulator.light.skin import (
     fresnel,
 )
 
+TABLE = Path(__file__).with_name("tables") / "optics.csv"
 VISIBLE: tuple[Channel, ...] = ("red", "green", "blue")
 JENSEN = {
     "skin1": {"scattering": (0.74, 0.88, 1.01), "absorption": (0.032, 0.17, 0.48)},
@@ -158,20 +161,18 @@ def checks() -> list[Check]:
     return [*jensen(), nist(), face()]
 
 
-def table(found: Sequence[Check]) -> list[str]:
-    """As lines of Markdown; the reasons stand below."""
-    reasons = list(dict.fromkeys(check.why for check in found if check.why))
-    lines = ["| figure | literature | simulator | |", "| --- | --- | --- | --- |"]
-    for check in found:
-        verdict = "pass" if check.passed else f"differs ({1 + reasons.index(check.why)})"
-        lines.append(f"| {check.name} | {check.literature} | {check.ours} | {verdict} |")
-    return [*lines, "", *(f"{k}. {reason[0].upper()}{reason[1:]}" for k, reason in enumerate(reasons, 1))]
+def table(found: Sequence[Check]) -> list[list[str]]:
+    """Rows of ``tables/optics.csv``."""
+    rows = [[one.name, one.literature, one.ours, "pass" if one.passed else "differs", one.why] for one in found]
+    return [["figure", "literature", "simulator", "verdict", "why"], *rows]
 
 
 def main() -> int:
-    """Print the table; zero where every check passes or is explained."""
+    """Print and write the table; zero where every check passes or is explained."""
     found = checks()
-    print("\n".join(table(found)))
+    print("\n".join("; ".join(part for part in row if part) for row in table(found)))
+    with TABLE.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(table(found))
     return int(any(not check.passed and not check.why for check in found))
 
 

@@ -17,10 +17,9 @@ from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.presets import PipelineSettings
 from splitknit.skin.diffusion import diffusion
-from splitknit.skin.glare import MicrofacetGlare, fresnel_transmission
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import skin_images
-from splitknit.skin.light import Lighting, predict, slant_of
+from splitknit.skin.light import Lighting, MicrofacetGlare, fresnel_transmission, predict, slant_of
 
 MIN_IMAGES = 5
 """Of the band: plain photometric stereo needs three, and one more leaves something to be explained."""

@@ -11,6 +11,7 @@ fitted to the image by one factor a channel. What the figures mean: docs/experim
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,7 @@ FEW = 3
 """White lights that are left out unless all are."""
 CLASSES = [f"rms_{low}_{high}" for low, high in pairwise(SLANTS_DEG)]
 PERCENT = ["rms", *CLASSES, "ridges", "change"]
-HEADS = ["all", *(f"{low}-{high} deg" for low, high in pairwise(SLANTS_DEG))]
+HEADS = ["error", *(f"error_{low}_{high}_deg" for low, high in pairwise(SLANTS_DEG))]
 
 
 def chosen_settings(assignments: Sequence[str]) -> PipelineSettings:
@@ -56,10 +57,9 @@ def images_of(capture: Capture, everything: bool) -> list[tuple[str, int]]:
     return [("white", k) for k in sorted({k * count // FEW for k in range(FEW)})]
 
 
-def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
-    """Means over the left-out images, and but for the gain over the channels, as lines of Markdown."""
-    heads = ["capture", "band", "prediction by", *(f"error, {head}" for head in HEADS), "ridges", "change", "gain"]
-    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[list[str]]:
+    """Means over the left-out images, and but for the gain over the channels."""
+    lines = [["capture", "band", "prediction_by", *HEADS, "ridges", "change", "gain"]]
     for name, rows in captures.items():
         for band in dict.fromkeys(row["band"] for row in rows):
             of_images = [row["channels"] for row in rows if row["band"] == band]
@@ -68,7 +68,7 @@ def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
                 cells = [_percent([part[figure] for part in parts if figure in part]) for figure in PERCENT]
                 gains = [np.mean([one[channel][way]["gain"] for one in of_images]) for channel in of_images[0]]
                 cells.append(", ".join(f"{gain:.2f}" for gain in gains))
-                lines.append(f"| {' | '.join([name, band, way, *cells])} |")
+                lines.append([name, band, way, *cells])
     return lines
 
 
@@ -89,6 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "without them",
     )
     parser.add_argument("--out", type=Path, metavar="FILE.json")
+    parser.add_argument("--table", type=Path, metavar="FILE.csv", help="means, as in tables/predictions.csv")
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.FIELD=VALUE", dest="assignments")
     options = parser.parse_args(arguments)
     captures: dict[str, list[dict[str, Any]]] = {}
@@ -107,7 +108,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BadInput, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print("\n".join(table(captures)))
+    print("\n".join("  ".join(line) for line in table(captures)))
+    if options.table is not None:
+        with options.table.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(table(captures))
     return 0
 
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.images import read_image
-from splitknit.io.wsq_image import decode_wsq, encode_wsq
-from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae_record import Minutiae
+from splitknit_match.matching.minutiae import extract, minutiae_match, nfiq2
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
 
 HERE = Path(__file__).resolve().parent
 

@@ -1,6 +1,6 @@
 """Real prints as ISO templates: error rates of a matcher of minutiae on what `splitknit export` makes of them.
 
-    pip install 'splitknit[minutiae]'
+    pip install 'splitknit-match[minutiae]'
     python validation/records/templates.py
 
 writes ``templates.json`` beside this file: FVC2002 DB1_B (five fingers, eight presses each), exported to ISO 19794-2
@@ -20,14 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.scores import Scores, ids_of
-from splitknit.gallery.enrol import Enrolling, enroll_files
-from splitknit.gallery.records import Exporting, export_records
-from splitknit.io.minutiae_files import read_minutiae_record
-from splitknit.matching.minutiae import minutiae_match
-from splitknit.matching.minutiae_record import Minutiae
-from splitknit.prints.from_file import minutiae_of
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
+from splitknit_match.gallery.enrol import Enrolling, enroll_files
+from splitknit_match.gallery.export_job import ExportJob
+from splitknit_match.gallery.records import export_records
+from splitknit_match.matching.minutiae import minutiae_match
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.from_file import minutiae_of
+from splitknit_match.records.minutiae_files import read_minutiae_record
 
 HERE = Path(__file__).resolve().parent
 FAR_0 = 1e-9
@@ -63,7 +64,8 @@ def main() -> None:
             "phase": (files, "phase"), "mindtct": (files, "mindtct"), "gallery": ([root / "g.skg"], "phase"),
         }  # fmt: skip
         for name, (sources, how) in ways.items():
-            facts = export_records(sources, root / name, Exporting("iso-19794-2", minutiae=how, input_ppi=500.0))
+            job = ExportJob(tuple(sources), to="iso-19794-2", out=root / name, minutiae=how, input_ppi=500.0)
+            facts = export_records(job)
             named = [root / name / one["file"] for one in facts["files"]]
             found[name] = [minutiae_of(read_minutiae_record(file).views[0]) for file in named]
     facts = {name: {"minutiae": float(np.mean([one.count for one in sides])), **rows(sides, sides, owner)}

@@ -1,8 +1,8 @@
 """Which rig would the thesis's own experiment choose? Sweeps of ``splitknit rig optimise`` and what they found.
 
     python validation/rig/optimise.py                    # all sweeps: 15 minutes of one core; may be interrupted
-    python validation/rig/optimise.py --report           # the tables of docs/experiments/rig-optimise.md and its
-    pictures alone
+    python validation/rig/optimise.py --report           # only the tables (as kept in tables/) and the picture of
+                                                         # docs/experiments/rig-optimise.md
 
 Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run that was stopped goes
 on where it was. ``optimise.json`` beside this script holds the figures that the report follows from.
@@ -26,12 +26,12 @@ sys.path.insert(0, str(HERE))
 
 from thesis_study import ThesisStudy  # noqa: E402
 
-from splitknit.rig.candidates import (  # noqa: E402
+from splitknit_rig.rig.candidates import (  # noqa: E402
     BuildSettings,
     RigCandidate,
     grid,
 )
-from splitknit.rig.optimise import summarise, sweep_rigs  # noqa: E402
+from splitknit_rig.rig.optimise import summarise, sweep_rigs  # noqa: E402
 
 HEIGHTS = (100.0, 120.0, 140.0, 170.0, 200.0)
 RADII = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)
@@ -94,7 +94,7 @@ SWEEPS: dict[str, Sweep] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--report", action="store_true", help="tables and pictures from optimise.json alone")
+    parser.add_argument("--report", action="store_true", help="tables and picture from optimise.json alone")
     parser.add_argument("--sweeps", nargs="*", default=None, metavar="NAME", help=f"of {', '.join(SWEEPS)}")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scratch", type=Path, default=OUT)

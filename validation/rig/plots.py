@@ -1,16 +1,15 @@
-"""Heat maps and scatters of rigs, as inline SVG."""
+"""Heat maps of rigs, as inline SVG."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup, escape
-from numpy.typing import NDArray
 
 from splitknit.io.pictures import colour
-from splitknit.report.charts import _BOLD, _COLOURS, _INK, Axis, _axis_over, _begin, _open, _segment, _text
+from splitknit.report.charts import _BOLD, _COLOURS, _INK, _open, _text
 
 _BLACK_DASHES = 'stroke="#000000" stroke-dasharray="4 3"'
 _HALO = ' paint-order="stroke" stroke="#ffffff" stroke-width="3" stroke-linejoin="round"'
@@ -35,21 +34,6 @@ class Cell:
     best: bool = False
     as_good: bool = False
     thesis: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Dot:
-    """One rig in a scatter or on an axis."""
-
-    x: float
-    y: float
-    label: str = ""
-    front: bool = False
-    thesis: bool = False
-    low: float | None = None
-    high: float | None = None
-    series: str = ""
-    """In the legend; dots of one are joined by a line where none is on the front."""
 
 
 def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, title: str = "") -> Markup:
@@ -99,63 +83,6 @@ def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, ti
     parts.append(_text(left, bottom + 50, unit, "start"))
     parts.append(_text(left, bottom + 66, "orange: best; •: as good; dashed: the thesis's", "start"))
     return Markup("".join(parts) + "</svg>")
-
-
-def _log_axis(label: str, values: NDArray[np.floating], *, pad: float) -> Axis:
-    """A logarithmic axis over all of `values`, and by the fraction `pad` further, with marks at powers of ten."""
-    ends = _axis_over(label, np.log10(values), pad=pad)
-    marks = [10.0**k for k in range(int(np.ceil(ends.low)), int(np.floor(ends.high)) + 1)]
-    return Axis(label, 10.0**ends.low, 10.0**ends.high, tuple((v, f"{v:.3g}") for v in marks), np.log10)
-
-
-def scatter(dots: Sequence[Dot], x_label: str, y_label: str, *, title: str = "", log_x: bool = False) -> Markup:
-    """Points over two axes; those on the front are filled, the thesis's has a ring; error bars where there are any."""
-    own = sorted({dot.x for dot in dots})
-    any_front = any(dot.front for dot in dots)
-    x = (_log_axis if log_x else _axis_over)(x_label, np.array(own), pad=0.06)
-    if len(own) <= 10 and not any_front:
-        x = replace(x, marks=tuple((value, f"{value:.3g}") for value in own))
-    y = _axis_over(
-        y_label, np.array([v for dot in dots for v in (dot.y, dot.low, dot.high) if v is not None]), pad=0.06
-    )
-    series = list(dict.fromkeys(dot.series for dot in dots))
-    legend = [name for name in series if name]
-    parts, points = _begin(x, y, title, 258, legend)
-    paints = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(series)}
-    if not any_front:
-        for name, paint in paints.items():
-            along = sorted((dot.x, dot.y) for dot in dots if dot.series == name)
-            line = " ".join(f"{px:.1f},{py:.1f}" for px, py in points(*np.array(along).T))
-            parts.append(f'<polyline points="{line}" fill="none" stroke="{paint}" opacity="0.6"/>')
-    places = [(*points(dot.x, dot.y), dot.label) for dot in dots]
-    parts += _labels([place for place in places if place[2]], [place[:2] for place in places], points(x.high, y.low)[0])
-    for dot in sorted(dots, key=lambda dot: dot.front):  # over the words' halos
-        (px, py), paint = points(dot.x, dot.y), paints[dot.series]
-        if dot.low is not None and dot.high is not None:
-            parts.append(_segment(points(dot.x, dot.low), points(dot.x, dot.high), paint))
-        solid = dot.front or not any_front
-        fill = paint if solid else "#ffffff"
-        parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="{4 if solid else 3}" fill="{fill}" stroke="{paint}"/>')
-        if dot.thesis:
-            parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="8" fill="none" {_BLACK_DASHES}/>')
-    return Markup("".join(parts) + "</svg>")
-
-
-def _labels(
-    wanted: Sequence[tuple[float, float, str]], points: Sequence[tuple[float, float]], right: float
-) -> list[str]:
-    """Labels beside their points; one that would cover another, or a point, is left out."""
-    taken = [(x - 4.0, x + 4.0, y + 4.0) for x, y in points]
-    parts = []
-    for x, y, words in wanted:
-        long = 6.0 * len(words)
-        sides = [start for start in (x + 8, x - 8 - long) if start >= 60 and start + long < right]
-        for start, level in ((side, y + shift) for side in sides for shift in (4, -9, 17)):
-            if all(abs(level - other) > 9 or start > end or start + long < begin for begin, end, other in taken):
-                taken.append((start, start + long, level))
-                parts.append(_text(start, level, words, "start", _HALO))
-                break
-    return parts
 
 
 def _frame(x: float, y: float, width: float, height: float, stroke: str) -> str:

@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/experiments/rig-optimise.md, from the figures that ``optimise.py`` keeps."""
+"""Tables (kept in ``tables/``) and picture of docs/experiments/rig-optimise.md, from the figures of ``optimise.py``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from plots import Cell, Dot, heat_map, scatter
+from plots import Cell, heat_map
 
 from splitknit.report.charts import standalone
 
@@ -40,18 +40,12 @@ Row = Mapping[str, Any]
 
 
 def write_report(results: Mapping[str, Any]) -> str:
-    """Write the pictures; return the tables as Markdown."""
+    """Write the picture; return the tables as Markdown."""
     parts = [_optima(results, "hausdorff"), _optima(results, "whole")]
     parts += [_axis(results, axis) for axis in ("power_w", "tilt_deg", "px_per_mm")]
     parts += [_renderer(results), _near(results)]
-    for name, words in PLANES.items():
-        if name in ("ea_opaque", "metric_skin") and name in results:
-            _write(f"heat-{name.replace('_', '-')}", _heat(results[name], "hausdorff", words))
     if "ea_opaque" in results:
-        _write("heat-whole", _heat(results["ea_opaque"], "whole", "whole phalange, thesis's method, opaque finger"))
-        _write("pareto", _pareto(results["ea_opaque"]))
-    if "renderer_power" in results:
-        _write("renderer", _renderer_chart(results["renderer_power"]))
+        _write("heat-ea-opaque", _heat(results["ea_opaque"], "hausdorff", PLANES["ea_opaque"]))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -210,29 +204,6 @@ def _heat(sweep: Mapping[str, Any], objective: str, title: str) -> Any:
         )
     title = title.replace("`", "")
     return heat_map(cells, AXES["radius_mm"], AXES["height_mm"], "Hausdorff distance, mm", title=title)
-
-
-def _pareto(sweep: Mapping[str, Any]) -> Any:
-    dots = []
-    for row in _done(sweep):
-        front = row["name"] in sweep["pareto"]
-        dots.append(
-            Dot(
-                x=3.141592653589793e-6 * row["radius_mm"] ** 2 * row["height_mm"],
-                y=row["hausdorff_mm"],
-                label=f"{row['height_mm']:g}/{row['radius_mm']:g}" if front else "",
-                front=front,
-                thesis=(row["height_mm"], row["radius_mm"]) == (140.0, 52.5),
-            )
-        )
-    title = "Pareto front at 1 W (filled; height/radius in mm; ring: the thesis's)"
-    return scatter(dots, "volume between LEDs and finger (litres)", "Hausdorff distance (mm)", title=title)
-
-
-def _renderer_chart(sweep: Mapping[str, Any]) -> Any:
-    dots = [Dot(row["power_w"], row["ridge_correlation"], thesis=row["power_w"] == 1.0) for row in _done(sweep)]
-    title = "One fixed exposure: power matters where it clips (ring: the thesis's)"
-    return scatter(dots, "power of a lamp (W)", "ridge correlation", title=title, log_x=True)
 
 
 def _write(name: str, picture: Any) -> None:

@@ -2,7 +2,7 @@
 
 Beside what ``splitknit rig optimise`` does: an opaque finger, a rendering program's camera, tremor while the shutter is
 open, the finger's outline given, and Hausdorff distances from the true surface. Sweeps are those of
-:mod:`splitknit.rig.optimise`.
+:mod:`splitknit_rig.rig.optimise`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from splitknit.accuracy import high_passed
 from splitknit.errors import require
-from splitknit.evaluation.accuracy import high_passed
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
-from splitknit.rig.candidates import (
+from splitknit_rig.rig.candidates import (
     FIELD_MM,
     FULL_PX_PER_MM,
     FULL_WELL_E,
@@ -40,10 +40,10 @@ from splitknit.rig.candidates import (
     led_intensities,
     plan_exposure,
 )
-from splitknit.rig.optimise import FIRST_SEED, MAX_SLANT_DEG, Study
-from splitknit.simulator.camera.lens import blur_sigma_px, defocus
-from splitknit.simulator.camera.sensor import SensorSettings, record
-from splitknit.simulator.finger.finger import (
+from splitknit_rig.rig.optimise import FIRST_SEED, MAX_SLANT_DEG, Study
+from splitknit_simulator.camera.lens import blur_sigma_px, defocus
+from splitknit_simulator.camera.sensor import SensorSettings, record
+from splitknit_simulator.finger.finger import (
     FingerPose,
     PoseRanges,
     SimulatedFinger,
@@ -51,13 +51,13 @@ from splitknit.simulator.finger.finger import (
     finger_surface,
     placement_of,
 )
-from splitknit.simulator.finger.master_print import MasterPrint
-from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.light.lighting import render_opaque, white_card
-from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics, SkinRanges
-from splitknit.simulator.scene import finger_depth
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.shape import FingerBody
+from splitknit_simulator.light.lighting import render_opaque, white_card
+from splitknit_simulator.light.renderer import RenderSettings, render_band
+from splitknit_simulator.light.skin import BAND_CHANNELS, SkinOptics, SkinRanges
+from splitknit_simulator.scene import finger_depth
+from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ FOCUS_DEPTH_MM = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ThesisStudy(Study):
-    """A study by the thesis's measure; fingers, build and lens are those of :class:`splitknit.rig.optimise.Study`."""
+    """A study by the thesis's measure, with fingers, build and lens of :class:`splitknit_rig.rig.optimise.Study`."""
 
     _group = "study"
 
@@ -268,7 +268,7 @@ def _ridge_correlation(
     relief: FloatArray, true: FloatArray, mask: BoolArray, where: BoolArray, sigma_px: float
 ) -> float:
     """Correlation of two reliefs, each minus its Gaussian mean over the mask."""
-    first, second = (high_passed(field, mask, sigma_px)[where].astype(np.float64) for field in (relief, true))
+    first, second = (high_passed(mask, sigma_px)(field)[where].astype(np.float64) for field in (relief, true))
     first, second = first - first.mean(), second - second.mean()
     return float(np.sum(first * second) / max(float(np.sqrt(np.sum(first**2) * np.sum(second**2))), 1e-30))
 

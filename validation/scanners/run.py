@@ -1,7 +1,7 @@
 """The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 6] [--system NAME]`.
 
 Every finger and system is written to --out and not measured twice. `--fringes` measures fringes on skin, and
-`--tables` prints the tables of docs/experiments/scanners.md from what is there.
+`--tables` prints the tables (as in ``tables/``) behind docs/experiments/scanners.md from what is there.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ import simulated as sim
 from scipy.stats import beta
 
 import splitknit
+import splitknit_match
+import splitknit_simulator
 from splitknit.io.clouds import Cloud
-from splitknit.scanners import focus, laser, stereo, structured_light
-from splitknit.scanners.cloud import CloudView, result_of_cloud
-from splitknit.simulator.light.skin import diffusion_profile
+from splitknit.methods.cloud import CloudView, result_of_cloud
+from splitknit_simulator.light.skin import diffusion_profile
+from splitknit_simulator.scanners import focus, laser, stereo, structured_light
 
 SCALE = 0.4
 PX_PER_MM = 75.7 * SCALE
@@ -187,7 +189,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
     if not todo:
         return
     settings = {"scale": SCALE}
-    capture, truth = splitknit.simulate_capture(seed, settings=settings)
+    capture, truth = splitknit_simulator.simulate_capture(seed, settings=settings)
     own = out / f"{seed}-metric"
     if "metric" in todo:
         begun = time.process_time()
@@ -195,7 +197,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         facts = {"compute_s": time.process_time() - begun, "capture_s": 14 * 0.17, "light": 14.0}
         facts |= {k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP}
         metric.save(own)
-        other, _ = splitknit.simulate_capture(seed, settings=settings, impression=1)
+        other, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=1)
         splitknit.reconstruct(other, "metric").save(out / f"{seed}-second")
         (out / f"{seed}-metric.json").write_text(json.dumps(facts))
     metric = splitknit.read_result(own)
@@ -220,7 +222,7 @@ def fringe_table(out: Path) -> None:
     path = out / "fringes.json"
     if path.exists():
         return
-    _, truth = splitknit.simulate_capture(1, settings={"scale": SCALE})
+    _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": SCALE})
     finger = Fingers(1)
     sight, lamp, facts = finger.at(0), sim.projector(), {}
     inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
@@ -254,7 +256,7 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
     for a, b in itertools.product(seeds, seeds):
         if f"{a}-{b}" not in kept:
             try:
-                found = splitknit.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
+                found = splitknit_match.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
                 kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision.match)
             except splitknit.BadInput:  # too little of it to compare
                 kept[f"{a}-{b}"] = 0.0, False

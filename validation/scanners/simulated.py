@@ -9,17 +9,17 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from splitknit.model import Camera, Led, default_rig
-from splitknit.scanners.structured_light import fringes
-from splitknit.scanners.views import View
-from splitknit.simulator.camera.lens import blur_sigma_px, defocus
-from splitknit.simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
-from splitknit.simulator.finger.finger import PoseRanges, draw_finger, placement_of
-from splitknit.simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view, meets, rays_of
-from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.finger.skin_map import skin_map
-from splitknit.simulator.light.lighting import cut_out, light_on
-from splitknit.simulator.light.renderer import LED_RADIUS_MM, Relief, RenderSettings, SubsurfaceScattering
-from splitknit.simulator.light.skin import Medium, SkinRanges
+from splitknit_simulator.camera.lens import blur_sigma_px, defocus
+from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
+from splitknit_simulator.finger.finger import PoseRanges, draw_finger, placement_of
+from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view, meet_body, rays_of
+from splitknit_simulator.finger.shape import FingerBody
+from splitknit_simulator.finger.skin_map import skin_map
+from splitknit_simulator.light.lighting import cut_out, light_on
+from splitknit_simulator.light.renderer import LED_RADIUS_MM, Relief, RenderSettings, SubsurfaceScattering
+from splitknit_simulator.light.skin import Medium, SkinRanges
+from splitknit_simulator.scanners.structured_light import fringes
+from splitknit_simulator.scanners.views import View
 
 HEIGHT_MM = 140.0
 PIVOT = np.array([0.0, 0.0, -6.0])
@@ -150,7 +150,7 @@ def silhouette(who: Person, px_per_mm: float, deg: float) -> tuple[np.ndarray, V
     turn, camera = turned("y", deg), camera_of(px_per_mm)
     place = Placement(turn @ who.placement.rotation, turn @ (who.placement.shift - PIVOT) + PIVOT)
     rays = rays_of(camera, *(np.arange(n) for n in camera.image_size))
-    hit = meets(who.body, place, rays, np.full(rays.x.size, above(who.body, place)))
+    _, hit = meet_body(who.body, place, rays, np.full(rays.x.size, above(who.body, place)))
     return hit.reshape(camera.image_size), view_of(camera.matrix, turn)
 
 

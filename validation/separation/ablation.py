@@ -69,10 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
     out.write_text(text + "\n", encoding="ascii")
-    from ablation_report import pairs_table, rows_table
+    from ablation_report import pairs_csv, rows_table
 
     results = json.loads(text)
-    print(rows_table(results), pairs_table(results), sep="\n\n")
+    print(rows_table(results), pairs_csv(results), sep="\n\n")
     return 0
 
 
@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _networks(needed: set[str], options: Any) -> dict[str, str]:
     """Hashes of the networks that the rows need, by name. Refuses if one is missing, before anything is measured."""
-    from splitknit.networks.weights import read_network
+    from splitknit.networks.unet import read_network
 
     return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
 
@@ -104,10 +104,12 @@ def source_hash() -> str:
     import ablation_rows  # noqa: F401
 
     import splitknit
+    import splitknit_simulator
 
-    package = Path(splitknit.__file__).parent
-    names = [name for name in sys.modules if name.split(".")[0] == "splitknit" or name in RECIPES]
-    files = {Path(str(sys.modules[name].__file__)) for name in names} | set(package.rglob("*.npz"))
+    members = {"splitknit": splitknit, "splitknit_simulator": splitknit_simulator}
+    names = [name for name in sys.modules if name.split(".")[0] in members or name in RECIPES]
+    tables = [file for one in members.values() for file in Path(str(one.__file__)).parent.rglob("*.npz")]
+    files = {Path(str(sys.modules[name].__file__)) for name in names} | set(tables)
     digest = hashlib.sha256()
     for file in sorted(files):
         digest.update(file.name.encode())

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from splitknit.imaging.band import GREY_WEIGHTS, linear_channels, linear_stack
 from splitknit.model import Band, Capture, FloatArray, default_rig
-from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
-from splitknit.simulator.light.separation import separate_truth
-from splitknit.simulator.light.skin import SkinOptics, SkinRanges
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import SimulatedSurface
-from splitknit.simulator.twin import photograph
+from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit_simulator.light.separation import separate_truth
+from splitknit_simulator.light.skin import SkinOptics, SkinRanges
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.twin import photograph
 
 BLACK, GAIN = 0.1, 0.85
 """How changed light is stored in 16 bits, as parts of full scale: noise may fall below zero."""
@@ -33,7 +33,7 @@ class Twin:
 
 
 def twin_of(seed: int, scale: float) -> Twin:
-    """The first capture of a person: the same as :func:`splitknit.simulator.twin.simulate_capture` takes."""
+    """The first capture of a person: the same as :func:`splitknit_simulator.twin.simulate_capture` takes."""
     settings = TwinSettings(scale=scale)
     assert isinstance(settings.skin, SkinRanges) and isinstance(settings.pose, PoseRanges)
     rig = default_rig(scale, settings.rig_seed, settings.intensity_spread)

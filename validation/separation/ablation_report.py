@@ -1,14 +1,17 @@
-"""Write the tables of ``ablation.json`` into ``docs/experiments/separation.md``, and those of ``clahe.json`` into
-``docs/explain/reconstruction.md``, between their marks.
+"""Write the tables of ``ablation.json`` to ``tables/`` and the short one into ``docs/experiments/separation.md``,
+those of ``clahe.json`` into ``tables/clahe.csv`` and four rows of them into ``docs/explain/reconstruction.md``.
 
 python validation/separation/ablation_report.py            # writes
-python validation/separation/ablation_report.py --check    # exit code 1 if the page does not show what the file holds
+python validation/separation/ablation_report.py --check    # exit code 1 if they do not show what the file holds
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,11 +21,18 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "experiments" / "separation.md"
+TABLES = HERE / "tables"
 HEADING = "## Ablation"
 MARKS = ("<!-- ablation -->", "<!-- /ablation -->")
 CONTRAST = HERE / "clahe.json"
 CONTRAST_PAGE = HERE.parents[1] / "docs" / "explain" / "reconstruction.md"
 CONTRAST_MARKS = ("<!-- clahe -->", "<!-- /clahe -->")
+CONTRAST_CSV = HERE / "tables" / "clahe.csv"
+CONTRAST_SHOWN = (
+    "sRGB code, cells of 64 px, limit 3",
+    "*sRGB code instead of linear light*",
+    "*network instead of all light, sRGB code*",
+)
 CONTRAST_COLUMNS = ("ridge_correlation", "ridge_gain", "ridge_rms_um", "normals_mean_deg", "surface_rms_mm")
 REPLICATES = 4000
 COLUMNS = {
@@ -33,39 +43,69 @@ COLUMNS = {
     "normals_mean_deg": ("normals, deg", 1),
     "surface_rms_mm": ("surface rms, mm", 3),
 }
+PAGE_COLUMNS = tuple(key for key in COLUMNS if key != "ridge_good_area")
+PAGE_ROWS = {
+    "ea-split": "`ea-split`",
+    "snk_plain_all": "`snk` without CLAHE and direct light",
+    "snk_plain_direct": "the same, true direct light",
+    "snk_plain_direct_matt": "the same, true direct light without its specular reflection",
+    "snk_plain_matt": "the same, all light without specular reflection",
+    "snk_clahe_all": "`snk` without direct light",
+    "snk_clahe_network": "`snk`: direct light by the network",
+    "snk_clahe_colours": "the same, from the colours",
+    "snk_clahe_direct": "the same, true direct light",
+    "near_in": "near lights",
+    "near_truth": "near lights without specular reflection",
+    "grey_in": "blur inverted, grey",
+    "grey_truth": "blur inverted, grey, without specular reflection",
+    "colour": "blur inverted, colours (`metric` without networks)",
+    "metric": "`metric`",
+}
+"""Rows of the page's table."""
 AT_MOST_ONE = ("ridge_correlation", "ridge_good_area")
 Tree = Mapping[str, Any]
 
 
 def rows_table(results: Tree) -> str:
-    """Every way with its figures, the groups apart."""
-    lines = _head("light")
-    group = ""
-    for row in results["rows"].values():
-        if row["group"] != group:
-            group = row["group"]
-            lines.append(f"| **{group}** |" + " |" * len(COLUMNS))
-        words = row["words"] + (f" ({row['refused']} refused)" if row["refused"] else "")
-        lines.append(_line(words, row["figures"], ""))
+    """The ways of the page, with their figures."""
+    names = ["light", *(COLUMNS[key][0] for key in PAGE_COLUMNS)]
+    lines = ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
+    for name, words in PAGE_ROWS.items():
+        if name in results["rows"]:
+            row = results["rows"][name]
+            lines.append(_line(words + (f" ({row['refused']} refused)" if row["refused"] else ""), row["figures"]))
     return "\n".join(lines)
 
 
-def pairs_table(results: Tree) -> str:
+def rows_csv(results: Tree) -> str:
+    """Every way with all its figures."""
+    rows = [[name, row["group"], row["words"], str(row["refused"])] for name, row in results["rows"].items()]
+    return _csv(["row", "group", "words", "refused"], rows, [row["figures"] for row in results["rows"].values()], "")
+
+
+def pairs_csv(results: Tree) -> str:
     """Differences, finger by finger."""
-    lines = _head("difference")
-    lines += [_line(pair["words"], pair["figures"], "+") for pair in results["pairs"]]
-    return "\n".join(lines)
+    rows = [[pair["words"], pair["row"], pair["against"]] for pair in results["pairs"]]
+    return _csv(["difference", "row", "against"], rows, [pair["figures"] for pair in results["pairs"]], "+")
 
 
-def _head(first: str) -> list[str]:
-    names = [first, *(words for words, _ in COLUMNS.values())]
-    return ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
+def _csv(first: list[str], rows: list[list[str]], figures: list[Tree], sign: str) -> str:
+    """CSV with three columns for each figure, rounded as on the page."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*first, *(key + end for key in COLUMNS for end in ("", "_low", "_high"))])
+    for row, values in zip(rows, figures, strict=True):
+        cells = list(row)
+        for key, (_, digits) in COLUMNS.items():
+            figure = _cut(key, values[key], sign) if values else {"mean": None, "interval": None}
+            three = (figure["mean"], *(figure["interval"] or (None, None)))
+            cells += ["" if value is None else f"{value:{sign}z.{digits}f}" for value in three]
+        writer.writerow(cells)
+    return text.getvalue()
 
 
-def _line(words: str, figures: Tree, sign: str) -> str:
-    cells = [
-        _cell(_cut(key, figures[key], sign), digits, sign) if figures else "" for key, (_, digits) in COLUMNS.items()
-    ]
+def _line(words: str, figures: Tree) -> str:
+    cells = [_cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else "" for key in PAGE_COLUMNS]
     return f"| {words} | " + " | ".join(cells) + " |"
 
 
@@ -96,41 +136,56 @@ def section(results: Tree) -> str:
             "t, cut at 1]; definitions in [accuracy.md](accuracy.md#definitions).",
             "",
             rows_table(results),
-            "",
-            "Differences of one way from another, finger by finger:",
-            "",
-            pairs_table(results),
         ]
     )
 
 
-def contrast_section(results: Tree) -> str:
+def contrast_rows(results: Tree) -> list[list[str]]:
     """The contrast enhancement of ``snk``: its ways, and differences finger by finger, with bootstrap intervals."""
-    seeds = results["seeds"]
     fingers = [finger["rows"] for finger in results["fingers"]]
     drawn = np.random.default_rng(0).integers(len(fingers), size=(REPLICATES, len(fingers)))
 
-    def line(words: str, name: str, against: str, sign: str) -> str:
+    def row(words: str, name: str, against: str, sign: str) -> list[str]:
         cells = []
         for key in CONTRAST_COLUMNS:
             values = np.array([rows[name][key] - (rows[against][key] if against else 0.0) for rows in fingers])
             ends = np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist()
             cells.append(_cell({"mean": float(values.mean()), "interval": ends}, COLUMNS[key][1], sign))
-        return f"| {words} | " + " | ".join(cells) + " |"
+        return [words, *cells]
 
-    head = ["", *(COLUMNS[key][0] for key in CONTRAST_COLUMNS)]
+    return [
+        ["", *(COLUMNS[key][0] for key in CONTRAST_COLUMNS)],
+        *(row(way["words"], name, "", "") for name, way in results["rows"].items()),
+        *(row(f"*{pair['words']}*", pair["row"], pair["against"], "+") for pair in results["pairs"]),
+    ]
+
+
+def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> str:
+    """Rows of the contrast enhancement as a table of the page."""
+    seeds = results["seeds"]
+    head, *rows = contrast_rows(results)
     lines = [
         f"`snk` on {len(seeds)} fingers of the simulator (seeds {seeds[0]} to {seeds[-1]}, scale "
-        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers], direct light by the shipped network, "
-        "except where it says all light. Limits of 2, 3 and 4 are those of the text. In italics: differences, finger "
-        "by finger.",
+        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers]; in italics: differences, finger by "
+        f"finger. All rows: [clahe.csv](../../validation/separation/tables/clahe.csv).",
         "",
         "| " + " | ".join(head) + " |",
         "| --- " * len(head) + "|",
-        *(line(row["words"], name, "", "") for name, row in results["rows"].items()),
-        *(line(f"*{pair['words']}*", pair["row"], pair["against"], "+") for pair in results["pairs"]),
+        *("| " + " | ".join(row) + " |" for row in rows if row[0] in shown),
     ]
     return "\n".join(lines)
+
+
+def contrast_csv(results: Tree) -> str:
+    """All rows as CSV: mean and interval of each figure in columns of their own; differences begin with a sign."""
+    head, *rows = contrast_rows(results)
+    names = [f"{name}{end}" for name in head[1:] for end in ("", " low", " high")]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["light", *names])
+    for words, *cells in rows:
+        table.writerow([words.strip("*"), *(value for cell in cells for value in re.findall(r"[+-]?[\d.]+", cell))])
+    return text.getvalue()
 
 
 def filled(page: str, text: str, marks: tuple[str, str] = MARKS) -> str:
@@ -153,14 +208,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jobs = [(options.page, options.results, section, MARKS)]
     if options.page == PAGE:
         jobs.append((CONTRAST_PAGE, CONTRAST, contrast_section, CONTRAST_MARKS))
-    stale = False
+    wanted = {}
     for place, file, text_of, marks in jobs:
         page = place.read_text(encoding="utf-8") if place.exists() else ""
-        wanted = filled(page, text_of(json.loads(file.read_text(encoding="ascii"))), marks)
-        stale |= wanted != page
-        if not options.check:
-            place.write_text(wanted, encoding="utf-8")
-    return int(options.check and stale)
+        wanted[place] = filled(page, text_of(json.loads(file.read_text(encoding="ascii"))), marks)
+    if options.page == PAGE:
+        results = json.loads(options.results.read_text(encoding="ascii"))
+        wanted |= {TABLES / "ablation.csv": rows_csv(results), TABLES / "ablation_pairs.csv": pairs_csv(results)}
+        wanted[CONTRAST_CSV] = contrast_csv(json.loads(CONTRAST.read_text(encoding="ascii")))
+    stale = [place for place, text in wanted.items() if not place.exists() or place.read_text(encoding="utf-8") != text]
+    if not options.check:
+        for place, text in wanted.items():
+            place.write_text(text, encoding="utf-8")
+    return int(options.check and bool(stale))
 
 
 if __name__ == "__main__":

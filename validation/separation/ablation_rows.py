@@ -13,10 +13,11 @@ import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 from splitknit import pipeline
+from splitknit.accuracy import compare
 from splitknit.errors import BadInput, require
-from splitknit.evaluation.accuracy import compare
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.imaging.band import linear_channels
+from splitknit.methods import metric, photographs, thesis
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.separation.direct import direct_of_enhanced
@@ -191,7 +192,7 @@ class Bench:
             return reconstruct(capture, self.finger, settings)
         fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]
         fraction = fraction[(slice(None), *self.finger.window)]
-        with mock.patch.object(pipeline, "direct_light", lambda visible, _network: visible * fraction):
+        with mock.patch.object(thesis, "direct_light", lambda visible, _network: visible * fraction):
             return reconstruct(capture, self.finger, settings)
 
     def _capture(self, row: Row) -> Capture:
@@ -228,7 +229,7 @@ class Bench:
         """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
         drawn: list[FloatArray] = []
         lit: list[Any] = []
-        estimate, describe = pipeline.relief_by_network, pipeline.features
+        estimate, describe = metric.relief_by_network, metric.features
 
         def describing(white: Any, grid: Any, smooth_mm: Any, light: Any) -> Any:
             lit[:] = white.rig, light
@@ -240,7 +241,7 @@ class Bench:
             return found
 
         capture = self.twin.capture
-        with mock.patch.multiple(pipeline, relief_by_network=listening, features=describing):
+        with mock.patch.multiple(metric, relief_by_network=listening, features=describing):
             result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
         require(
             len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."
@@ -250,7 +251,7 @@ class Bench:
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
-    with mock.patch.object(pipeline, "locate_finger", lambda capture, _: (capture, finger)):
+    with mock.patch.object(photographs, "locate_finger", lambda capture, _: (capture, finger)):
         return pipeline.reconstruct(capture, settings=settings)
 
 

@@ -44,14 +44,13 @@ from patches import (
 from summary import summary
 
 from splitknit.model import Camera, Led
-from splitknit.separation.checkerboard import checkerboard
-from splitknit.separation.stacks import Separation, StackSettings
-from splitknit.separation.states import estimate_patterns
+from splitknit.separation.binary import checkerboard
+from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
 from splitknit.separation.symmetry import by_symmetry
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.finger.palm import draw_palm, palm_surface
-from splitknit.simulator.light.separation import Checkerboard, Separated
-from splitknit.simulator.light.skin import SkinOptics
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.finger.palm import draw_palm, palm_surface
+from splitknit_simulator.light.separation import Checkerboard, Separated
+from splitknit_simulator.light.skin import SkinOptics
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)

@@ -22,9 +22,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from splitknit.training.separation import SeparationSettings, SeparationTrainer, stored_photographs, train_separation
-from splitknit.training.separation_data import Patches, Photograph, SeparationData
-from splitknit.training.trainer import TrainingRun
+from splitknit_simulator.training.separation import (
+    SeparationSettings,
+    SeparationTrainer,
+    stored_photographs,
+    train_separation,
+)
+from splitknit_simulator.training.separation_data import Patches, Photograph, SeparationData
+from splitknit_simulator.training.trainer import TrainingRun
 
 HERE = Path(__file__).resolve().parent
 SIZES = ((4, 500), (4, 2000), (4, 8000), (8, 500), (8, 2000), (8, 8000), (16, 500), (16, 2000), (16, 8000), (32, 8000))

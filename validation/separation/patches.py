@@ -9,18 +9,18 @@ import cv2
 import numpy as np
 
 from splitknit.model import Camera, Led, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.finger.palm import draw_palm, palm_surface
-from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.separation import (
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.finger.palm import draw_palm, palm_surface
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.separation import (
     Checkerboard,
     Separated,
     checkerboard_stack,
     pattern_states,
     separate_truth,
 )
-from splitknit.simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
+from splitknit_simulator.surface import SimulatedSurface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)

@@ -33,13 +33,19 @@ import numpy as np
 
 from splitknit.model import Led
 from splitknit.networks.unet import Network, load_network
+from splitknit.separation.binary import single_image
 from splitknit.separation.direct import direct_light, direct_of_enhanced
-from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import StackSettings
-from splitknit.simulator.camera.sensor import SensorSettings, record
-from splitknit.simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
-from splitknit.training.separation_data import Photograph, SeparationData, drawn_surface, enhanced_contrast, photographs
-from splitknit.training.trainer import HELD_OUT_FROM
+from splitknit_simulator.camera.sensor import SensorSettings, record
+from splitknit_simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
+from splitknit_simulator.training.separation_data import (
+    Photograph,
+    SeparationData,
+    drawn_surface,
+    enhanced_contrast,
+    photographs,
+)
+from splitknit_simulator.training.trainer import HELD_OUT_FROM
 
 HERE = Path(__file__).resolve().parent
 FIRST = HELD_OUT_FROM + 1000

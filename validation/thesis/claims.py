@@ -1,4 +1,4 @@
-"""The claims of ``docs/experiments/claims.md`` that the tables of a folder can answer, beside what the page has.
+"""The claims of ``docs/experiments/claims.md`` that the tables of a folder can answer, beside what that page has.
 
 python validation/thesis/claims.py FOLDER      # of run.py's tables; reproduce.sh makes them at a tenth of the size
 """
@@ -6,16 +6,15 @@ python validation/thesis/claims.py FOLDER      # of run.py's tables; reproduce.s
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from report import read
 from tables import Row
 
-from report import read
-
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "experiments" / "claims.md"
+KNOWN = Path(__file__).with_name("tables") / "claims.csv"
+"""Every claim, its criteria, and what was measured: the page is made of it."""
 AVERAGED = {"gate": "gate", "sessions": "averaged", "kept": "whole"}
 SINGLE = {"gate": "none", "sessions": "single", "kept": "whole"}
 Part = tuple[str, str, Mapping[str, str], str]
@@ -63,26 +62,23 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     names = sorted({part[1] for parts in CLAIMS.values() for part in parts})
-    print(table({name: read(folder / f"{name}.csv") for name in names}, PAGE.read_text(encoding="utf-8")))
+    print(table({name: read(folder / f"{name}.csv") for name in names}, read(KNOWN)))
     return 0
 
 
-def table(tables: Mapping[str, Sequence[Row]], page: str) -> str:
+def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
     """Markdown: each claim, what the page has, and what these tables have in both ways of judging."""
-    known = {int(number): (claim, measured) for number, claim, measured in re.findall(_ROW, page, re.MULTILINE)}
     lines = ["| # | claim | the page | here, gate and averages | here, single comparisons |", "| --- " * 5 + "|"]
     for number, parts in CLAIMS.items():
-        claim, measured = known[number]
+        rows = [row for row in known if row["number"].rstrip("abcd") == str(number)]
+        claim, measured = rows[0]["claim"], "; ".join(dict.fromkeys(row["measured"] for row in rows))
         columns = [
             "; ".join(f"{words} {_cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
                       for words, name, wanted, figure in parts if name != "figures" or judged is AVERAGED)
             for judged in (AVERAGED, SINGLE)
         ]  # fmt: skip
-        lines.append(f"| {number} | {claim} | {measured.split(', [page]')[0]} | {columns[0]} | {columns[1]} |")
+        lines.append(f"| {number} | {claim} | {measured} | {columns[0]} | {columns[1]} |")
     return "\n".join(lines)
-
-
-_ROW = r"^\| (\d+) \| (.*?) \| (.*?) \|"
 
 
 def _cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:

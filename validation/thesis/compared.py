@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Trial, Values
 
-from splitknit.matching.score import dissimilarity
-from splitknit.matching.thesis import FingerImages, align_masks, to_box
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.matching.score import dissimilarity
+from splitknit_match.matching.thesis import FingerImages, align_masks, to_box
 
 Extract = Callable[[FloatArray, float], NDArray[np.float32]]
 """Features of a channel (h, w) at a number of pixels per mm."""
@@ -96,13 +96,13 @@ def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[
             if database is None or query is None:
                 continue
             mask, px_per_mm, known = database
-            laid = align_masks(mask, query.mask)
+            _, ratio = align_masks(mask, query.mask)
             boxed = {name: to_box(query.channels[name], (mask.shape[0], mask.shape[1])) for name in needed}
             on_database = FingerImages(boxed, mask, px_per_mm)
-            result[k, 0] = laid.ratio
+            result[k, 0] = ratio
             for j, way in enumerate(ways):
                 both = zip(known[j], features_of(on_database, way), strict=True)
-                result[k, 1 + j] = dissimilarity(laid.ratio, [float(np.linalg.norm(a - b)) for a, b in both])
+                result[k, 1 + j] = dissimilarity(ratio, [float(np.linalg.norm(a - b)) for a, b in both])
     keep(file, lambda stream: np.save(stream, result))
     return result
 

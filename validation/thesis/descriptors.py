@@ -13,9 +13,9 @@ from pathlib import Path
 from compared import Extract, Read, Way, compare_pairs, drawn
 from trials import Captures, Pairs, StoreLike, Table, read_table
 
-from splitknit.batch.reading import Place, images_of
-from splitknit.matching.features import gabor_features, hog_features, shape_context_features
-from splitknit.matching.thesis import ATTRIBUTES, FingerImages
+from splitknit_match.batch.reading import Place, images_of
+from splitknit_match.matching.features import gabor_features, hog_features, shape_context_features
+from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages
 
 OTHERS: Mapping[str, Extract] = {
     "hog": hog_features,

@@ -14,14 +14,14 @@ from fusion import MINUTIAE_SET, OF_THESIS, fused
 from measure import Work, difference_rows, rate_rows
 from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
-from tables import Row, write_csv
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
 from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
 
 from splitknit import __version__
-from splitknit.batch.reading import stored_places
-from splitknit.evaluation.intervals import BootstrapSettings
 from splitknit.io.provenance import settings_hash
+from splitknit_match.batch.reading import stored_places
+from splitknit_match.evaluation.intervals import BootstrapSettings
+from tables import Row, write_csv
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -26,9 +27,8 @@ from compared import each, keep
 from numpy.typing import NDArray
 from plots import bars_figure, save
 from scales import SCALES
-from tables import Row, write_csv
 
-from splitknit.evaluation.accuracy import Comparison, compare, high_passed, read_truth
+from splitknit.accuracy import Comparison, compare, high_passed, read_truth
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture
 from splitknit.io.images import write_image
@@ -38,6 +38,7 @@ from splitknit.pipeline import reconstruct
 from splitknit.report.charts import Axis, Curve, line_chart
 from splitknit.report.figures import oblique_view, small_fields
 from splitknit.steps import Memory
+from tables import Row, write_csv
 
 CASES = ("snk", "pr", "ea")
 BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
@@ -60,7 +61,9 @@ def run(population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed:
     if known:
         _draw(known, out)
         shown = next(name for name, row in zip(chosen, found, strict=True) if row)
-        write_image(out / "figure-5-9-surfaces.png", surfaces(read_capture(population / shown)))
+        capture = read_capture(population / shown)
+        write_image(out / "figure-5-9-surfaces.png", surfaces(capture))
+        write_image(out / "figure-3-22-shapes.png", shapes(capture))
     if (out / "cases.csv").is_file():
         with (out / "cases.csv").open(encoding="utf-8", newline="") as stream:
             save(bars_figure(accuracies(list(csv.DictReader(stream)))), out / "figure-5-6.svg")
@@ -125,7 +128,7 @@ def _bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstructio
     above = {0.0: flat}
     for frequency in (2.0, 10.0):
         sigma_mm = 10.0 * np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * frequency)  # half the amplitude
-        above[frequency] = high_passed(flat, inside, float(sigma_mm / result.pitch_mm))
+        above[frequency] = high_passed(inside, float(sigma_mm / result.pitch_mm))(flat)
     parts = {
         "shape": above[0.0] - above[2.0], "between": above[2.0] - above[10.0], "ridges": above[10.0],
     }  # fmt: skip
@@ -290,20 +293,42 @@ PATCH_MM, PATCH_PX = 5.0, 220
 
 def surfaces(capture: Capture) -> NDArray[np.uint8]:
     """Figure 5.9 of one finger: truth, SnK, PR and EA from the front and the side, and below zoomed ridges of each."""
-    truth = read_truth(capture)
+    results, heights = _of_cases(capture)
+    ridges = {**heights, "snk": results["snk"].ridge_mm}
+    return _side_by_side(results["snk"], heights, ridges)
+
+
+def shapes(capture: Capture) -> NDArray[np.uint8]:
+    """Figure 3.22 of one finger: its true shape, and that by NIR, white and enhanced white light, front and side."""
+    results, heights = _of_cases(capture)
+    truth = np.asarray(read_truth(capture)["shape_mm"])
+    first = results["snk"]
+    return _side_by_side(
+        replace(first, ridge_mm=np.zeros_like(first.ridge_mm)),  # which the shading would darken valleys by
+        {"truth": truth, "NIR": first.shape_mm, "white": heights["ea"], "enhanced": heights["pr"]},
+    )
+
+
+def _of_cases(capture: Capture) -> tuple[dict[str, Reconstruction], dict[str, NDArray[Any]]]:
     memory = Memory(capture)
     results = {case: reconstruct(capture, case, memory=memory) for case in CASES}
-    first = results["snk"]
-    heights = {"truth": np.asarray(truth["height_mm"]), **{case: result.height_mm for case, result in results.items()}}
+    true = np.asarray(read_truth(capture)["height_mm"])
+    return results, {"truth": true, **{case: result.height_mm for case, result in results.items()}}
+
+
+def _side_by_side(
+    first: Reconstruction, heights: Mapping[str, NDArray[Any]], ridges: Mapping[str, NDArray[Any]] | None = None
+) -> NDArray[np.uint8]:
+    """Each surface from the front and the side, with zoomed ridges below where they are given."""
     columns = []
     for name, height in heights.items():
         whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(np.float32)
         shown = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
         small = small_fields(shown, upright_frame(shown, 700))
         views = [oblique_view(small, tilt_deg=0.0), oblique_view(small, turn_deg=90.0, tilt_deg=80.0)]
-        ridges = results[name].ridge_mm if name == "snk" else whole
         column = [_fitted(view, size) for view, size in zip(views, ((320, 220), (150, 220)), strict=True)]
-        columns.append(_labelled(np.vstack([*column, _patch(ridges, first)]), name))
+        column += [] if ridges is None else [_patch(ridges[name], first)]
+        columns.append(_labelled(np.vstack(column), name))
     return np.asarray(np.hstack(columns) & 0xF8)  # 32 shades: a quarter of the bytes
 
 
@@ -347,3 +372,7 @@ def _keep(population: Path, scratch: Path, name: str) -> None:
 
 def _file(scratch: Path, name: str) -> Path:
     return scratch / (name.replace("/", "_") + ".json")
+
+
+if __name__ == "__main__":  # figures.py CAPTURE: figure 3.22 of one capture
+    write_image(Path(__file__).parent / "figure-3-22-shapes.png", shapes(read_capture(sys.argv[1])))

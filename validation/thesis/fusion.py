@@ -8,7 +8,7 @@ import numpy as np
 from trials import ATTRIBUTES, Table, Trial, scores_of
 
 from splitknit.errors import BadInput
-from splitknit.evaluation.fusion import FusionSettings, fuse
+from splitknit_match.evaluation.fusion import FusionSettings, fuse
 
 OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
 """What is joined; the thesis's figure 5.3 has all three, its further figures the first two apart."""

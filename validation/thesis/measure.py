@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tables import Row
 from trials import Table, Trial
 from variants import VARIANTS, Known, Variant, judged
 
-from splitknit.evaluation.intervals import TARGETS, BootstrapSettings, Interval, bootstrap, differences
-from splitknit.evaluation.scores import Scores
+from splitknit_match.evaluation.intervals import TARGETS, BootstrapSettings, Interval, bootstrap, differences
+from splitknit_match.evaluation.scores import Scores
+from tables import Row
 
 METHODS = ("finger", "subject")
 

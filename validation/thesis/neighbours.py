@@ -19,17 +19,17 @@ from compared import Way, captures_of, compare_pairs, each, kept_images, read_im
 from numpy.typing import NDArray
 from trials import Pairs, Table, Trial
 
-from splitknit.batch.simulate import simulate_population
-from splitknit.evaluation.protocol import comparisons
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.matching.features import REFERENCE_PX_PER_MM, cell_px, lbp_codes, uniform_bins
-from splitknit.matching.surface import surface_images
-from splitknit.matching.thesis import ATTRIBUTES, FingerImages
 from splitknit.model import FloatArray, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
-from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit_match.evaluation.protocol import comparisons
+from splitknit_match.matching.features import REFERENCE_PX_PER_MM, cell_px, lbp_codes, uniform_bins
+from splitknit_match.matching.surface import surface_images
+from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages
+from splitknit_simulator.population.folder import simulate_population
+from splitknit_simulator.population.sessions import PopulationSettings
 
 SCALES = (1.0, 0.4)
 SMALL_SCALES = (0.25, 0.1)

@@ -18,12 +18,12 @@ from trials import Captures, Pairs, StoreLike, Table, Trial, read_table
 from splitknit import __version__
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.matching.features import lbp_features
-from splitknit.matching.surface import surface_images
-from splitknit.matching.thesis import NORMALS, FingerImages
 from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
+from splitknit_match.matching.features import lbp_features
+from splitknit_match.matching.surface import surface_images
+from splitknit_match.matching.thesis import NORMALS, FingerImages
 
 MEASURED_AS: Mapping[str, str] = {"snk": "pr", "pr": "pr", "ea": "ea"}
 """Case, and the case that measures the same normals: `snk` and `pr` differ after photometric stereo only."""

@@ -1,4 +1,7 @@
-"""Tables of ``docs/experiments/thesis-tables.md`` from the rows of this folder's CSV files."""
+"""Tables for reading, from the rows of this folder's CSV files: report.py writes them to ``tables/``.
+
+Each function returns the lines of one table, its head first; no lines where nothing was measured.
+"""
 
 from __future__ import annotations
 
@@ -30,81 +33,72 @@ UNDILUTED = (THESIS, LIKE_ROLLS, ("gate", "single", "all"), PLAIN, PASSING)
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 Row = dict[str, str]
+Lines = list[list[str]]
+"""Cells of a table, its head first."""
 Pick = Callable[[Row], bool]
 
 THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
-    ("3.21", "relief, n = 3", "0.001", "90.5", "scales:snk3:relief"),
+    ("3.21", "relief, n = 3, with partial views", "0.001", "90.5", "scales:snk3:relief"),
     ("5.3", "normals, relief and shape joined (SnK)", "0.01", "95.3", "fusion:snk:all three, mean"),
     ("5.4", "normals, SnK", "0.01", "92", "cases:snk:normals"),
     ("5.4", "normals, PR", "0.01", "90 (read off the plot)", "cases:pr:normals"),
     ("5.4", "normals, EA", "0.01", "86 (read off the plot)", "cases:ea:normals"),
+    ("5.4", "normals, metric", "0.01", "-", "cases:metric:normals"),
     ("5.5", "relief, SnK", "0.01", "95", "cases:snk:relief"),
     ("5.5", "relief, SnK", "0.001", "90.5", "cases:snk:relief"),
+    ("5.5", "height, PR", "0.01", "-", "cases:pr:relief"),
+    ("5.5", "height, PR", "0.001", "-", "cases:pr:relief"),
     ("5.5", "height, EA", "0.01", "93", "cases:ea:relief"),
     ("5.5", "height, EA", "0.001", "78.8", "cases:ea:relief"),
-    ("5.5", "relief, EA split by shapelets", "0.01", "not there", "cases:ea-split:relief"),
-    ("5.5", "relief, EA split by shapelets", "0.001", "not there", "cases:ea-split:relief"),
+    ("5.5", "relief, EA split by shapelets", "0.01", "-", "cases:ea-split:relief"),
+    ("5.5", "relief, EA split by shapelets", "0.001", "-", "cases:ea-split:relief"),
+    ("5.5", "relief, metric", "0.01", "-", "cases:metric:relief"),
 )
 """Figure, what, FAR, the thesis's GAR in percent, and our row."""
 
 
 def rate_table(
     rows: Sequence[Row], head: str, name: Callable[[Row], str], judged: Sequence[tuple[str, ...]] = SHORT
-) -> str:
+) -> Lines:
     """Rates of several trials, each judged in some ways."""
     if not rows:
-        return "Not measured."
-    lines = [
-        f"| judged | {head} | " + " | ".join(f"GAR at FAR {PERCENT[far]}" for far in FARS) + " | EER | d' | pairs |",
-        "| --- " * (len(FARS) + 5) + "|",
-    ]
+        return []
+    lines = [["judged", head, *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'", "pairs"]]
     for key in judged:
         for row in rows:
             if variant(row) == key and row["genuine"] not in ("", "0"):
                 cells = [gar_cell(row, far) for far in FARS]
                 pairs = f"{int(row['genuine']):,} / {int(row['impostors']):,}"
-                lines.append(
-                    f"| {JUDGED[key]} | {name(row)} | {' | '.join(cells)} | {cell(row, 'eer', 100)} | "
-                    f"{cell(row, 'd_prime', 1)} | {pairs} |"
-                )
-    return "\n".join(lines)
+                lines.append([JUDGED[key], name(row), *cells, cell(row, "eer", 100), cell(row, "d_prime", 1), pairs])
+    return lines
 
 
-def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SHORT) -> str:
+def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SHORT) -> Lines:
     """First minus second in points."""
     if not rows:
-        return "Not measured."
-    lines = [
-        "| judged | difference | " + " | ".join(f"GAR at FAR {PERCENT[far]}" for far in FARS) + " | EER | d' |",
-        "| --- " * (len(FARS) + 4) + "|",
-    ]
+        return []
+    lines = [["judged", "difference", *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'"]]
     for key in judged:
         for row in rows:
             if variant(row) == key and row["genuine"] not in ("", "0"):
                 cells = [cell(row, f"gar@{far}", 100, signed=True) for far in FARS]
-                lines.append(
-                    f"| {JUDGED[key]} | {row['first']} - {row['second']} | {' | '.join(cells)} | "
-                    f"{cell(row, 'eer', 100, signed=True)} | {cell(row, 'd_prime', 1, signed=True)} |"
-                )
-    return "\n".join(lines)
+                cells += [cell(row, "eer", 100, signed=True), cell(row, "d_prime", 1, signed=True)]
+                lines.append([JUDGED[key], f"{row['first']} - {row['second']}", *cells])
+    return lines
 
 
-def thesis_table(tables: Mapping[str, Sequence[Row]]) -> str:
+def thesis_table(tables: Mapping[str, Sequence[Row]], judged: Sequence[tuple[str, ...]] = UNDILUTED) -> Lines:
     """Beside the thesis's own numbers."""
-    judged = UNDILUTED
-    lines = [
-        "| figure | what | FAR | thesis | " + " | ".join(JUDGED[key] for key in judged) + " |",
-        "| --- " * (4 + len(judged)) + "|",
-    ]
+    lines = [["figure", "what", "FAR", "thesis", *(JUDGED[key] for key in judged)]]
     for figure, words, far, said, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
         cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
-        lines.append(f"| {figure} | {words} | {PERCENT[far]} | {said} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append([figure, words, PERCENT[far], said, *cells])
+    return lines
 
 
-def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> str:
+def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> Lines:
     """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves out zero."""
     systems = (
         ("thesis, normals", "cases", "thesis", "normals"),
@@ -112,10 +106,7 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
         ("ridge", "matchers", "ridge", ""),
         ("minutiae", "matchers", "minutiae", ""),
     )
-    lines = [
-        "| matcher | judged | " + " | ".join(f"FAR {PERCENT[far]}" for far in FARS) + " | d' |",
-        "| --- " * (3 + len(FARS)) + "|",
-    ]
+    lines = [["matcher", "judged", *(f"FAR {PERCENT[far]}" for far in FARS), "d'"]]
     for words, table, matcher, attribute in systems:
         for key in (THESIS, PLAIN, PASSING) if table == "cases" else SHORT:
 
@@ -128,8 +119,8 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
                     *(order(rows, two, f"gar@{far}", 100, f"accepts@{far}") for far in FARS),
                     order(rows, two, "d_prime"),
                 ]
-                lines.append(f"| {words} | {JUDGED[key]} | {' | '.join(cells)} |")
-    return "\n".join(lines) if len(lines) > 2 else "Not measured."
+                lines.append([words, JUDGED[key], *cells])
+    return lines if len(lines) > 1 else []
 
 
 def order(rows: Sequence[Row], two: Sequence[Row], figure: str, factor: float = 1, accepts: str = "") -> str:
@@ -155,14 +146,14 @@ def beyond_chance(two: Sequence[Row], first: str, second: str, figure: str) -> b
     return bool(limits) and all(low > 0 or high < 0 for low, high in limits)
 
 
-def margin_table(rows: Sequence[Row]) -> str:
+def margin_table(rows: Sequence[Row]) -> Lines:
     """Least and median genuine, median and largest impostor score of each case: no gate, single."""
     names = ("least_genuine", "median_genuine", "median_impostor", "largest_impostor")
-    lines = ["| case | " + " | ".join(name.replace("_", " ") for name in names) + " |", "| --- " * 5 + "|"]
+    lines = [["case", *(name.replace("_", " ") for name in names)]]
     for row in rows:
         if variant(row) == PLAIN and row["genuine"] not in ("", "0"):
-            lines.append(f"| {row['case']} | " + " | ".join(f"{float(row[name]):.3g}" for name in names) + " |")
-    return "\n".join(lines) if len(lines) > 2 else "Not measured."
+            lines.append([row["case"], *(f"{float(row[name]):.3g}" for name in names)])
+    return lines if len(lines) > 1 else []
 
 
 def gar_cell(row: Row, far: str) -> str:

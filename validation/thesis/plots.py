@@ -7,13 +7,13 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-from tables import Row
 
-from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit.evaluation.rates import roc
-from splitknit.evaluation.scores import Scores
 from splitknit.report.charts import Axis, Curve, line_chart, percent_marks, standalone
-from splitknit.report.evaluation import roc_chart
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.page import roc_chart
+from splitknit_match.evaluation.rates import roc
+from splitknit_match.evaluation.scores import Scores
+from tables import Row
 
 PAINTS = ("#D55E00", "#0072B2", "#F0B895", "#99C7E0")
 """EA and SnK here, EA and SnK in the thesis."""

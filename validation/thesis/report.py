@@ -1,25 +1,31 @@
-"""Write the tables of this folder into ``docs/experiments/thesis-tables.md``, between their marks.
+"""Write this folder's figures as tables for reading, and one of them into ``docs/experiments/thesis-tables.md``.
 
-python validation/thesis/report.py            # writes
-python validation/thesis/report.py --check    # exit code 1 if the page does not show what lies here
+    python validation/thesis/report.py            # tables/*.csv and the page
+    python validation/thesis/report.py --check    # exit code 1 if either does not show what lies here
+
+Cells of the tables are ``value [drawn by finger] (drawn by subject)``. The CSV files beside this file hold the same
+figures with more digits, one figure a column.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
 import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from page_facts import failures_table, figures_table, run_words, sensitivity_table
+from page_facts import discarded_table, failures_table, figures_table, run_table, sensitivity_table
 from page_tables import (
     PLAIN,
+    THESIS,
     THESIS_WHOLE,
     UNDILUTED,
     WHOLE,
+    Lines,
     Row,
     difference_table,
     margin_table,
@@ -36,12 +42,30 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    page = PAGE.read_text(encoding="utf-8")
-    filled = fill(page, blocks(HERE))
     if options.check:
-        return int(filled != page)
-    PAGE.write_text(filled, encoding="utf-8")
+        made = {**files(HERE), PAGE: fill(PAGE.read_text(encoding="utf-8"), blocks(HERE))}
+        return int(any(not file.is_file() or file.read_text(encoding="utf-8") != text for file, text in made.items()))
+    write(HERE, PAGE)
     return 0
+
+
+def write(folder: Path, page: Path) -> None:
+    """Write the tables of `folder` to its ``tables``, and the page with its table to `page`."""
+    (folder / "tables").mkdir(exist_ok=True)
+    for file, text in files(folder).items():
+        file.write_text(text, encoding="utf-8")
+    page.write_text(fill(PAGE.read_text(encoding="utf-8"), blocks(folder)), encoding="utf-8")
+
+
+def files(folder: Path) -> dict[Path, str]:
+    """Each table's file and its text; none of what was not measured."""
+    made = {}
+    for name, lines in readable(folder).items():
+        if len(lines) > 1:
+            stream = io.StringIO()
+            csv.writer(stream, lineterminator="\n").writerows(lines)
+            made[folder / "tables" / f"{name}.csv"] = stream.getvalue()
+    return made
 
 
 def fill(page: str, made: Mapping[str, str]) -> str:
@@ -58,23 +82,37 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 
 
 def blocks(folder: Path) -> dict[str, str]:
-    """All generated parts of the page."""
+    """The generated part of the page, in Markdown."""
+    head, *rows = thesis_table({name: read(folder / f"{name}.csv") for name in ("scales", "fusion", "cases")}, SHOWN)
+    return {"thesis": "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *rows])}
+
+
+SHOWN = (THESIS, PLAIN)
+"""How the page's table is judged."""
+
+
+def readable(folder: Path) -> dict[str, Lines]:
+    """All tables for reading."""
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
     tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
     made = {
-        "run": run_words(runs),
+        "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
         "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk")),
         "scales_differences": difference_table(differ["scales"]),
         "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
         "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),
-        "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
+        "failures": failures_table(read(folder / "failures.csv")),
+        "discarded": discarded_table(runs["failures"]["roll"]),
     }
     for name in ("normals", "relief"):
         rows = [row for row in differ["cases"] if row["attribute"] == name]
         made[f"{name}_differences"] = difference_table(rows, UNDILUTED)
+    which, between = (read(folder / f"normals{ending}.csv") for ending in ("", "_differences"))
+    made["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
+    made["which_normals_differences"] = difference_table(between, (PLAIN,))
     made["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
@@ -120,6 +158,11 @@ def read(file: Path) -> list[Row]:
 
 def _attribute(row: Row) -> str:
     return row["attribute"].replace("_", " ")
+
+
+def _which(row: Row) -> str:
+    """Of the surface, or as photometric stereo measured them."""
+    return f"{row['case']}, {'of the surface' if row['attribute'] == 'normals' else 'measured'}"
 
 
 if __name__ == "__main__":

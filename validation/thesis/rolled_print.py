@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from print_shape import fingertip_of_print
 
 from splitknit.io.images import write_image
-from splitknit.simulator.finger.finger import draw_finger
-from splitknit.simulator.finger.master_print import MasterPrint
-from splitknit.simulator.finger.shape import FingerBody, FingerShape
+from splitknit_simulator.finger.finger import draw_finger
+from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.shape import FingerBody, FingerShape
 
 PITCH_MM, FINGERS = 0.05, 20
 Array = NDArray[np.float64]

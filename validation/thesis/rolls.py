@@ -1,7 +1,7 @@
 """Roll between two captures, estimated from their surfaces, beside the simulated truth (section 5.1).
 
 The thesis discards fingers whose roll differs between sessions and does not say how it finds that. Here the difference
-is estimated from the surfaces (:func:`splitknit.evaluation.pair.roll_between`); what the rules then keep stands
+is estimated from the surfaces (:func:`splitknit_match.evaluation.pair.roll_between`); what the rules then keep stands
 beside what they keep by the truth.
 """
 
@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 from compared import each, keep
-from tables import Row
 
-from splitknit.batch.reading import Place, stored_places, surface_of
-from splitknit.evaluation.pair import roll_between
 from splitknit.model import Reconstruction
+from splitknit_match.batch.reading import Place, stored_places, surface_of
+from splitknit_match.evaluation.pair import roll_between
+from tables import Row
 
 CASES = ("metric", "snk")
 """The first of these that a store has: its shape's tilt is measured."""

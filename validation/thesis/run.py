@@ -1,4 +1,4 @@
-"""The thesis's matching experiments on a simulated population: one command each, tables and plots beside this file.
+"""The thesis's matching experiments on a simulated population: one command each, figures and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors|normals \\
@@ -8,7 +8,7 @@
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
-    python validation/thesis/report.py     # docs/experiments/thesis-tables.md from what lies here
+    python validation/thesis/report.py     # tables for reading, from what lies here
 
 ``all`` and ``chain`` may be stopped at any moment: the same command goes on. A part is made again only if the
 population, the store, the options or the version changed since (or with --again); within a part finished captures and
@@ -34,12 +34,12 @@ from typing import Any
 from chain import crossed_of, run_chain
 from crossed import CASE, WithCrossed
 from experiments import PARTS, WITHOUT_STORE, run_part
-from tables import Row
 from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
 
-from report import PAGE, blocks, fill
+from report import PAGE, write
 from splitknit.io.atomic import atomic_file
 from splitknit.io.provenance import provenance, settings_hash
+from tables import Row
 
 HERE = Path(__file__).resolve().parent
 CASES = ("snk", "pr", "ea", "pr-split", "ea-split", "metric")
@@ -67,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(part, json.dumps(facts), flush=True)
     if options.part == "chain":
         page = PAGE if options.out == HERE else options.out / PAGE.name
-        page.write_text(fill(PAGE.read_text(encoding="utf-8"), blocks(options.out)), encoding="utf-8")
+        page = PAGE if options.out == HERE else options.out / PAGE.name
+        write(options.out, page)
         print(f"{page} is written", flush=True)
     return 0
 
@@ -122,7 +123,7 @@ def _origin(options: argparse.Namespace) -> Row:
 
 
 def _store(options: argparse.Namespace) -> Any:
-    from splitknit.batch.store import Store
+    from splitknit_match.batch.store import Store
 
     if options.store is None:
         raise SystemExit("--store is needed: the folder that splitknit batch wrote.")

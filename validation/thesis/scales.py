@@ -15,15 +15,15 @@ from pathlib import Path
 from compared import Way, captures_of, compare_pairs, drawn, each, kept_images, read_images
 from trials import Pairs, Table
 
-from splitknit.evaluation.protocol import comparisons
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.matching.features import lbp_features
-from splitknit.matching.thesis import FingerImages, finger_images
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.steps import Memory
+from splitknit_match.evaluation.protocol import comparisons
+from splitknit_match.matching.features import lbp_features
+from splitknit_match.matching.thesis import FingerImages, finger_images
 
 SCALES = (2, 3, 4, 5, 6, 7)
 SESSIONS = ("1", "2")

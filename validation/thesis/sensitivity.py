@@ -11,8 +11,8 @@ from measure import allowed
 from trials import Pairs, Table, Trial, Values
 from variants import PLAIN, Known, judged
 
-from splitknit.evaluation.rates import gar_at_far
-from splitknit.evaluation.scores import Scores
+from splitknit_match.evaluation.rates import gar_at_far
+from splitknit_match.evaluation.scores import Scores
 
 TARGETS = (0.01, 0.001)
 Truth = Mapping[str, Mapping[str, Any]]

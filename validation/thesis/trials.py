@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.evaluation.scores import Ids, Scores
+from splitknit_match.evaluation.scores import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
 KEPT_FRACTION = 0.2
@@ -23,7 +23,7 @@ Values = NDArray[np.float64]
 
 
 class StoreLike(Protocol):
-    """What is read: :class:`splitknit.batch.Store`."""
+    """What is read: :class:`splitknit_match.batch.Store`."""
 
     def features(self, case: str, columns: Sequence[str] | None = None) -> Any: ...
 
@@ -192,7 +192,7 @@ def _read_scores(store: StoreLike, case: str) -> Any:
 
 
 def scores_of(pairs: Pairs, similarity: Values, name: str) -> Scores:
-    """What :mod:`splitknit.evaluation` takes."""
+    """What :mod:`splitknit_match.evaluation` takes."""
     captures = pairs.captures
     ids = {key: pairs.ids(getattr(captures, key)) for key in ("finger", "subject", "session")}
     return Scores(pairs.genuine, similarity, name=name, **ids)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Table, Trial, Values, scores_of
 
-from splitknit.evaluation.protocol import average_sessions
-from splitknit.evaluation.scores import Scores
+from splitknit_match.evaluation.protocol import average_sessions
+from splitknit_match.evaluation.scores import Scores
 
 GATE = 0.9
 FINGER_LIMIT_DEG = 15.0

@@ -14,10 +14,10 @@ import numpy as np
 from compared import each
 from trials import Pairs, Trial, Values
 
-from splitknit.batch.reading import Place, small_column
 from splitknit.imaging.geometry import bounding_box
-from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.template import Template, unpack
+from splitknit_match.batch.reading import Place, small_column
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.template import Template, unpack
 
 DIAMETERS_MM = (8.0, 6.0, 4.0)
 SKIN = 0.95

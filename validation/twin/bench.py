@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 
 from splitknit.model import nominal_rig
-from splitknit.simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
-from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit.simulator.camera.device import LitScene
-from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.rigs import built_rig
+from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
+from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit_simulator.camera.device import LitScene
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.rigs import built_rig
 
 
 def things(seed: int, scale: float) -> dict[str, Any]:

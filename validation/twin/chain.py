@@ -22,12 +22,12 @@ from inversion import CHANNELS, PIXEL_MM, likeness
 from measure import drift_mm, lights
 from scipy import ndimage
 
+from splitknit.methods.metric import metric_skin
 from splitknit.model import default_rig
-from splitknit.pipeline import metric_skin
-from splitknit.simulator.light.skin import SkinOptics
 from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import MetricSettings
+from splitknit_simulator.light.skin import SkinOptics
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"

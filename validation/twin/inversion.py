@@ -33,9 +33,9 @@ from run import HERE, OUT, source_hash
 
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
-from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, Medium, SkinOptics
 from splitknit.skin.diffusion import diffusion
+from splitknit_simulator.light.renderer import render_band
+from splitknit_simulator.light.skin import Channel, Medium, SkinOptics
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 REGULARISED = 0.05

@@ -15,10 +15,10 @@ from reference import ReferenceSettings, reference_scene, render_glare, render_v
 from reference_scene import ReferenceScene
 
 from splitknit.model import FloatArray, Led, default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, ChannelOptics, Medium, SkinOptics
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.light.renderer import render_band
+from splitknit_simulator.light.skin import Channel, ChannelOptics, Medium, SkinOptics
+from splitknit_simulator.surface import SimulatedSurface
 
 FIELD_MM = 10.0
 CROP_PX = 128

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera
-from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulator.finger.skin_map import SkinRelief, skin_map
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit_simulator.finger.skin_map import SkinRelief, skin_map
+from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 PITCH_MM = 0.0132

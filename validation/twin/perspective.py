@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Led, default_rig
-from splitknit.simulator.camera.lens import pixels_of_points
-from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
-from splitknit.simulator.light.lighting import cut_out
-from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import CHANNELS, Medium, SkinOptics, fresnel
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.camera.lens import pixels_of_points
+from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
+from splitknit_simulator.light.lighting import cut_out
+from splitknit_simulator.light.renderer import render_band
+from splitknit_simulator.light.skin import CHANNELS, Medium, SkinOptics, fresnel
+from splitknit_simulator.surface import SimulatedSurface
 
 SCALE = 0.25
 SLANTS = ((0, 30), (30, 40), (40, 50), (50, 60), (60, 70))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.simulator.light.skin import SkinRanges
+from splitknit_simulator.light.skin import SkinRanges
 
 PLAUSIBLE_FACTORS = (0.7, 1.4)
 """People's scattering; the extremes 0.5 and 2 are measured too but do not set the range."""

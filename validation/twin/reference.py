@@ -1,6 +1,6 @@
 """A slow reference for the twin: random walks in the skin's volume under its true, ridged surface.
 
-It shares no code with :mod:`splitknit.simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
+It shares no code with :mod:`splitknit_simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
 where rays meet them, and every image is an average of random walks with a standard error. Needs the extra ``reference``
 and Debian's ``libllvm19`` (other versions may abort). See ``docs/experiments/simulator-reference.md``.
 
@@ -25,8 +25,8 @@ from reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 from splitknit.errors import importing, require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
+from splitknit_simulator.surface import SimulatedSurface
 
 FAINT = 0.1
 """Below this weight a walk goes on with half the chance that its weight would give, and twice FAINT as weight."""
@@ -323,7 +323,7 @@ def render_crop(
 
     Returns
     -------
-    ReferenceImage of (h, w) pixels, in the units of :func:`splitknit.simulator.light.renderer.render_band`
+    ReferenceImage of (h, w) pixels, in the units of :func:`splitknit_simulator.light.renderer.render_band`
 
     Raises
     ------

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Led
-from splitknit.simulator.light.skin import fresnel
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.light.skin import fresnel
+from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 

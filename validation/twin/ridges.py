@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.simulator.light.skin import (
+from splitknit_simulator.light.skin import (
     REFRACTIVE_INDEX,
     Channel,
     ChannelOptics,

@@ -24,7 +24,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 from measure import Ridges, compare_finger, compare_glare, compare_ridges
 from ranges import ranges_of
 
-import splitknit.simulator
+import splitknit_simulator
 from splitknit.errors import BadInput
 
 HERE = Path(__file__).resolve().parent
@@ -123,7 +123,7 @@ def smoke() -> Iterator[tuple[str, str, Callable[[], Any]]]:
 def source_hash() -> str:
     """Hash of the twin's sources and of the scripts beside this one that measure."""
     digest = hashlib.sha256()
-    package = Path(splitknit.simulator.__file__).parent
+    package = Path(splitknit_simulator.__file__).parent
     names = ("renderer", "lighting", "skin", "master_print", "ridges", "finger", "shape")
     files = [path for path in sorted(package.rglob("*.py")) if path.stem.startswith(names)]
     own = ("compare", "measure", "patches", "reference", "reference_scene")

@@ -1,5 +1,5 @@
-"""Write the figures of ``results.json`` and ``inversion.json`` into ``docs/experiments/simulator-reference.md``,
-between its markers.
+"""Print the tables of ``results.json``, ``inversion.json`` and ``chain.json``, and write the first into
+``docs/experiments/simulator-reference.md``, between its markers.
 
 python validation/twin/tables.py
 """
@@ -29,10 +29,10 @@ def main() -> int:
     chain = HERE / "chain.json"
     if chain.exists():
         blocks += chain_table(json.loads(chain.read_text()))
-    text = PAGE.read_text()
-    before, rest = text.split(BEGIN)
+    print("\n\n".join(blocks))
+    before, rest = PAGE.read_text().split(BEGIN)
     after = rest.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + "\n\n".join(blocks) + "\n\n" + END + after)
+    PAGE.write_text(before + BEGIN + "\n\n" + "\n\n".join(blocks[:2]) + "\n\n" + END + after)
     return 0
 
 

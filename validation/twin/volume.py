@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera, Led
-from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import (
+from splitknit_simulator.light.renderer import RenderSettings, render_band
+from splitknit_simulator.light.skin import (
     CHANNELS,
     REFRACTIVE_INDEX,
     Medium,
@@ -19,7 +19,7 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 HALF_WIDTH_MM, HALF_HEIGHT_MM = 8.0, 5.5

@@ -1,0 +1,7 @@
+"""Whose finger it is: prints, matching, galleries, records of other systems, presentation attacks, error rates. What
+stands in ``__init__.pyi`` may be imported.
+"""
+
+from splitknit import door
+
+__getattr__, __dir__, __all__ = door(__name__, __file__)

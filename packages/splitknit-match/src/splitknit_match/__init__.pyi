@@ -1,0 +1,17 @@
+"""The door: what users (``__all__``) and the other members may import; all else may change tomorrow."""
+
+from splitknit_match.evaluation.evaluate_job import evaluate as evaluate
+from splitknit_match.evaluation.pair import compare_results as compare_results
+from splitknit_match.gallery.identify_job import identify as identify
+from splitknit_match.gallery.warm import OpenGallery as OpenGallery
+from splitknit_match.gallery.warm import enroll as enroll
+from splitknit_match.matching.match_job import make_template as make_template
+from splitknit_match.matching.match_job import match as match
+from splitknit_match.prints.print_job import make_print as make_print
+
+__version__: str
+
+__all__ = [
+    "OpenGallery", "__version__", "compare_results", "enroll", "evaluate", "identify", "make_print", "make_template",
+    "match",
+]  # fmt: skip

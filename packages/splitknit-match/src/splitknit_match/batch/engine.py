@@ -1,0 +1,368 @@
+"""A whole population, reconstructed in all cases and compared: what is missing, in chunks, by several processes.
+
+Scores of the store come back as :class:`splitknit_match.evaluation.scores.Scores`, and as CSV files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    BadInput,
+    Progress,
+    check_file,
+    given_folders,
+    hold,
+    no_progress,
+    open_at_once,
+    private_modes,
+    require,
+    sweep,
+)
+from splitknit_match.batch.chunks import load, read_chunk
+from splitknit_match.batch.execution import Cluster, connected, run_tasks
+from splitknit_match.batch.features import FeatureTask, reconstruct_group
+from splitknit_match.batch.matchers import READY, Matcher, matcher
+from splitknit_match.batch.objects import MEMORY, Location, Objects, location, whole_file
+from splitknit_match.batch.population import (
+    Block,
+    CaptureRef,
+    Population,
+    all_pairs,
+    blocks_of,
+    missing_pairs,
+    read_population,
+)
+from splitknit_match.batch.reading import Place, drop_cached, stored_places
+from splitknit_match.batch.scores import ScoreTask, score_block
+from splitknit_match.batch.settings import BatchSettings, Case
+from splitknit_match.batch.solids import SOLIDS, ExtractionTask, extract_features
+from splitknit_match.batch.store import Store, check_store_target, open_store
+from splitknit_match.evaluation.protocol import Comparisons
+from splitknit_match.evaluation.scores import Scores, ids_of, score_table
+
+_KINDS = ("finger", "subject", "session")
+_CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
+
+
+def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
+    """Comparisons of the store, a ``pyarrow.Table`` of :meth:`splitknit_match.batch.store.Store.scores`, to be
+    evaluated. `column`: what is the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
+    """
+    require(column in table.column_names, f"the scores hold no column '{column}'; they have {table.column_names}.")
+    score = np.array(table.column(column).to_numpy(), dtype=np.float64)
+    score = 1.0 - score if column.startswith("dissimilarity") else score
+    score[~_flags(table, "compared")] = np.nan
+    sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
+    ids = {kind: ids_of(*([names[kind] for names in side] for side in sides)) for kind in _KINDS}
+    return Scores(_flags(table, "genuine"), score, **ids, name=name or column)
+
+
+def _write_csv(path: Location, table: Any) -> None:
+    """Write comparisons as a score file, with the matcher's own columns; blank where nothing was compared."""
+    sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
+    own = [name for name in table.column_names if name not in ("a", "b", "genuine", "similarity", "compared")]
+    numbers = {name: np.array(table.column(name).to_numpy(), dtype=np.float64) for name in ("similarity", *own)}
+    for values in numbers.values():
+        values[~_flags(table, "compared")] = np.nan
+    scores = {"score": numbers.pop("similarity").tolist(), **{name: each.tolist() for name, each in numbers.items()}}
+    names = {kind: ([one[kind] for one in sides[0]], [one[kind] for one in sides[1]]) for kind in _KINDS}
+    with whole_file(path) as stream:
+        stream.write(score_table(_flags(table, "genuine").tolist(), names, scores))
+
+
+@lru_cache(maxsize=4096)
+def _names_of(capture: str) -> dict[str, str]:
+    """Finger (of the world), subject and session of a capture's name.
+
+    >>> _names_of("S01/session_2/right_index")
+    {'finger': 'S01/right_index', 'subject': 'S01', 'session': '2'}
+    """
+    subject, session, finger = parts if len(parts := capture.split("/")) == 3 else ("", "", "")
+    require(
+        bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; run the batch again."
+    )
+    return {"finger": f"{subject}/{finger}", "subject": subject, "session": session.removeprefix("session_")}
+
+
+def _flags(table: Any, column: str) -> NDArray[np.bool_]:
+    return np.array(table.column(column).to_numpy(zero_copy_only=False), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One call of :func:`run_batch`."""
+
+    store: Store
+    population: Population
+    settings: BatchSettings
+    jobs: int
+    client: Any
+    device: str
+    progress: Progress
+    peaks_mb: list[float] = field(default_factory=list)
+
+    def done(self, work: Callable[[Any], Any], tasks: Sequence[Any], words: str, sizes: Sequence[int]) -> list[Any]:
+        """Do tasks, saying how far they are."""
+        total, made, results = max(sum(sizes), 1), 0, []
+        if tasks:
+            self.progress(words, 0.0)
+        for result in run_tasks(work, tasks, self.jobs, self.client, self.device):
+            results.append(result)
+            made += result.size
+            self.peaks_mb.append(result.peak_memory_mb)
+            self.progress(words, made / total)
+        return results
+
+
+def run_batch(
+    population: str | Path | Objects,
+    out: str | Path | Objects,
+    settings: BatchSettings | None = None,
+    *,
+    jobs: int = 2,
+    cluster: str | Cluster | None = None,
+    csv: Path | None = None,
+    device: str = "cpu",
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Do what the store lacks; return the facts.
+
+    A population that is still being filled is taken as far as it is complete, and a later run takes the rest. A run may
+    be killed at any time; the next one goes on. Raises BadInput if the population holds no capture, the store is of
+    something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
+    must not be used.
+
+    population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
+    out : folder of the store, or the URL of its objects
+    cluster : its workers do it instead, and must see both places under the same names
+    csv : folder for score files that ``splitknit evaluate`` reads; ``csv`` in the store where it is missing
+    device : on which networks run, see :func:`splitknit.networks.unet.use_device`
+    """
+    started = time.perf_counter()
+    settings = settings or BatchSettings()
+    load("pyarrow", "batch")
+    require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
+    cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
+    people, folder = location(population), location(out)
+    for one in (people, folder):
+        require(
+            not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
+            f"'{one}' is known to this process alone; take `jobs` 1 and no cluster, or another place.",
+        )
+    into = folder / "csv" if csv is None else csv
+    tables = {
+        (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
+    }
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
+        for table in tables.values():
+            if isinstance(table, Path):
+                check_file(table, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
+        there = read_population(people)
+        client = None if cluster is None else stack.enter_context(connected(cluster))
+        check_store_target(folder)
+        if isinstance(folder, Path):
+            folder = folder.resolve()
+            stack.enter_context(alone(folder))
+            sweep(folder)
+            stack.callback(sweep, folder)  # of a worker that an interrupt ended
+        run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
+        facts = _reconstruct(run) | {"scores": _match(run)}
+        for (case, name), file in tables.items():
+            progress(f"{case}: {name}, CSV", 1.0)
+            _write_csv(file, run.store.scores(case, name))
+    facts |= {"csv": [str(file) for file in tables.values()], "peak_memory_mb": max(run.peaks_mb, default=None)}
+    return {"out": str(out), **facts, "seconds": time.perf_counter() - started}
+
+
+def _reconstruct(run: _Run) -> dict[str, Any]:
+    started = time.perf_counter()
+    tasks = _feature_tasks(run.store, run.population, run.settings)
+    sizes = [sum(len(names) for _, names in task.cases) for task in tasks]
+    results = run.done(reconstruct_group, tasks, "reconstructing", sizes)
+    return {
+        "captures": len(run.population.captures),
+        "planned": run.population.planned,
+        "cases": [case.name for case in run.settings.cases],
+        "reconstructed": sum(sizes),
+        "found": len(run.population.captures) * len(run.settings.cases) - sum(sizes),
+        "failures": sorted(failure for result in results for failure in result.failures),
+        "reconstruction_s": time.perf_counter() - started,
+    }
+
+
+def _match(run: _Run) -> list[dict[str, Any]]:
+    facts = []
+    for case in run.settings.cases:
+        for name in run.settings.matchers:
+            started = time.perf_counter()
+            using = matcher(name, run.settings.matching)
+            if using.source != "features":
+                chunks = _extraction_tasks(run, case, using.source)
+                run.done(extract_features, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
+            extraction_s = time.perf_counter() - started
+            tasks = _score_tasks(run.store, run.population, run.settings, case, using)
+            sizes = tasks.sizes()
+            results = run.done(score_block, tasks, f"{case.name}: {name}", sizes)
+            work_s = sum(result.seconds for result in results)
+            facts.append(
+                {
+                    "case": case.name,
+                    "matcher": name,
+                    "compared": sum(sizes),
+                    "extraction_s": extraction_s,
+                    "seconds": time.perf_counter() - started,
+                    "ms_per_comparison": 1000 * work_s / sum(sizes) if tasks else None,
+                }
+            )
+    READY.forget()
+    drop_cached()
+    return facts
+
+
+# One run at a time writes a store.
+
+_FILE = ".lock"
+
+
+@contextmanager
+def alone(store: Path) -> Iterator[None]:
+    """Hold the store for this run; a killed run lets go. Raises BadInput if another run holds it, or the folder cannot
+    be written.
+    """
+    try:
+        stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
+    except OSError as error:
+        raise BadInput(f"cannot write into '{store}': {error.strerror or error}; choose another place.") from error
+    with stream:
+        hold(stream, f"another run is writing into '{store}'; wait for it, or stop it.")
+        yield
+
+
+# What the store lacks, as tasks: captures to reconstruct, prints whose minutiae are wanted, comparisons.
+
+
+def _feature_tasks(store: Store, population: Population, settings: BatchSettings) -> list[FeatureTask]:
+    """Captures that a case lacks, in groups that do not depend on what is there already."""
+    lacking = [(case, store.captures(case.name)) for case in settings.cases]
+    groups: dict[int, list[CaptureRef]] = {}
+    size = settings.chunk_captures or min(max(population.planned // 32, 1), 10)
+    for capture in population.captures:
+        groups.setdefault(capture.place // size, []).append(capture)
+    solids = {matcher(name, settings.matching).source for name in settings.matchers} & set(SOLIDS)
+    tasks = []
+    for group, captures in sorted(groups.items()):
+        wanted = [
+            (case, tuple(capture.name for capture in captures if capture.name not in found)) for case, found in lacking
+        ]
+        missing = tuple((case, names) for case, names in wanted if names)
+        if missing:
+            named = {name for _, names in missing for name in names}
+            tasks.append(
+                FeatureTask(
+                    group,
+                    _anywhere(population.folder),
+                    population.sha256,
+                    store.folder,
+                    tuple(capture for capture in captures if capture.name in named),
+                    missing,
+                    settings.matching,
+                    images=settings.surfaces,
+                    solids=tuple(sorted(solids)),
+                )
+            )
+    return tasks
+
+
+def _anywhere(folder: Location) -> Location:
+    """A place by a name that every process knows."""
+    return folder.resolve() if isinstance(folder, Path) else folder
+
+
+def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
+    """Chunks of features beside which there is none of `kind`."""
+    there = {file.stem for file in run.store.files(kind, case.name)}
+    place, matching = _anywhere(run.population.folder), run.settings.matching
+    return [
+        ExtractionTask(run.store.folder, place, case, file.stem, kind, matching)
+        for file in run.store.files("features", case.name)
+        if file.stem not in there
+    ]
+
+
+def _score_tasks(
+    store: Store, population: Population, settings: BatchSettings, case: Case, using: Matcher
+) -> _ScoreTasks:
+    """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
+    features = stored_places(store.files("features", case.name))
+    places = features if using.source == "features" else stored_places(store.files(using.source, case.name))
+    captures = [capture for capture in population.captures if capture.name in places]
+    every = all_pairs(captures, settings.impostors, settings.seed)
+    pairs = missing_pairs(every, len(captures), _done(store, case.name, using.name, captures))
+    case_sha256 = case.document()["settings_sha256"]
+
+    def task(block: Block) -> ScoreTask:
+        compared = zip(block.pairs.a.tolist(), block.pairs.b.tolist(), block.pairs.genuine.tolist(), strict=True)
+        return ScoreTask(
+            store=store.folder,
+            case=case.name,
+            case_sha256=case_sha256,
+            population_sha256=population.sha256,
+            matcher=using.name,
+            matching=settings.matching,
+            block=block.number,
+            database=f"{case.name}, {captures[int(block.pairs.a[0])].session}, {block.number // 10_000 % 10_000}",
+            pairs=tuple((captures[a].name, captures[b].name, genuine) for a, b, genuine in compared),
+            places=_used(block.pairs, captures, places),
+            origins=_used(block.pairs, captures, features),
+            seed=settings.seed,
+        )
+
+    return _ScoreTasks(blocks_of(pairs, captures, using.blocks_for(settings.impostors)), task)
+
+
+@dataclass(frozen=True, slots=True)
+class _ScoreTasks(Sequence[ScoreTask]):
+    """Tasks of blocks, each made when it is begun: the names of a million pairs take a hundred megabytes."""
+
+    blocks: list[Block]
+    make: Callable[[Block], ScoreTask]
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self.make(self.blocks[place])
+
+    def sizes(self) -> list[int]:
+        """Pairs of each."""
+        return [block.pairs.a.size for block in self.blocks]
+
+
+def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Comparisons in the store, as ``a * count + b``."""
+    number = {capture.name: k for k, capture in enumerate(captures)}
+    found: list[int] = []
+    for file in store.files(f"scores/{case}", matcher):
+        table = read_chunk(file, ["a", "b"])
+        for a, b in zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True):
+            if a in number and b in number:
+                found.append(number[a] * len(captures) + number[b])
+    return np.array(found, dtype=np.int64)
+
+
+def _used(pairs: Comparisons, captures: list[CaptureRef], places: Mapping[str, Place]) -> dict[str, Place]:
+    names = [captures[k].name for k in np.unique(np.concatenate([pairs.a, pairs.b])).tolist()]
+    return {name: places[name] for name in names}

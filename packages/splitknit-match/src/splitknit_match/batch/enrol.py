@@ -1,0 +1,142 @@
+"""A whole enrolment folder into a gallery: resumable, by several workers, failures to acquire counted and kept."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitknit import FINGERS, Progress, Refused, no_progress, require, run_jobs
+from splitknit_match.gallery.enrol import (
+    MINUTIAE_HASH,
+    Enrolling,
+    Made,
+    content_of,
+    known_finger,
+    made_or_failed,
+    new_capture,
+    opened,
+    source_hash,
+    templates_hash,
+)
+from splitknit_match.gallery.entry import check_session, session_order
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.key import Key
+
+_SESSION = "session_"
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """A capture, result, print or template of an enrolment folder."""
+
+    person: str
+    finger: str
+    session: str
+    path: Path
+
+
+def enroll_population(
+    gallery: Path,
+    folder: Path,
+    settings: Enrolling,
+    *,
+    key: Key | None = None,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what is in the gallery;
+    every finished capture is kept at once. A capture in which no finger is found is a failure to acquire, a template of
+    zero bytes. Raises BadInput if there are no captures, or one was enrolled from other files before (unless it may be
+    replaced). Raises Refused if files of some captures cannot be read; the others are enrolled then.
+    """
+    require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    progress("looking", 0.0)
+    places = _found_in(folder)
+    with contextlib.ExitStack() as stack:
+        target = opened(gallery, key, settings.matching)
+        require(
+            target is None or target.settings_sha256 != MINUTIAE_HASH,
+            f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
+        )
+        created = target is None
+        if target is not None:
+            stack.enter_context(target)
+        waiting = _waiting(target, places, replace=settings.replace)
+        unread: list[dict[str, str]] = []
+        failures: list[dict[str, str]] = []
+        enrolled = 0
+        jobs = run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
+        for done, (place, made) in enumerate(jobs, start=1):
+            if isinstance(made, str):
+                unread.append({"path": str(place.path), "reason": made})
+            else:
+                if target is None:
+                    target = Gallery.create(gallery, templates_hash(settings.matching), key)
+                    stack.enter_context(target)
+                new = new_capture(made, place.person, place.finger, place.session, settings)
+                enrolled += sum(target.add([new], replace=settings.replace))
+                if not made.template:
+                    failures.append({"path": str(place.path), "reason": made.failure})
+            progress(f"{place.person} {place.finger}", done / len(waiting))
+        facts: dict[str, Any] = {} if target is None else asdict(content_of(target, created=created))
+    facts |= {
+        "population": str(folder),
+        "found": len(places),
+        "known": len(places) - len(waiting),
+        "new": enrolled,
+        "failures_to_acquire": failures,
+        "unreadable": unread,
+    }
+    if unread:
+        kept = "nothing was enrolled" if target is None else "the others are enrolled"
+        raise Refused(
+            f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {unread[0]['reason'].rstrip('.')})"
+            "; repair or remove them, and run the same again.",
+            facts,
+        )
+    return facts
+
+
+def _found_in(folder: Path) -> list[_Source]:
+    """What an enrolment folder holds, by person, session and finger. Raises BadInput if that is nothing, a folder has a
+    name that no finger or session has, or a finger of a session is there twice.
+    """
+    require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
+    found: dict[tuple[str, str, str], _Source] = {}
+    for path in folder.glob(f"*/{_SESSION}*/*"):
+        is_file = path.is_file() and path.stem in FINGERS
+        if not (is_file or (path / "capture.json").is_file() or (path / "height.npz").is_file()):
+            continue
+        session = check_session(path.parent.name.removeprefix(_SESSION))
+        one = _Source(path.parent.parent.name, known_finger(path.stem if is_file else path.name), session, path)
+        other = found.setdefault((one.person, one.session, one.finger), one)
+        require(other is one, f"'{other.path}' and '{path}' are of one finger and session; remove one of them.")
+    expected = "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
+    require(len(found) > 0, f"'{folder}' holds nothing to enrol: {expected}.")
+    return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
+
+
+def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: bool) -> list[_Source]:
+    """What is not in the gallery; of what is, the files are compared by their hash."""
+    entries = [] if gallery is None else [one.entry for one in gallery.entries()]
+    earlier = {(one.person, one.finger, one.session): one.source_sha256 for one in entries}
+    waiting = []
+    for place in places:
+        known = earlier.get((place.person, place.finger, place.session))
+        if known is not None and known == source_hash(place.path):
+            continue
+        require(
+            known is None or replace,
+            f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
+            "give `replace`, or name another gallery.",
+        )
+        waiting.append(place)
+    return waiting
+
+
+def _template_of(place: _Source, settings: Enrolling) -> Made | str:
+    return made_or_failed(place.path, settings)

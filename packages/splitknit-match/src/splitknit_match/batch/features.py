@@ -1,0 +1,142 @@
+"""Reconstruction of a few captures in all cases: one chunk of the store for each case."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splitknit import (
+    BadInput,
+    Memory,
+    encode_print_png,
+    provenance,
+    provenance_texts,
+    read_capture,
+    reconstruct,
+    running,
+    settings_hash,
+    surface_of,
+    surface_print,
+)
+from splitknit_match.batch.chunks import SUFFIX, chunk_name, column_type, load, write_chunk, write_timings
+from splitknit_match.batch.execution import TaskDone
+from splitknit_match.batch.objects import Location, captures_at_hand
+from splitknit_match.batch.population import CaptureRef
+from splitknit_match.batch.settings import Case
+from splitknit_match.batch.solids import solid_payload, write_extracted
+from splitknit_match.batch.surfaces import pack_surface
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import pack
+
+PRINT_PPI = 500.0
+QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
+BANDS = ("white", "nir")
+VERSION = 1
+"""Version of a chunk's columns."""
+_EMPTY = "the ridge band that could be acquired is too small for a template."
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTask:
+    """Captures that are reconstructed together, and where they go."""
+
+    group: int
+    population: Location
+    population_sha256: str
+    store: Location
+    captures: tuple[CaptureRef, ...]
+    cases: tuple[tuple[Case, tuple[str, ...]], ...]
+    """Each case with the names of the captures that it lacks."""
+    matching: MatchingSettings
+    images: bool
+    solids: tuple[str, ...] = ()
+    """Features in space that are made at once, of :data:`splitknit_match.batch.solids.SOLIDS`."""
+
+
+def _feature_schema() -> Any:
+    names = [
+        "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
+        *(f"{name}_{band}" for band in BANDS for name in QUALITY),
+        "warnings", "input_sha256", "template", "print", "images",
+    ]  # fmt: skip
+    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
+
+
+def reconstruct_group(task: FeatureTask) -> TaskDone:
+    """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk."""
+    rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
+    seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
+    failures = []
+    threads = running().threads
+    with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
+        for ref, folder in zip(task.captures, folders, strict=True):
+            memory: Memory | str
+            try:
+                memory = Memory(read_capture(folder / ref.name, threads=threads))
+            except BadInput as error:
+                memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
+            cases = [case for case, wanted in task.cases if ref.name in wanted]
+            for case in cases:
+                started = time.perf_counter()
+                row = _row(ref, memory, case, task, case is cases[-1])
+                seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
+                rows[case.name].append(row)
+                if not row["acquired"]:
+                    failures.append(f"{case.name}, {ref.name}: {row['failure']}")
+            del memory  # before the next capture is read
+    schema = _feature_schema()
+    for case, wanted in task.cases:
+        document = case.document()
+        name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], list(wanted)])
+        columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
+        origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
+        origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
+        if running().device != "cpu":
+            origin |= {"device": running().device}
+        templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
+        origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
+        write_timings(task.store / "timings" / case.name, name, seconds[case.name])
+        for kind in task.solids:  # before the features, by which a later run knows what is finished
+            file = task.store / kind / case.name / f"{name}{SUFFIX}"
+            found = [(row["capture"], bool(row.get(kind)), row.get(kind, b"")) for row in rows[case.name]]
+            write_extracted(file, kind, found, origin)
+        write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
+    return TaskDone(sum(map(len, rows.values())), failures=tuple(failures))
+
+
+def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:
+    """Row of one case of a capture, or of why it could not be read; `last`: the images may go once they are read."""
+    row: dict[str, Any] = {
+        "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
+        "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
+        **{f"{name}_{band}": None for band in BANDS for name in QUALITY},
+        "template": b"", "print": None, "images": None,
+    }  # fmt: skip
+    if isinstance(memory, str):
+        return row | {"failure": memory}
+    row["input_sha256"] = settings_hash(dict(sorted(memory.capture.hashes.items())))
+    try:
+        result = reconstruct(
+            memory.hand_over() if last else memory.capture, case.preset, case.settings(), memory=memory
+        )
+    except BadInput as error:
+        return row | {"failure": str(error)}
+    surface = surface_of(result)
+    template = surface_template(surface, task.matching)
+    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+    quality = {f"{name}_{band}": result.quality.get(band, {}).get(name) for band in BANDS for name in QUALITY}
+    return row | {
+        "acquired": not template.empty,
+        "failure": _EMPTY if template.empty else "",
+        "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
+        "warnings": list(result.warnings),
+        "template": pack(template),
+        # as ``splitknit reconstruct`` writes it
+        "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin)),
+        "images": pack_surface(surface, result.height_mm) if task.images else None,
+        **{kind: solid_payload(kind, surface, task.matching) for kind in task.solids},
+        **{name: None if value is None else float(value) for name, value in quality.items()},
+    }

@@ -1,0 +1,166 @@
+"""The captures of a population: those that are complete."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import MAX_JSON_BYTES, PLAN_FILE, BadInput, Fields, PlannedCapture, open_enrolment, read_json, require
+from splitknit_match.batch.objects import Location, files_below, stored_bytes
+from splitknit_match.evaluation.protocol import Comparisons, comparisons
+
+_SIMULATED = "population.json"
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureRef:
+    """One capture folder of a population."""
+
+    name: str
+    """Path of its folder, relative to the population: ``S01/session_1/right_index``."""
+    subject: str
+    finger: str
+    """The finger, unique in the world: ``S01/right_index``."""
+    session: str
+    place: int
+    """In the order of subjects, fingers and sessions of the plan, captured or not."""
+    number: int = 0
+    """Number of the finger in that order, the same in every session."""
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """A population on disk, or among objects."""
+
+    folder: Location
+    sha256: str
+    """Hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``."""
+    planned: int
+    captures: tuple[CaptureRef, ...]
+    """Those that are complete, in the order of the plan."""
+
+
+def read_population(folder: Location) -> Population:
+    """List the complete captures of an enrolment or a simulated population, even while it is still being filled. Raises
+    BadInput if it is neither, its plan is damaged, or it holds no complete capture.
+    """
+    if isinstance(folder, Path):
+        return _population(folder, folder, lambda name: (folder / name).is_file())
+    names = frozenset(files_below(folder, deep=True))
+    with tempfile.TemporaryDirectory(prefix="splitknit-") as copy:
+        for name in names & {PLAN_FILE, _SIMULATED}:
+            (Path(copy) / name).write_bytes(stored_bytes(folder / name, MAX_JSON_BYTES))
+        try:
+            return _population(folder, Path(copy), names.__contains__)
+        except BadInput as error:
+            raise BadInput(str(error).replace(copy, str(folder))) from error
+
+
+def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool]) -> Population:
+    """A population whose plan lies in `plan_folder`, and of whose files `has` knows the names."""
+    try:
+        known = has(PLAN_FILE)
+    except (OSError, ValueError):
+        known = False
+    require(
+        known,
+        f"'{folder}' is no population: it holds no {PLAN_FILE}; name a folder of 'splitknit simulate population' or of "
+        "an enrolment.",
+    )
+    plan = open_enrolment(plan_folder).plan
+    captures = []
+    for number, (subject, finger, session) in enumerate(
+        (subject, finger, session)
+        for subject in plan.subject_ids()
+        for finger in plan.fingers
+        for session in range(1, plan.sessions + 1)
+    ):
+        place = PlannedCapture(subject, session, finger)
+        if has(f"{place.folder}/capture.json"):
+            captures.append(
+                CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)
+            )
+    require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
+    return Population(folder, _hash(plan_folder), plan.total, tuple(captures))
+
+
+def _hash(folder: Path) -> str:
+    file = folder / _SIMULATED
+    if not file.is_file():
+        return hashlib.sha256(b"enrolment").hexdigest()
+    return Fields(read_json(file)[0], str(file)).text("settings_sha256")
+
+
+# Which captures are compared, in blocks: a block of one session with a block of a later one.
+#
+# Where a block ends depends on the plan of the population and on the matcher alone, never on what is there already, so
+# that two runs, however they were interrupted, do the same chunks.
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """How many captures stand together."""
+
+    database: int
+    """Captures of the earlier session, kept ready for the whole block."""
+    query: int
+    """Captures of the later session, taken one after the other."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """The comparisons of one block."""
+
+    number: int
+    """In the order of all blocks of the plan."""
+    pairs: Comparisons
+
+
+def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Comparisons:
+    """Every finger of a session with every finger of every later one; of different fingers a fraction only, drawn by
+    pairs of fingers, all sessions of a pair together. Raises BadInput if the captures are of one session.
+    """
+    return comparisons(
+        [one.finger for one in captures],
+        [one.session for one in captures],
+        None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors,
+    )
+
+
+def draw(a: str, b: str, seed: int) -> float:
+    """Number in [0, 1) that belongs to two fingers; those below the fraction of impostors are compared."""
+    first, second = sorted((a, b))
+    digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") / 2.0**64
+
+
+def missing_pairs(pairs: Comparisons, count: int, done: NDArray[np.int64]) -> Comparisons:
+    """Those of `pairs` whose key ``a * count + b`` is not in `done`."""
+    kept = ~np.isin(pairs.a * count + pairs.b, done)
+    return Comparisons(pairs.a[kept], pairs.b[kept], pairs.genuine[kept])
+
+
+def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], blocks: Blocks) -> list[Block]:
+    """Comparisons block by block; those that share a database's block follow each other."""
+    session = np.array([int(one.session) for one in captures], dtype=np.int64)
+    number = np.array([one.number for one in captures], dtype=np.int64)
+    at_a, at_b = number[pairs.a] // blocks.database, number[pairs.b] // blocks.query
+    keys = np.stack([session[pairs.a], at_a, session[pairs.b], at_b])
+    order = np.lexsort((pairs.b, pairs.a, *keys[::-1]))
+    keys = keys[:, order]
+    if not order.size:
+        return []
+    starts = np.flatnonzero(np.concatenate([[True], (keys[:, 1:] != keys[:, :-1]).any(axis=0)]))
+    parts = np.split(order, starts[1:])
+    found = []
+    for start, part in zip(starts.tolist(), parts, strict=True):
+        first, low, second, high = (int(value) for value in keys[:, start])
+        place = ((first * 1000 + second) * 10_000 + low) * 10_000 + high
+        found.append(Block(place, Comparisons(pairs.a[part], pairs.b[part], pairs.genuine[part])))
+    return found

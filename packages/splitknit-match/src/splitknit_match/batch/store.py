@@ -1,0 +1,249 @@
+"""The store of a batch on disk: what it was made with, and its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splitknit import (
+    MAX_JSON_BYTES,
+    BadInput,
+    as_number,
+    differing,
+    json_text,
+    make_folder,
+    parse_json,
+    plain_json,
+    provenance,
+    refusing,
+    require,
+    settings_hash,
+)
+from splitknit_match.batch.chunks import chunk_files, load, read_chunk
+from splitknit_match.batch.matchers import matcher
+from splitknit_match.batch.objects import Location, files_below, stored_bytes, there, whole_file
+from splitknit_match.batch.population import Population
+from splitknit_match.batch.reading import images_of, stored_places
+from splitknit_match.batch.scores import score_schema
+from splitknit_match.batch.settings import BatchSettings
+from splitknit_match.matching.thesis import FingerImages
+
+STORE_FILE = "store.json"
+FORMAT, VERSION = "splitknit-batch", 2
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A folder of results, or objects of :func:`splitknit_match.batch.objects.location`."""
+
+    folder: Location
+
+    def document(self) -> dict[str, Any]:
+        """The store's own record. Raises BadInput if there is no store, it is damaged or of another version."""
+        file = self.folder / STORE_FILE
+        require(there(file), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
+        damaged = f"'{file}' is damaged; name another folder for the store."
+        document = _json(file, damaged)
+        with refusing(damaged):
+            known = document["format"] == FORMAT
+            version = document["format_version"]
+            parts = [document[name] for name in ("population", "cases", "matchers", "matching")]
+            entries = [*parts, *parts[1].values(), *parts[2].values()]
+            pairs = document.get("pairs", {})
+            known = known and all(isinstance(one, dict) for one in [*entries, pairs])
+            float(pairs.get("impostors", 0.0))
+        require(known, damaged)
+        require(
+            version == VERSION,
+            f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}; use the "
+            "splitknit that wrote it, or name another folder.",
+        )
+        return dict(document)
+
+    def files(self, kind: str, name: str) -> list[Location]:
+        """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
+        return chunk_files(self.folder / kind / name)
+
+    def captures(self, case: str) -> set[str]:
+        """Names of the captures that are finished in a case."""
+        found: set[str] = set()
+        for file in self.files("features", case):
+            found.update(read_chunk(file, ["capture"]).column("capture").to_pylist())
+        return found
+
+    def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
+        """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, with columns as in
+        ``docs/reference/files.md``; ``seconds`` only where it is named. Raises BadInput if there is nothing of this
+        case, or a chunk is damaged.
+        """
+        files = self.files("features", case)
+        require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
+        wanted = None
+        if columns is not None:
+            wanted = list(dict.fromkeys(["capture", *(name for name in columns if name != "seconds")]))
+        table = _joined([read_chunk(file, wanted, ["capture"]) for file in files], ["capture"])
+        if columns is None:
+            return table
+        if "seconds" in columns:
+            known, pa = self.seconds(case), load("pyarrow", "batch")
+            taken = [known.get(name) for name in table.column("capture").to_pylist()]
+            table = table.append_column("seconds", pa.array(taken, pa.float64()))
+        return table.select(list(columns))
+
+    def scores(self, case: str, matcher: str) -> Any:
+        """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once. Raises
+        BadInput if there are none, or a chunk is damaged.
+        """
+        files = self.files(f"scores/{case}", matcher)
+        require(
+            len(files) > 0, f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
+        )
+        table = _joined([read_chunk(file, None, score_schema(()).names) for file in files], ["a", "b"])
+        require(
+            all(column.null_count == 0 for column in table.columns),
+            f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers; delete them and "
+            "run the same again.",
+        )
+        return table
+
+    def images(self, case: str, capture: str) -> FingerImages:
+        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them. Raises BadInput if
+        the store holds no surface of it.
+        """
+        place = stored_places(self.files("features", case)).get(capture)
+        found = None if place is None else images_of(place)
+        if found is None:
+            raise BadInput(f"the store '{self.folder}' holds no surface of '{capture}' in case '{case}'.")
+        return found
+
+    def seconds(self, case: str) -> dict[str, float]:
+        """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
+        found: dict[str, float] = {}
+        folder = self.folder / "timings" / case
+        for file in (folder / name for name in files_below(folder) if name.endswith(".json")):
+            damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
+            times = _json(file, damaged)
+            require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
+            found |= {name: float(value) for name, value in times.items()}
+        return found
+
+
+def _json(file: Location, damaged: str) -> Any:
+    data = stored_bytes(file, MAX_JSON_BYTES)
+    try:
+        return parse_json(data, str(file))
+    except BadInput as error:
+        raise BadInput(damaged) from error
+
+
+def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
+    """The tables as one, ordered by `keys`, of rows with equal keys the first; its bytes may be more than 2 GB."""
+    pa, pc = load("pyarrow", "batch"), load("pyarrow.compute", "batch")
+    with refusing("chunks of the store have different columns; delete the older ones and run the same again."):
+        table = pa.concat_tables(tables)
+    wide = [field.with_type(pa.large_binary()) if pa.types.is_binary(field.type) else field for field in table.schema]
+    table = table.cast(pa.schema(wide))
+    order = pc.sort_indices(table.select(keys), sort_keys=[(key, "ascending") for key in keys])
+    names = table.select(keys).take(order).to_pylist()
+    kept = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+    return table.take(order.take(pa.array(kept, pa.int64())))
+
+
+def open_store(folder: Location, population: Population, settings: BatchSettings) -> Store:
+    """Open a store for writing, or start one; the caller holds its lock. Raises BadInput if the folder holds something
+    else, or a store of another population or with other settings.
+    """
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "software": "splitknit",
+        "version": provenance()["version"],
+        "population": {"sha256": population.sha256},
+        "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
+        "cases": {case.name: plain_json(case.document()) for case in settings.cases},
+        "matchers": {name: _hashed(matcher(name, settings.matching).document) for name in settings.matchers},
+    }
+    if settings.matchers:
+        document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}
+    store = Store(folder)
+    file = folder / STORE_FILE
+    if there(file):
+        earlier = store.document()
+        _check_same(folder, earlier, document)
+        document["cases"] = earlier["cases"] | document["cases"]
+        document["matchers"] = earlier["matchers"] | document["matchers"]
+        pairs = _pairs(folder, earlier.get("pairs"), document.get("pairs"))
+        document |= {"pairs": pairs} if pairs else {}
+        if document == earlier:
+            return store
+    with whole_file(file) as stream:
+        stream.write(json_text(document).encode("ascii"))
+    return store
+
+
+def check_store_target(folder: Location) -> None:
+    """Refuse a folder that holds something else than a store. Raises BadInput."""
+    if not isinstance(folder, Path):
+        require(
+            there(folder / STORE_FILE) or not files_below(folder, deep=True),
+            f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another place.",
+        )
+        return
+    try:
+        require(not folder.exists() or folder.is_dir(), f"'{folder}' is a file; name a folder for the store.")
+        names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    except (OSError, ValueError) as error:
+        raise BadInput(f"'{folder}' cannot be used as a store: {error}.") from error
+    require(
+        not names or STORE_FILE in names or names <= {".lock"},
+        f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another folder.",
+    )
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise BadInput(f"cannot write '{folder}': {error.strerror or error}; choose another place.") from error
+
+
+def _hashed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    plain = plain_json(settings)
+    return {"settings_sha256": settings_hash(plain), "settings": plain}
+
+
+def _check_same(folder: Location, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    require(
+        earlier["population"].get("sha256") == wanted["population"]["sha256"],
+        f"the store '{folder}' is of another population; name another folder, or the population that it is of.",
+    )
+    require(
+        earlier.get("version") == wanted["version"],
+        f"the store '{folder}' was made by splitknit {earlier.get('version')}, and this is {wanted['version']}; use "
+        "that version, or name another folder.",
+    )
+    for kind, words in (("cases", "case"), ("matchers", "matcher")):
+        for name in earlier[kind].keys() & wanted[kind].keys():
+            _check_settings(folder, f"{words} '{name}'", earlier[kind][name], wanted[kind][name])
+    _check_settings(folder, "templates", earlier["matching"], wanted["matching"])
+
+
+def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
+    """Which comparisons: a later run may request more of them, drawn the same way."""
+    if not earlier or not wanted:
+        return wanted or earlier
+    require(
+        earlier.get("seed") == wanted["seed"],
+        f"the impostors in the store '{folder}' were drawn with the seed {earlier.get('seed')}, not {wanted['seed']}; "
+        "use the same, or another folder.",
+    )
+    return wanted | {"impostors": max(wanted["impostors"], float(earlier.get("impostors", 0.0)))}
+
+
+def _check_settings(folder: Location, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    names = differing(earlier.get("settings", {}), wanted["settings"])
+    where = f" ({', '.join(names[:4])})" if names else ""
+    require(
+        earlier.get("settings_sha256") == wanted["settings_sha256"],
+        f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name, or another "
+        "folder.",
+    )

@@ -1,0 +1,153 @@
+"""``splitknit enroll GALLERY SOURCE...``: fingers into a gallery."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from splitknit import (
+    FINGER,
+    AnyPath,
+    BadInput,
+    Help,
+    HowReconstructed,
+    InputPpi,
+    Job,
+    KeyFile,
+    Natural,
+    Outcome,
+    Progress,
+    Settings,
+    Verb,
+    count,
+    path,
+    refuse_given,
+    require,
+)
+from splitknit_match.cli.pad import Refusal, refuse_attacks
+from splitknit_match.matching.photo_finger import PhotoBox, PhotoFinger, PhotoMask
+
+if TYPE_CHECKING:
+    from splitknit_match.gallery.enrol import EnrolledCapture, Enrolling
+    from splitknit_match.gallery.identify import RankedCandidate
+
+
+@dataclass(frozen=True, slots=True)
+class EnrollJob(Job):
+    """Put fingers into a gallery, which is made where there is none."""
+
+    # fmt: off
+    gallery: Annotated[AnyPath, Help("file of the gallery", "GALLERY", positional=True, secret=True)]
+    sources: Annotated[tuple[AnyPath, ...], Help(
+        f"{FINGER}; several are sessions of one finger", "SOURCE", positional=True)] = ()
+    _: KW_ONLY
+    key_file: KeyFile = None
+    person: Annotated[str | None, Help("whose finger it is", "NAME")] = None
+    finger: Annotated[str | None, Help("which, such as right_index", "FINGER")] = None
+    session: Annotated[str | None, Help("which session (default: the next number)", "S")] = None
+    population: Annotated[AnyPath | None, Help(
+        "instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on; "
+        "resumable", "FOLDER")] = None
+    workers: Annotated[Natural | None, Help("processes for a population (default: 1)", "N")] = None
+    keep_images: Annotated[Literal["none", "thumbnail", "raw"], Help(
+        "what is kept beside the template: nothing (default), a small print, or the source's files")] = "none"
+    replace: Annotated[bool, Help("let a capture take the place of one of the same names")] = False
+    with_time: Annotated[bool, Help("keep the time of enrolment as well")] = False
+    duplicates: Annotated[Literal["refuse", "warn", "allow"], Help(
+        "what to do about a finger that matches another person's: refuse it, report it (default), or not look"
+        )] = "warn"
+    pad: Refusal = False
+    input_ppi: InputPpi = None
+    mask: PhotoMask = None
+    box: PhotoBox = None
+    preset: HowReconstructed = "metric"
+    settings: Settings = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> Outcome:
+        """Enrol sources, or a population."""
+        from splitknit import override
+        from splitknit_match.gallery.enrol import Enrolling  # verbs import what they need
+        from splitknit_match.gallery.key import key_of
+        from splitknit_match.matching.surface import MatchingSettings
+
+        matching = override(MatchingSettings(), self.settings or {})
+        how = Enrolling(self.preset, matching, self.keep_images, self.replace, self.with_time, self.input_ppi,
+                        PhotoFinger(self.mask, self.box))  # fmt: skip
+        key = key_of(self.key_file)
+        presented = refuse_attacks(self.pad, self.sources, self.preset, progress)
+        enrol = self._sources if self.population is None else self._population
+        facts, lines = enrol(how, key, progress)
+        locked = ", encrypted" if facts["encrypted"] else ""
+        lines.append(
+            f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
+            f"{count(facts['people'], 'person', 'people')}{locked}."
+        )
+        return facts if presented is None else {**facts, "presentation": presented}, lines
+
+    def _sources(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
+        from splitknit import known_json
+        from splitknit_match.gallery.warm import enroll
+
+        require(self.workers is None, "`workers` is for `population`.")
+        require(
+            len(self.sources) == 1 or not how.where.given, "`mask` and `box` are for one photograph; name one source."
+        )
+        if self.person is None or self.finger is None:
+            raise BadInput("name whose finger it is: `person` NAME `finger` right_index (or `population` FOLDER).")
+        found = enroll(
+            path(self.gallery), list(self.sources), self.person, self.finger, session=self.session, key=key, how=how,
+            duplicates=self.duplicates, progress=progress,
+        )  # fmt: skip
+        facts = {**known_json(found.content), "enrolled": known_json(found.enrolled), "alike": known_json(found.alike)}
+        return facts, [*(_words(one, self.keep_images) for one in found.enrolled), *map(_alike, found.alike)]
+
+    def _population(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
+        from splitknit_match.batch.enrol import enroll_population
+
+        refuse_given(
+            self,
+            ("person", "finger", "session", "mask", "box"),
+            "does not go with `population`, whose folders have names.",
+        )
+        refuse_given(self, ("duplicates",), "goes with sources; people of a `population` are not compared.")
+        require(not self.sources, "name sources or a `population`, not both.")
+        assert self.population is not None
+        workers = 1 if self.workers is None else self.workers
+        facts = enroll_population(
+            path(self.gallery), path(self.population), how, key=key, workers=workers, progress=progress
+        )
+        failed = facts["failures_to_acquire"]
+        new = count(facts["new"], "capture")
+        lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
+        if failed:
+            lines.append(
+                f"Please note: {count(len(failed), 'failure')} to acquire, kept as such "
+                f"(first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')})."
+            )
+        return facts, lines
+
+
+ENROLL = Verb(EnrollJob)
+
+
+def _alike(one: RankedCandidate) -> str:
+    who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
+    return f"Please note: it matches {who}; is that the same person under another name?"
+
+
+def _words(one: EnrolledCapture, keep: str) -> str:
+    who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
+    if not one.new:
+        return f"{who} was enrolled from the same source already."
+    if not one.acquired:
+        lacks = "too few ridges or minutiae (failure to acquire)"
+        return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
+    kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its files"}[one.images]
+    held = f"{one.area_mm2:.0f} mm² of skin" if one.area_mm2 else "minutiae"
+    notes = [one.note] if one.note else []
+    if keep != "none" and one.images == "none":
+        notes.append(f"a {one.kind} has no image to keep.")
+    return " ".join(
+        [f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}.", *(f"Please note: {n}" for n in notes)]
+    )

@@ -1,0 +1,55 @@
+"""``splitknit export``, and the import of prints: what is said of fingers for other systems."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from splitknit import Outcome, Verb, count, refuse_given
+from splitknit_match.gallery.export_job import ExportJob
+
+if TYPE_CHECKING:
+    from splitknit import ImportJob, Progress
+
+
+def _show(facts: dict[str, Any], job: ExportJob) -> Outcome:
+    lines = export_words(facts)
+    if any("person" in one for one in facts["files"]):
+        lines.append("Please note: they are personal data, and they are not encrypted there.")
+    return facts, lines
+
+
+EXPORT = Verb(ExportJob, _show)
+
+
+def import_prints(job: ImportJob, progress: Progress) -> Outcome:
+    """Write the prints of other systems: a part of ``splitknit import``."""
+    from splitknit_match.gallery.records import import_records  # verbs import what they need
+
+    refuse_given(job, ("nir", "table", "people", "dry_run", "keep", "overwrite"), "goes with `folder`.")
+    job.refuse_photographs((), "goes with `folder`.")
+    facts = import_records(job.files, job.out, job.input_ppi, progress)
+    return facts, export_words(facts)
+
+
+def export_words(facts: dict[str, Any]) -> list[str]:
+    """For people, of an export or an import."""
+    files = facts["files"]
+    minutiae = [one["minutiae"] for one in files if "minutiae" in one]
+    mean = f", {sum(minutiae) / len(minutiae):.0f} minutiae in the mean" if minutiae else ""
+    first = f" ({files[0]['file']}{' ...' if len(files) > 1 else ''})"
+    lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
+    if "vertices" in files[0]:
+        lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
+    if "relief_roughness" in files[0]:
+        rough = files[0]["relief_roughness"]
+        lines.append(
+            f"Relief: Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um, Sdr "
+            f"{rough['Sdr_percent']:.1f} %."
+        )
+    lines += [f"Please note: {one['file']}: {one['note']}" for one in files if "note" in one]
+    failed = facts["failures_to_acquire"]
+    if failed:
+        lines.append(
+            f"Please note: {count(len(failed), 'file')} without minutiae (failure to acquire): {failed[0]} ..."
+        )
+    return lines

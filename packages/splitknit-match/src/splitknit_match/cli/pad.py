@@ -1,0 +1,98 @@
+"""``splitknit pad CAPTURE``: is it live skin?"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from splitknit import AnyPath, BadInput, Help, HowReconstructed, Job, Outcome, Progress, Verb, path, require
+
+_LOG = logging.getLogger(__name__)
+Refusal = Annotated[bool, Help("refuse presentation attacks; where it is unknown whether it is one, a note says so")]
+
+
+@dataclass(frozen=True, slots=True)
+class PadJob(Job):
+    """Detect presentation attacks: was live skin photographed, or a copy, or is that unknown."""
+
+    capture: Annotated[AnyPath, Help("capture folder (with capture.json)", "CAPTURE", positional=True)]
+    preset: HowReconstructed = "metric"
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Judge a capture."""
+        return _presented(path(self.capture), self.preset, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ending:
+    """How the program ends."""
+
+    exit_code: Annotated[bool, Help("end with 0 for live skin, 10 for an attack, 11 unknown (without it always 0)")] = (
+        False
+    )
+
+
+def _show(facts: dict[str, Any], job: PadJob, how: _Ending) -> Outcome:
+    unlike = [
+        name for name, value in sorted((facts["suspicion"] or {}).items(), key=lambda one: -one[1]) if value > 1.0
+    ]
+    words = {"live": "Live skin", "attack": "Presentation attack", "unknown": f"Unknown: {facts['reason']}"}
+    lines = [words[facts["answer"]].rstrip(".") + "."]
+    if facts["probability"] is not None:
+        lines.append(
+            f"Probability of live skin {facts['probability']:.3g}; distance to what the model was fitted to "
+            f"{facts['distance']:.2f}, covered up to {facts['covered']:.2f}."
+        )
+        lines.append(f"Unlike live skin: {', '.join(unlike) or 'nothing'}.")
+    return facts, [*lines, f"Please note: {facts['basis']}"]
+
+
+PAD = Verb(PadJob, _show, _Ending)
+
+
+def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Progress) -> str | None:
+    """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one is, or None."""
+    require(not wanted or bool(paths), "`pad` goes with captures that are named.")
+    answer = "live" if wanted else None
+    for one in paths if wanted else ():
+        facts = _presented(Path(one), preset, progress)
+        attack = facts["answer"] == "attack"
+        require(not attack, f"'{one}' is suspected to be a presentation attack; leave out `pad` to take it anyway.")
+        if facts["answer"] == "unknown":
+            answer = "unknown"
+            _LOG.warning("whether '%s' is live skin is unknown: %s", one, facts["reason"])
+    return answer
+
+
+def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
+    from splitknit import (  # verbs import what they need
+        BASIS,
+        BadExposure,
+        Presentation,
+        judge,
+        not_covered,
+        pad_features,
+        pad_images,
+        read_capture,
+        reconstruct,
+    )
+
+    require(
+        (folder / "capture.json").is_file(), f"'{folder}' is no capture folder (capture.json), which attacks show in."
+    )
+    features: dict[str, float] = {}
+    kind: type[BadInput] = BadExposure  # as a screen's own light has it; other refusals on reading are of files
+    try:
+        capture = read_capture(folder)
+        kind = BadInput  # no finger, or too little of one
+        features = pad_features(pad_images(capture), reconstruct(capture, preset, progress=progress))
+        missing = not_covered(capture)
+        found = Presentation("unknown", f"{missing}.") if missing else judge(features)
+    except BadInput as error:
+        if not isinstance(error, kind):
+            raise
+        found = Presentation("unknown", f"it cannot be reconstructed ({str(error).rstrip('.')}).")
+    return {"capture": str(folder), **asdict(found), "features": features, "basis": BASIS}

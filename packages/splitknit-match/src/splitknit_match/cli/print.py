@@ -1,0 +1,67 @@
+"""``splitknit print FINGER``: a flat print of a finger in space."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from splitknit import Verb
+from splitknit_match.prints.print_job import PrintJob
+
+PRINT = Verb(PrintJob, lambda facts, job: (facts, _words(facts)))
+
+
+def _words(facts: dict[str, Any]) -> list[str]:
+    rows, columns = facts["size"]
+    where = {
+        "plane": "on the finger plane, seen straight from above",
+        "free": "on the skin laid flat with the least distortion",
+        "arc": "on the skin laid flat row by row",
+        "tube": "on the best-fit tube, unrolled",
+        "cylinder": "on the best-fit cylinder, unrolled",
+        "paper": "as it was pressed",
+    }[facts["surface"]]
+    period = facts["ridge_period_mm"]["median"]
+    lines = [
+        f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
+        f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart."
+    ]
+    if "scale" in facts:
+        lines.append(f"Please note: {facts['scale']}")
+    if "rolled" in facts:
+        lines.append(_rolled_words(facts["rolled"]))
+        lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
+    if "distortion" in facts:
+        figures = facts["distortion"]
+        lines.append(
+            f"Lengths are off by {figures['length_median_percent']:.1f} % (median) and "
+            f"{figures['length_p95_percent']:.1f} % (95th percentile), whichever way is worse."
+        )
+    minutiae = facts["minutiae"]
+    if minutiae["written"]:
+        lines.append(f"{minutiae['count']} minutiae.")
+    else:
+        lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
+    if "pores" in facts:
+        pores = facts["pores"]
+        lines.append(f"{pores['count']} pores, sought in the {pores['sought_in']}.")
+        lines += [f"Please note: {pores['warning']}"] if "warning" in pores else []
+    lines += _quality_words(facts["quality"])
+    lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
+    return lines
+
+
+def _rolled_words(rolled: dict[str, Any]) -> str:
+    steps = [seam["step_rms_um"] for seam in rolled["seams"].values() if seam["step_rms_um"] is not None]
+    words = (
+        f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger, from {len(rolled['views'])} views"
+    )
+    return words + (f"; seams step by {max(steps):.1f} um at most (rms)." if steps else ".")
+
+
+def _quality_words(quality: dict[str, Any]) -> list[str]:
+    """One line of scores and, where something is wrong, what to do."""
+    words = f"Quality: {quality['ours']:.0f} of 100"
+    if quality["nfiq2"] is not None:
+        of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
+        words += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
+    return [f"{words}.", *quality["advice"]]

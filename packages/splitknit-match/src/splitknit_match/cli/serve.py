@@ -1,0 +1,60 @@
+"""``splitknit serve --gallery GALLERY``: a gallery over HTTP, on this machine unless TLS is given."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import KW_ONLY, dataclass
+from typing import Annotated
+
+from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, importing, path, require
+
+LOCAL = ("127.0.0.1", "::1", "localhost")
+
+
+@dataclass(frozen=True, slots=True)
+class ServeJob(Job):
+    """Serve a gallery over HTTP: enrol, identify, verify, quality."""
+
+    # fmt: off
+    _: KW_ONLY
+    gallery: Annotated[AnyPath, Help("file of the gallery, made with the first finger", "GALLERY")]
+    key_file: KeyFile = None
+    token_file: Annotated[AnyPath | None, Help(
+        "token that clients must send (or the variable SPLITKNIT_SERVE_TOKEN)", "FILE", secret=True)] = None
+    host: Annotated[str, Help("address to listen at; others than this machine's need `certificate`", "HOST")] = LOCAL[0]
+    port: Annotated[int, Limits(1, 65535), Help("port", "N")] = 8321
+    certificate: Annotated[AnyPath | None, Help("TLS: certificate chain (PEM)", "FILE")] = None
+    certificate_key: Annotated[AnyPath | None, Help("TLS: its private key (PEM)", "FILE", secret=True)] = None
+    audit: Annotated[AnyPath | None, Help("file that gets a line for each act, without biometric data", "FILE")] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> Outcome:
+        """Serve until a signal ends it."""
+        from splitknit_match.gallery.key import key_of  # verbs import what they need
+        from splitknit_match.gallery.serve import make_app, read_token
+        from splitknit_match.gallery.warm import OpenGallery
+
+        require(
+            (self.certificate is None) == (self.certificate_key is None),
+            "`certificate` and `certificate_key` go together.",
+        )
+        require(
+            self.host in LOCAL or self.certificate is not None,
+            f"'{self.host}' is not this machine alone; give `certificate` and `certificate_key` for TLS, or a proxy's.",
+        )
+        token = read_token(path(self.token_file))
+        with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
+            import uvicorn
+        with OpenGallery.open(path(self.gallery), key_of(path(self.key_file))) as gallery:
+            app = make_app(gallery, token, path(self.audit))
+            scheme = "http" if self.certificate is None else "https"
+            print(f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it.", file=sys.stderr)
+            uvicorn.run(
+                app, host=self.host, port=self.port, log_level="warning", access_log=False, server_header=False,
+                limit_concurrency=64, timeout_keep_alive=5, h11_max_incomplete_event_size=65_536,
+                ssl_certfile=path(self.certificate), ssl_keyfile=path(self.certificate_key),
+            )  # fmt: skip
+        return {}, []
+
+
+SERVE = Verb(ServeJob)

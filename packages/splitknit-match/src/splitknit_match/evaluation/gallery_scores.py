@@ -1,0 +1,113 @@
+"""Scores from a gallery: every finger of a session with every other finger and with itself in each later session, by
+ridges, or, where templates of prints hold minutiae, by both on the same scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BadInput, Progress, file_hash, no_progress
+from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
+from splitknit_match.evaluation.scores import Scores, score_table
+from splitknit_match.gallery.entry import session_order
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.key import Key
+from splitknit_match.matching.fusion import fused_match, with_fusion
+from splitknit_match.matching.minutiae import minutiae_match
+from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.template import unpack
+
+_BLOCK = 128
+"""Fingers kept ready at a time: 2 MB each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GalleryScores:
+    """What an evaluation needs of a gallery."""
+
+    scores: Scores
+    table: bytes
+    """The same as a score file."""
+    sha256: str
+    """Hash of the gallery's file."""
+    notes: tuple[str, ...]
+
+
+def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = no_progress) -> GalleryScores:
+    """Compare all sessions of a gallery with each other; people of an encrypted one are numbered by enrolment (P001
+    ...). Raises BadInput if the gallery cannot be read, or holds fewer than two sessions or fingers.
+    """
+    with Gallery.open(path, key) as opened:
+        opened.require_comparable(opened.settings_sha256)
+        rows = opened.entries()
+        templates = opened.templates()
+        encrypted = opened.encrypted
+        sha256 = file_hash(path)
+    rows = [one for one in rows if one.row in templates]
+    names = list(dict.fromkeys(one.entry.person for one in rows))
+    shown = {name: f"P{number:03d}" if encrypted else name for number, name in enumerate(names, start=1)}
+    persons = [shown[one.entry.person] for one in rows]
+    sessions = sorted({one.entry.session for one in rows}, key=session_order)
+    when = [sessions.index(one.entry.session) for one in rows]
+    fingers = [f"{person}/{one.entry.finger}" for person, one in zip(persons, rows, strict=True)]
+    try:
+        pairs = comparisons(fingers, when, within=True)
+        score, note = _similarities([templates[one.row] for one in rows], pairs, progress)
+        session_names = [one.entry.session for one in rows]
+        scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
+    except BadInput as error:
+        raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
+    failures = sum(one.template_bytes == 0 for one in rows)
+    notes = [f"{failures} of {len(rows)} captures are failures to acquire."] if failures else []
+    if note:
+        notes.append(note)
+    if encrypted:
+        notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
+    named = {"finger": [one.entry.finger for one in rows], "subject": persons, "session": session_names}
+    sides = pairs.a.tolist(), pairs.b.tolist()
+    both = {kind: ([own[n] for n in sides[0]], [own[n] for n in sides[1]]) for kind, own in named.items()}
+    table = score_table(pairs.genuine.tolist(), both, {"score": score.tolist()})
+    return GalleryScores(scores, table, sha256, tuple(notes))
+
+
+def _similarities(
+    payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
+) -> tuple[NDArray[np.float64], str | None]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, and what is to be noted. Kept sides are
+    large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side after the other.
+    Both sides decide which is turned (:func:`splitknit_match.matching.ridge.ridge_match`): order changes nothing.
+    """
+    if any(holds_minutiae(payload) for payload in payloads):
+        sides = [unpack_minutiae(payload) for payload in payloads]
+        both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
+        return np.array([minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]), None
+    templates = [unpack(payload) for payload in payloads]
+    fused, note = with_fusion([one for one in templates if not one.empty])
+    match = fused_match if fused else ridge_match
+    keys = [Prepared(one).key for one in templates]
+    rank = np.empty(len(keys), dtype=np.int64)
+    rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+    swap = rank[pairs.a] > rank[pairs.b]
+    turned, still = np.where(swap, pairs.b, pairs.a), np.where(swap, pairs.a, pairs.b)
+    score = np.full(pairs.a.size, np.nan)
+    ready: dict[int, Prepared] = {}
+    last: tuple[int, Prepared] = (-1, Prepared(templates[0]))
+    block = -1
+    for done, n in enumerate(np.lexsort((turned, still // _BLOCK)).tolist()):
+        a, b = int(turned[n]), int(still[n])
+        if done % 256 == 0:
+            progress("comparing", 0.9 * done / score.size)
+        if templates[a].empty or templates[b].empty:
+            continue
+        if b // _BLOCK != block:
+            ready, block = {}, b // _BLOCK
+        if a != last[0]:
+            last = (a, Prepared(templates[a]))
+        score[n] = match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
+    return score, note

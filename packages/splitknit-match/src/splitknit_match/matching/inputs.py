@@ -1,0 +1,309 @@
+"""What is matched, as it comes: captures, results, templates, prints, and minutiae of other systems."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    BadInput,
+    Capture,
+    Progress,
+    Reconstruction,
+    Surface,
+    naming,
+    no_progress,
+    open_file,
+    require,
+    surface_of,
+)
+from splitknit_match.matching.minutiae import at_500_ppi
+from splitknit_match.matching.minutiae_record import (
+    PPI,
+    Minutiae,
+    holds_minutiae,
+    no_minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
+from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit_match.matching.ridge_band import print_band
+from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack, with_minutiae
+from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
+
+if TYPE_CHECKING:
+    from splitknit_match.prints.sources import Source
+
+TOUCHES = (".png", ".tif", ".tiff", ".bmp", ".wsq", ".skt")
+_MOST_TOUCHES = 40
+"""Files of a folder of touches."""
+_LEAST_OF_PRINTS = 1 / 3
+"""Of a print so much of the area suffices that surfaces need: small sensors show little, and show it sharply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """One of the two that are compared."""
+
+    path: Path
+    kind: str
+    """``capture``, ``result``, ``template``, ``print``, ``touches``, ``photo`` (of a finger) or ``minutiae``."""
+    surface: Surface | None = None
+    template: Template | None = None
+    """Template of its ridges; None where only minutiae are known."""
+    picture: NDArray[np.uint8] | None = None
+    """(H, W) of a print, at 500 ppi; of a photograph, unrolled."""
+    minutiae: Minutiae | None = None
+    """Minutiae of a record, a template, or a folder that ``splitknit print`` wrote."""
+    note: str | None = None
+    """What a photograph was taken for, or what was changed of a print on reading."""
+    quality: float | None = None
+    """Of a photograph, 0 to 100."""
+
+    @property
+    def payload(self) -> bytes:
+        """Bytes of its template file."""
+        if self.template is not None:
+            return pack(self.template)
+        assert self.minutiae is not None
+        return pack_minutiae(self.minutiae)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """A print without a file."""
+
+    image: NDArray[np.uint8]
+    """(H, W), ridges dark."""
+    resolution_ppi: float
+
+    @property
+    def sha256(self) -> str:
+        """Hash of size, resolution and pixels."""
+        head = f"{self.image.shape} {self.resolution_ppi}\n".encode("ascii")
+        return hashlib.sha256(head + self.image.tobytes()).hexdigest()
+
+
+Held = Reconstruction | Capture | Pixels | bytes
+"""A finger without a file: `bytes` are the payload of a template."""
+
+
+def held(given: Any, resolution_ppi: float | None = None) -> Path | Held:
+    """A finger as a caller gives it: a path, what is no file, or the pixels (H, W) of a print, of a known resolution.
+
+    Raises BadInput if it is nothing of these, or pixels come without their resolution.
+    """
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    if not isinstance(given, np.ndarray):
+        require(
+            isinstance(given, Held),
+            "a finger is a path, a Reconstruction, a Capture, an array (H, W) uint8 with `resolution_ppi`, or bytes of "
+            f"a template, not {type(given).__name__}.",
+        )
+        return given  # type: ignore[no-any-return]
+    require(
+        given.ndim == 2 and given.dtype == np.uint8,
+        f"the array of a print must be (H, W) uint8, ridges dark, but it is {given.shape} {given.dtype}.",
+    )
+    if resolution_ppi is None:
+        raise BadInput("an array of pixels does not state its resolution; give it: `resolution_ppi` 500.")
+    least, most = 200.0, 5080.0  # as of files
+    require(
+        least <= resolution_ppi <= most,
+        f"`resolution_ppi` must lie between {least:g} and {most:g}, but it is {resolution_ppi:g}.",
+    )
+    return Pixels(np.ascontiguousarray(given), float(resolution_ppi))
+
+
+def read_side(  # noqa: PLR0911 - one for each kind
+    given: Path | Held,
+    preset: str,
+    settings: MatchingSettings,
+    progress: Progress = no_progress,
+    input_ppi: float | None = None,
+    *,
+    where: PhotoFinger | None = None,
+) -> Side:
+    """Read one side, whatever it is, and make its template; `input_ppi` as for prints in ``prints.from_file``.
+
+    `where`: which finger of a photograph. Raises BadInput if it is none of these, or cannot be read, or no photograph
+    though `where` chooses.
+    """
+    if where is not None and where.given:
+        name = f"'{given}'" if isinstance(given, Path) else "what is no file"
+        require(is_photo(given), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
+    if not isinstance(given, Path):
+        return _held_side(given, preset, settings, progress)
+    path = given
+    progress(f"reading {path.name}", 0.1)
+    try:
+        found = path.exists()
+    except (OSError, ValueError):
+        found = False
+    require(
+        found,
+        f"there is no '{path}'; name a capture folder, a result folder, a template (.skt), a print "
+        "or a record of minutiae.",
+    )
+    folder = path.is_dir()
+    if folder and (path / "map.npz").is_file() and (path / "print.png").is_file():
+        return _print_folder(path, settings)
+    if (path / "height.npz").is_file() or (not folder and path.suffix.lower() == ".npz"):
+        surface = _read_surface(path / "height.npz" if folder else path)
+        return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
+    if folder and not (path / "capture.json").is_file():
+        touches = sorted(file for file in path.iterdir() if file.suffix.lower() in TOUCHES and file.is_file())
+        if len(touches) > 1:
+            return _touched(path, touches, settings, input_ppi)
+    if folder:
+        from splitknit import photographs_hint, read_capture  # a template needs none of it
+
+        require(
+            (path / "capture.json").is_file(),
+            f"'{path}' is neither a result (height.npz), a capture (capture.json), a print (print.png) nor a folder of "
+            "touches of one finger (prints); name one "
+            f"{photographs_hint(path)}.",
+        )
+        capture = read_capture(path)
+        surface = surface_of(naming(path, lambda: _reconstructed(capture, preset, progress)))
+        return naming(path, lambda: Side(path, "capture", surface, surface_template(surface, settings)))
+    if path.suffix.lower() == ".skt":
+        payload = read_template(path, VERSION)
+        if holds_minutiae(payload):
+            return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
+        return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+    from splitknit_match.prints.fingerphoto import fingerphoto, read_fingerphoto
+    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_one_finger
+    from splitknit_match.records.minutiae_record import FingerView  # a template needs none of it
+
+    photo = fingerphoto(path)
+    if photo is not None:
+        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo)
+        return _photo(path, source, settings)
+    finger = read_one_finger(path, input_ppi)
+    if isinstance(finger, FingerView):
+        return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
+    printed = naming(path, lambda: print_at_500_ppi(finger))
+    template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
+    return naming(path, lambda: Side(path, "print", None, template, printed.image, note=finger.note or None))
+
+
+def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: Progress) -> Side:
+    """A side that is no file."""
+    if isinstance(given, Reconstruction | Capture):
+        result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
+        surface = surface_of(result)
+        return Side(Path("reconstruction"), "result", surface, surface_template(surface, settings))
+    if isinstance(given, Pixels):
+        image = at_500_ppi(given.image, given.resolution_ppi)
+        return Side(Path("array"), "print", None, print_template(image, PPI, settings), image)
+    if holds_minutiae(given):
+        return Side(Path("template"), "template", minutiae=unpack_minutiae(given))
+    return Side(Path("template"), "template", None, unpack(given))
+
+
+def _touched(folder: Path, files: list[Path], settings: MatchingSettings, input_ppi: float | None) -> Side:
+    """Several touches of one finger on a small sensor: prints or their templates, joined."""
+    from splitknit_match.matching.touches import join_touches  # one print needs none of it
+
+    require(
+        len(files) <= _MOST_TOUCHES, f"'{folder}' holds {len(files)} prints; of touches {_MOST_TOUCHES} are joined."
+    )
+    templates = []
+    for file in files:
+        one = read_side(file, "metric", settings, input_ppi=input_ppi)
+        require(
+            one.template is not None and one.kind in ("print", "template"),
+            f"{file} is a {one.kind}; a folder of touches holds prints of one finger alone.",
+        )
+        templates.append(one.template)
+    whole, joined = join_touches([one for one in templates if one is not None])
+    found = sum(not one.empty for one in templates if one is not None)
+    note = f"{len(files)} touches, {joined} joined" + (f", {found - joined} beside them" if found > joined else "")
+    if found < len(files):
+        note += f", {len(files) - found} without enough ridges"
+    return Side(folder, "touches", None, whole, note=note)
+
+
+def _photo(path: Path, source: Source, settings: MatchingSettings) -> Side:
+    """A photograph of a finger: its print, unrolled by the mean shape."""
+    assert source.flat is not None
+    template = print_template(source.flat, settings=settings, enhanced=True)
+    return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
+
+
+def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
+    """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
+    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder
+
+    picture, view = read_print_folder(folder)
+    printed = naming(folder, lambda: print_at_500_ppi(picture))
+    template = naming(folder, lambda: print_template(printed.image, settings=settings))
+    return Side(folder, "print", None, template, printed.image, None if view is None else minutiae_of(view))
+
+
+def is_photo(given: Path | Held) -> bool:
+    """Whether a source is a photograph of a finger."""
+    if not isinstance(given, Path) or given.suffix.lower() in (".skt", ".npz"):
+        return False
+    from splitknit_match.prints.fingerphoto import fingerphoto  # a template needs none of it
+
+    return fingerphoto(given) is not None
+
+
+def is_of_minutiae(path: Path | Held) -> bool:
+    """Whether a source is a record of minutiae, or a template that holds minutiae."""
+    if not isinstance(path, Path):
+        return isinstance(path, bytes) and holds_minutiae(path)
+    if not path.is_file():
+        return False
+    with open_file(path, 1 << 50) as (stream, _):
+        first = stream.read(HEADER_BYTES + 4)
+    return first[:4] == b"FMR\0" or (first.startswith(MAGIC) and holds_minutiae(first[HEADER_BYTES:]))
+
+
+def print_template(
+    image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None, *, enhanced: bool = False
+) -> Template:
+    """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
+
+    `enhanced`: take the ridges from the enhanced picture, as of photographs, whose noise is as strong as they are.
+    Raises BadInput as :func:`splitknit_match.matching.ridge_band.print_band`.
+    """
+    from splitknit import PrintFile  # templates of others need none of these
+    from splitknit_match.prints.from_file import pressed_print
+    from splitknit_match.prints.make import enhance, minutiae_by_phase
+
+    settings, image = settings or MatchingSettings(), at_500_ppi(image, ppi)
+    inside, minutiae = np.zeros(image.shape, dtype=np.bool_), no_minutiae((image.shape[0], image.shape[1]))
+    with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
+        made = pressed_print(PrintFile(image, PPI, {}))
+        inside = made.weight > 0
+        minutiae = minutiae_by_phase(made, enhance(made, PPI), PPI)
+        image = made.clearest if enhanced else image
+    band = print_band(image, PPI, settings.band, inside)
+    least = replace(settings.template, least_area_mm2=_LEAST_OF_PRINTS * settings.template.least_area_mm2)
+    return with_minutiae(make_template(band, least), band.valid, minutiae)
+
+
+def _read_surface(path: Path) -> Surface:
+    """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
+    from splitknit import read_fields  # a template needs none of it
+
+    arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
+    return Surface(**arrays)
+
+
+def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
+    from splitknit import reconstruct  # a template needs none of it
+
+    return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))

@@ -1,0 +1,620 @@
+"""Matching of files by one of eight methods: captures, results, templates and prints in, similarity out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BadInput, Progress, Surface, naming, no_progress, override, path, require
+from splitknit_match.matching.fusion import SMALL_MM2, can_fuse, fused_match, fused_photo
+from splitknit_match.matching.inputs import Side, held, is_photo, read_side
+from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
+from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
+from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
+from splitknit_match.matching.surface import MatchingSettings, surface_images
+from splitknit_match.matching.template import VERSION, Template
+from splitknit_match.records.templates import is_template, write_template
+
+if TYPE_CHECKING:
+    from splitknit_match.matching.match_job import MakeTemplateJob, MatchJob
+
+SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
+"""Those that compare surfaces in space."""
+TABLES = {
+    "ridge": "match_fmr.json",
+    "fusion": "match_fmr_prints.json",
+    "fingerphotos": "match_fmr_fingerphotos.json",
+    "windows": "match_fmr_windows.json",
+    "minutiae": "match_fmr_minutiae.json",
+    "minutiae_of_prints": "match_fmr_minutiae_prints.json",
+    "minutiae3d": "match_fmr_minutiae3d.json",
+    "tetrahedra": "match_fmr_tetrahedra.json",
+    "surface_code": "match_fmr_surface_code.json",
+}
+"""Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of real prints."""
+REAL_PRINTS = "match_fmr_real_prints.json"
+"""The fusion's impostor scores of real prints, which state the rates that are not too small for them."""
+_FMR_ROUNDING = 1e-5
+"""By this much similarities are rounded so that no rate comes out too low."""
+_WHOLE = ("minutiae", "minutiae_of_prints")
+"""bozorth3's scores are whole numbers."""
+DECIDED_AT = 1e-4
+"""False match rate at which is decided whether it is one finger."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSide:
+    """One of two fingers that were compared."""
+
+    path: str
+    kind: str
+    """``capture``, ``result``, ``template``, ``print``, ``touches``, ``photo`` (of a finger) or ``minutiae``."""
+    area_mm2: float
+    """Area of its ridges."""
+    acquired: bool
+    """False: a failure to acquire, which matches nobody."""
+    minutiae: int | None = None
+    """How many were compared, by methods of minutiae."""
+    nfiq2: int | None = None
+    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no print."""
+    enhanced: bool | None = None
+    """Whether its print was enhanced first."""
+    code_mm2: float | None = None
+    """Area of its finger surface code."""
+    note: str | None = None
+    """What a photograph was taken for, and how its scale is known."""
+    quality: float | None = None
+    """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneAlignment:
+    """How side A is laid on side B, in the plane; None where the method does not move it so."""
+
+    rotation_deg: float | None = None
+    right_mm: float | None = None
+    up_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FmrBasis:
+    """What false match rates were measured on."""
+
+    impostors: int
+    """Comparisons of different fingers."""
+    population: str
+    smallest: float
+    """The smallest rate that they can state."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchDecision:
+    """Whether it is one finger."""
+
+    match: bool
+    fmr: float
+    """False match rate at which was decided."""
+    threshold: float
+    """Similarity from which on it is a match."""
+    expected_fmr: float | None = None
+    """Where so small a rate was not measured: what is to be expected; `fmr` is then its upper limit of 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateFile:
+    """A template that was written."""
+
+    file: str
+    bytes: int
+    version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match:
+    """What a comparison found; None is what its method does not measure."""
+
+    method: str
+    """That was used, never ``auto``."""
+    a: ComparedSide
+    b: ComparedSide
+    similarity: float
+    """The method's score; higher is more similar."""
+    similarity_of_ridges: float | None = None
+    similarity_of_minutiae: float | None = None
+    """Similarity of minutiae in the method ``fusion``, 0 to 1; None where there are too few."""
+    compared: bool
+    """False: a failure to acquire, or too little overlap."""
+    agreeing: int | None = None
+    """Minutiae that agree in place and direction."""
+    tetrahedra: int | None = None
+    """That proposed an alignment."""
+    distance: float | None = None
+    """Fraction of bits that differ."""
+    overlap_mm2: float | None = None
+    correlation: float | None = None
+    overlap: float | None = None
+    """Intersection over union of both outlines."""
+    dissimilarity: Mapping[str, float] | None = None
+    """The thesis's score (5.2) by kind of image, of the method ``thesis``; so `distances`."""
+    distances: Mapping[str, float] | None = None
+    alignment: PlaneAlignment | None = None
+    fmr: float | None = None
+    """False match rate at this similarity, None where it is not known."""
+    fmr_missing: str | None = None
+    """Why it is not."""
+    fmr_basis: FmrBasis | None = None
+    decision: MatchDecision | None = None
+    answer: str = "undecided"
+    """``match``, ``no match``, ``undecided``, or ``not acquired``."""
+    undecided: str | None = None
+    """Why the answer is neither ``match`` nor ``no match``, and what it takes."""
+    template: TemplateFile | None = None
+    """Template of side A, where one was written."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateMade:
+    """A finger whose template was made."""
+
+    a: ComparedSide
+    template: TemplateFile | None
+    """The file, where one was written."""
+    payload: bytes | None = None
+    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to acquire."""
+
+
+def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
+    """Compare two fingers. Raises BadInput, naming the file at fault, or if `fmr` is below what was measured.
+
+    Where a photograph of a finger is compared with a print, `input_ppi` is the resolution of the photograph alone.
+    """
+    require(job.fmr is None or 0 < job.fmr < 1, f"`fmr` must lie between 0 and 1, but it is {job.fmr}.")
+    a, b, method, template = held(job.a), held(job.b), str(job.method), path(job.template)
+    chosen = override(MatchingSettings(), job.settings or {})
+    own = None if job.decision is None else read_own_rates(path(job.decision))
+    if template is not None:
+        _check_template_file(template, a, b)
+    where = PhotoFinger(job.mask, job.box)
+    photos = [(job.input_ppi is not None or where.given) and is_photo(side) for side in (a, b)]
+    scales = [job.input_ppi if photo or not any(photos) else None for photo in photos]
+    chosen_in = [where, None] if photos[0] or not photos[1] else [None, where]
+
+    def read(number: int) -> Side:
+        shown = no_progress if number else progress
+        return read_side((a, b)[number], job.preset, chosen, shown, scales[number], where=chosen_in[number])
+
+    if all(isinstance(one, Path) and one.is_file() and one.suffix != ".skt" for one in (a, b)):
+        from concurrent.futures import ThreadPoolExecutor  # templates need none
+
+        with ThreadPoolExecutor(2) as pool:
+            first, second = pool.map(read, range(2))
+    else:
+        first, second = read(0), read(1)
+    if method == "auto":
+        method = _usual_method(first, second)
+    require(
+        own is None or own.method == method,
+        f"'{job.decision}' is for the method {'' if own is None else own.method}, but {method} compares these.",
+    )
+    progress("comparing", 0.9)
+    compare: dict[str, Callable[[Side, Side, MatchingSettings], Match]] = {
+        "ridge": _by_ridges,
+        "fusion": partial(_fused, job.input_ppi is None),
+        **{name: partial(_by_thesis, name) for name in ("thesis", "thesis-code")},
+        "minutiae": _by_minutiae,
+        "voted": partial(_by_votes, job.preset),
+        "surface-code": _by_codes,
+        **{name: partial(_by_space_minutiae, name) for name in ("minutiae3d", "tetrahedra")},
+    }
+    found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
+    written = None if template is None else _written(template, first)
+    progress("done", 1.0)
+    return replace(found, template=written)
+
+
+def make_template_file(job: MakeTemplateJob, progress: Progress = no_progress) -> TemplateMade:
+    """Write the template of one finger; refusals as of :func:`match_fingers`."""
+    chosen, finger, template = override(MatchingSettings(), job.settings or {}), held(job.a), path(job.template)
+    if template is not None:
+        _check_template_file(template, finger)
+    side = read_side(finger, job.preset, chosen, progress, job.input_ppi, where=PhotoFinger(job.mask, job.box))
+    written = None if template is None else _written(template, side)
+    progress("done", 1.0)
+    return TemplateMade(_side(side), written, side.payload)
+
+
+def _check_template_file(template: Path, *inputs: Any) -> None:
+    from splitknit import check_file  # a comparison needs none of it
+
+    empty = template.suffix == ".skt"  # is a failure to acquire
+    check_file(template, "a template", lambda data: is_template(data) if data else empty)
+    sources = [path.expanduser().resolve() for path in inputs if isinstance(path, Path)]
+    require(template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file.")
+
+
+def _written(template: Path, side: Side) -> TemplateFile:
+    write_template(template, side.payload, VERSION)
+    return TemplateFile(str(template), template.stat().st_size)
+
+
+def _usual_method(a: Side, b: Side) -> str:
+    if a.template is None or b.template is None:
+        return "minutiae"
+    return "fusion" if can_fuse(a.template, b.template) else "ridge"
+
+
+def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:
+    found = ridge_match(_template(a), _template(b), settings.ridge)
+    return Match(
+        method="ridge", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
+        overlap_mm2=found.overlap_mm2, correlation=found.correlation, alignment=_laid(found),
+    )  # fmt: skip
+
+
+def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match:
+    """Compare two prints by ridges and minutiae, where one is a photograph of assumed scale at several.
+
+    Raises BadInput if a side holds no minutiae.
+    """
+    sides = []
+    for side in (a, b):
+        minutiae = _template(side).minutiae
+        if minutiae is None:
+            raise BadInput(
+                f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
+                "one, or a template (.skt) that was made of one."
+            )
+        acquired = minutiae.acquired or not _template(side).empty
+        sides.append(replace(_side(side), minutiae=minutiae.count, acquired=acquired))
+    left, right = (Prepared(_template(side), settings.ridge) for side in (a, b))
+    photos = [side.kind == "photo" for side in (a, b)]
+    if assumed and any(photos):
+        found, scale, number = fused_photo(left, right, photos)
+        if scale != 1:
+            larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
+            sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
+    else:
+        found = fused_match(left, right)
+    return Match(
+        method="fusion", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae,
+        overlap_mm2=found.ridge.overlap_mm2, correlation=found.ridge.correlation, alignment=_laid(found.ridge),
+    )  # fmt: skip
+
+
+def _laid(found: RidgeMatch) -> PlaneAlignment:
+    return PlaneAlignment(found.rotation_deg, found.right_mm, found.up_mm)
+
+
+def _scores_of(method: str, a: Side, b: Side) -> str:
+    """Which table holds the impostor scores of a comparison."""
+    if "photo" in (a.kind, b.kind):
+        return "fingerphotos" if method == "fusion" else f"{method} on photographs"
+    of_surfaces = a.surface is not None and b.surface is not None
+    return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
+
+
+def _rated(
+    found: Match, scores: str, settings: MatchingSettings, decide: tuple[float | None, OwnRates | None]
+) -> Match:
+    """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
+    fmr, own = decide
+    missing = None
+    if not (found.a.acquired and found.b.acquired):
+        return replace(found, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
+    if scores not in TABLES and own is None:
+        missing = f"false match rates of the method {scores} were not measured"
+    elif own is None and not as_calibrated(settings, scores):
+        missing = "with other settings than the shipped ones false match rates are not known"
+    elif not found.compared:
+        missing = "nothing was compared"
+    if missing is not None:
+        return replace(found, fmr_missing=missing, undecided=missing)
+    areas = found.a.area_mm2, found.b.area_mm2
+    scores = scores_of(scores, areas, found.similarity_of_minutiae)
+    rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
+    return replace(
+        found, fmr=rated.fmr, fmr_missing=rated.missing, fmr_basis=rated.basis, decision=rated.decision,
+        answer=rated.answer, undecided=rated.undecided,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Rated:
+    """What a similarity says, given what was compared."""
+
+    answer: str
+    fmr: float | None = None
+    missing: str | None = None
+    basis: FmrBasis | None = None
+    decision: MatchDecision | None = None
+    undecided: str | None = None
+
+
+def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | None) -> str:
+    """Which impostors a comparison is rated by: where little or no minutiae were compared, other than of the method.
+
+    `minutiae`: the fusion's `similarity_of_minutiae`.
+    """
+    small = min(areas_mm2) < SMALL_MM2
+    if method == "fusion":
+        return "windows" if small or minutiae is None else method
+    return f"{method} small" if small and method in ("ridge", "fingerphotos") else method
+
+
+def rate(
+    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: OwnRates | None = None
+) -> Rated:
+    """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates, decided at `fmr`.
+
+    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are undecided).
+    """
+
+    def unknown(why: str) -> Rated:
+        return Rated("undecided", missing=why, undecided=why)
+
+    if own is None and scores not in TABLES:
+        method = scores.removesuffix(" small")
+        return unknown(f"false match rates of the method {method} were measured on {SMALL_MM2:.0f} mm² of skin or more")
+    table = _fmr_table(scores) if own is None else own.table
+    rated_mm2, excluded_mm2 = _limits(scores) if own is None else (own.least_mm2, 0.0)
+    if overlap_mm2 is not None and overlap_mm2 < rated_mm2:
+        return unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {rated_mm2:.0f} mm² or more")
+    basis, found = _basis(table), _fmr(table, similarity, scores)
+    at = max(DECIDED_AT, basis.smallest) if fmr is None else fmr
+    if at < basis.smallest and scores == "windows":
+        why = f"on small prints false match rates below {basis.smallest:.2g} were not measured"
+        return Rated("undecided", found, basis=basis, undecided=why)
+    threshold = _threshold(table, at, scores)
+    expected = table.beyond(at)[1] if at < table.smallest else None
+    decision = MatchDecision(similarity >= threshold, at, threshold, expected)
+    if not decision.match and overlap_mm2 is not None and overlap_mm2 < excluded_mm2:
+        why = (
+            f"the ridges agree too little for a match, but {overlap_mm2:.0f} mm² are too few to exclude one: it takes "
+            f"{excluded_mm2:.0f} mm² or more"
+        )
+        return Rated("undecided", found, basis=basis, undecided=why)
+    return Rated("match" if decision.match else "no match", found, basis=basis, decision=decision)
+
+
+def fmr_basis(method: str = "ridge") -> FmrBasis:
+    """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
+    return _basis(_fmr_table(method))
+
+
+def _basis(table: FmrTable) -> FmrBasis:
+    return FmrBasis(table.impostors, table.population, table.smallest)
+
+
+def false_match_rate(similarity: float, method: str = "ridge") -> float:
+    """Rate at which other fingers reach this similarity of a method of :data:`TABLES`.
+
+    Never below one over the number of impostor comparisons that the table was measured on.
+    """
+    return _fmr(_fmr_table(method), similarity, method)
+
+
+def _fmr(table: FmrTable, similarity: float, method: str) -> float:
+    return table(similarity - (0.0 if method in _WHOLE else _FMR_ROUNDING))
+
+
+def similarity_at(fmr: float, method: str = "ridge") -> float:
+    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
+
+    A smaller one than was measured is extrapolated (:meth:`splitknit_match.matching.score.FmrTable.beyond`). Raises
+    BadInput if it is less than a hundredth of that.
+    """
+    return _threshold(_fmr_table(method), fmr, method)
+
+
+def _threshold(table: FmrTable, fmr: float, method: str) -> float:
+    require(
+        fmr >= 0.01 * table.smallest,
+        f"false match rates were measured on {table.impostors} comparisons, so that none below "
+        f"{0.01 * table.smallest:.2g} can be stated; give a larger one than {fmr:g}.",
+    )
+    measured = float(table.similarity[np.argmax(table.fmr <= fmr)])
+    least = measured if fmr >= table.smallest else table.beyond(fmr)[0]
+    return math.ceil(least) if method in _WHOLE else (math.ceil(least / _FMR_ROUNDING) + 1) * _FMR_ROUNDING
+
+
+def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
+    """Whether scores mean what they meant when the table was measured."""
+    ridges, codes = ("band", "template", "ridge"), ("surface_code", "surface_match")
+    names = {"ridge": ridges, "fusion": ridges, "fingerphotos": ridges, "windows": ridges, "surface_code": codes}
+    plain = MatchingSettings()
+    asked = names.get(method, (method,) if hasattr(plain, method) else ())
+    return all(getattr(settings, name) == getattr(plain, name) for name in asked)
+
+
+def _by_thesis(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
+    from splitknit_match.matching.thesis import thesis_match  # a template needs none of it
+    from splitknit_match.matching.thesis_code import code_match, code_side
+
+    left, right = (naming(side.path, partial(surface_images, _surface(side, method))) for side in (a, b))
+    found: Any
+    if method == "thesis":
+        found = thesis_match(left, right, settings.thesis)
+        compared, more, distances = found.compared, dict(found.dissimilarity), dict(found.distances)
+    else:
+        found, compared, more = code_match(code_side(left), code_side(right)), True, None
+        distances = {name: 1.0 - score for name, score in found.scores.items()}
+    return Match(
+        method=method, a=_side(a), b=_side(b), similarity=found.similarity, compared=compared, overlap=found.ratio,
+        dissimilarity=more, distances=distances, alignment=PlaneAlignment(right_mm=found.shift_px / left.px_per_mm),
+    )  # fmt: skip
+
+
+def _template(side: Side) -> Template:
+    if side.template is None:
+        raise BadInput(f"{side.path} holds minutiae, no ridges; compare by the method minutiae.")
+    return side.template
+
+
+def _side(side: Side) -> ComparedSide:
+    template = side.template
+    if template is None:
+        assert side.minutiae is not None
+        return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
+    path, area = str(side.path), template.area_mm2
+    return ComparedSide(path, side.kind, area, not template.empty, note=side.note, quality=side.quality)
+
+
+def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
+    """Compare by minutiae: similarity, and what each side's print holds.
+
+    Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
+    side is a template of ridges, or nbis-py is not installed.
+    """
+    found = [side_minutiae(side) for side in (a, b)]
+    sides = []
+    for side, known in zip((a, b), _with_minutiae(a, b, found), strict=True):
+        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
+        quality_or_none = None if quality == NFIQ2_FAILED else quality
+        sides.append(replace(known, nfiq2=quality_or_none, enhanced=side.picture is not None))
+    compared = all(one.acquired for one in found)
+    return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*found), compared=compared)
+
+
+def side_minutiae(side: Side) -> Minutiae:
+    """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
+
+    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a template of ridges, or
+    nbis-py is not installed.
+    """
+    if side.minutiae is not None:
+        return side.minutiae
+    image, pressed = _print_of(side)
+    if pressed:
+        from splitknit_match.prints.from_file import print_minutiae  # a template needs none of it
+
+        return naming(side.path, partial(print_minutiae, image))
+    return naming(side.path, partial(extract, image, PPI))
+
+
+def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
+    """The print of a side at 500 ppi, and whether it comes from a file."""
+    if side.surface is not None:
+        from splitknit import surface_print  # a template needs none of it
+
+        return naming(side.path, partial(surface_print, side.surface, PPI)), False
+    if side.picture is None:
+        raise BadInput(
+            f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
+        )
+    return side.picture, True
+
+
+def _surface(side: Side, method: str) -> Surface:
+    if side.surface is None:
+        raise BadInput(
+            f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
+        )
+    return side.surface
+
+
+def _with_minutiae(a: Side, b: Side, found: Sequence[Minutiae | SpaceMinutiae]) -> list[ComparedSide]:
+    """Both sides, with how many minutiae were found in each."""
+    return [
+        replace(_side(side), minutiae=one.count, acquired=one.acquired) for side, one in zip((a, b), found, strict=True)
+    ]
+
+
+def _by_space_minutiae(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
+    from splitknit_match.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # a template needs none of it
+    from splitknit_match.matching.space_features import space_minutiae  # a template needs none of it
+
+    left, right = (naming(side.path, partial(space_minutiae, _surface(side, method))) for side in (a, b))
+    tetrahedra = method == "tetrahedra"
+    if tetrahedra:
+        found = tetrahedra_match(left, right, settings.tetrahedra)
+    else:
+        found = minutiae3d_match(left, right, settings.minutiae3d)
+    sides = _with_minutiae(a, b, (left, right))
+    return Match(
+        method=method, a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        agreeing=found.agreeing, tetrahedra=found.proposals if tetrahedra else None,
+    )  # fmt: skip
+
+
+def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
+    from splitknit_match.matching.space_features import surface_code  # a template needs none of it
+    from splitknit_match.matching.surface_code import surface_code_match  # a template needs none of it
+
+    codes = [
+        naming(side.path, partial(surface_code, _surface(side, "surface-code"), settings.surface_code))
+        for side in (a, b)
+    ]
+    found = surface_code_match(codes[0], codes[1], settings.surface_match)
+    sides = [
+        replace(_side(side), code_mm2=one.area_mm2, acquired=not one.empty)
+        for side, one in zip((a, b), codes, strict=True)
+    ]
+    return Match(
+        method="surface-code", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        distance=found.distance, overlap_mm2=found.overlap_mm2, alignment=PlaneAlignment(found.rotation_deg),
+    )  # fmt: skip
+
+
+def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
+    """Compare by voted minutiae. Raises BadInput if a side is no capture, or nbis-py is not installed."""
+    for side in (a, b):
+        if side.kind != "capture":
+            raise BadInput(
+                f"{side.path} is a {side.kind} without the images that it was made of, which the method voted needs; "
+                "name the capture itself, or compare with the method minutiae."
+            )
+    voted = [_voted(side, preset, settings) for side in (a, b)]
+    sides = [replace(side, enhanced=False) for side in _with_minutiae(a, b, voted)]
+    return Match(
+        method="voted", a=sides[0], b=sides[1], similarity=minutiae_match(*voted),
+        compared=all(one.acquired for one in voted),
+    )  # fmt: skip
+
+
+def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
+    from splitknit import preset_settings, read_capture  # of captures only
+    from splitknit_match.matching.voted_minutiae import voted_minutiae
+
+    capture = read_capture(side.path)
+    return naming(
+        side.path, lambda: voted_minutiae(capture, preset_settings(preset), settings.leave_one_out, settings.voted)
+    )
+
+
+@cache
+def _limits(method: str) -> tuple[float, float]:
+    """Of what overlaps, mm2: below the first no rate is stated, below the second no finger excluded."""
+    document = _document(TABLES[method])
+    return document.get("rated_mm2", 0.0), document.get("excluded_mm2", 0.0)
+
+
+def _document(file: str) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(Path(__file__).with_name(file).read_text(encoding="utf-8"))
+    return document
+
+
+@cache
+def _fmr_table(method: str) -> FmrTable:
+    """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones where those end."""
+    document = _document(TABLES[method])
+    scores, rates = np.array(document["similarity"]), np.array(document["fmr"])
+    impostors, what = int(document["impostors"]), document["what"]
+    if method == "fusion":
+        real = _document(REAL_PRINTS)
+        beyond = rates < min(real["fmr"])  # reached by no real impostor either
+        scores = np.append(real["similarity"], np.maximum(scores[beyond], max(real["similarity"])))
+        rates = np.append(real["fmr"], rates[beyond])
+        what = f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the others {what}"
+        impostors += int(real["impostors"])
+    return FmrTable(scores, rates, impostors, what)

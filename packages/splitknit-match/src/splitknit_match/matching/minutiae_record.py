@@ -1,0 +1,285 @@
+"""Minutiae of one print, and the bytes in which they are kept.
+
+The bytes, little-endian: ``SKMI``, version (uint16), rows and columns of the print at 500 ppi and the number of
+minutiae (uint16 each), CRC-32 of all that follows (uint32); for each minutia column and row (uint16 each), direction in
+256 steps, type, quality (a byte each). A print without any minutiae is zero bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import require
+
+# What the bytes of minutiae and codes have in common: a head with magic, version, sizes, checksum, then the body.
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """How one kind of things is packed."""
+
+    name: str
+    """What they are, for people."""
+    magic: bytes
+    """The first four bytes."""
+    version: int
+    """A reader refuses others."""
+    sizes: str
+    """Format of the sizes in the head, little-endian, as of :mod:`struct`."""
+    remedy: str
+    """What to do about bytes that cannot be read."""
+
+    @property
+    def head(self) -> struct.Struct:
+        """Magic, version (uint16), sizes, CRC-32 of the body (uint32)."""
+        return struct.Struct(f"<4sH{self.sizes}I")
+
+    def pack(self, sizes: tuple[int, ...], body: bytes) -> bytes:
+        """Head and body."""
+        return self.head.pack(self.magic, self.version, *sizes, zlib.crc32(body)) + body
+
+    def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
+        """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
+
+        Raises BadInput if the bytes are damaged, of another version, or something else.
+        """
+        head, name = self.head, self.name
+        require(
+            len(data) > head.size and data[:4] == self.magic,
+            f"these {len(data)} bytes are no packed {name} (they begin with '{self.magic.decode('ascii')}'); "
+            f"{self.remedy}",
+        )
+        _, version, *sizes, sum_ = head.unpack_from(data)
+        require(
+            version == self.version,
+            f"the {name} are of version {version}, but this program reads version {self.version}; {self.remedy}",
+        )
+        body = data[head.size :]
+        size = body_size(*sizes)
+        require(
+            size > 0 and len(body) == size and zlib.crc32(body) == sum_,
+            f"the packed {name} are damaged (their length or checksum does not fit); {self.remedy}",
+        )
+        return tuple(sizes), body
+
+
+PPI = 500.0
+"""Resolution of the grid on which minutiae lie, whatever the print's resolution was."""
+MINUTIAE_VERSION = 1
+"""Version of the packed bytes; a reader refuses others."""
+ENDING, BIFURCATION = 1, 2
+"""Types, with the codes of ISO/IEC 19794-2; 0 is any other."""
+MIN_MINUTIAE = 10
+"""bozorth3 compares no fewer (its MIN_COMPUTABLE_BOZORTH_MINUTIAE); what has fewer is a failure to acquire."""
+MAX_MINUTIAE = 200
+"""bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE)."""
+LARGEST_SIDE_PX = 8192
+_PACKING = Packing("minutiae", b"SKMI", MINUTIAE_VERSION, "HHH", "extract them from the print again.")
+_ROW = np.dtype([("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")])
+_STEP_RAD = 2 * np.pi / 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minutiae:
+    """N minutiae of one print, on its pixel grid at 500 ppi.
+
+    The frame is that of the print (mirrored against the camera's picture), column 0 at its left, row 0 at the tip.
+    """
+
+    x_px: NDArray[np.int32]
+    """(N,) column, 0 is the leftmost pixel's centre."""
+    y_px: NDArray[np.int32]
+    """(N,) row, downwards."""
+    direction_rad: NDArray[np.float64]
+    """(N,) in [0, 2 pi), counter-clockwise from the right as seen in the print: from the minutia towards the side that
+    has one more ridge, along the ridge that ends or between the branches (as ISO/IEC 19794-2 and ANSI/INCITS 378)."""
+    type: NDArray[np.uint8]
+    """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
+    quality: NDArray[np.uint8]
+    """(N,) 0 to 100."""
+    size: tuple[int, int]
+    """(rows, columns) of the print at 500 ppi."""
+
+    def __post_init__(self) -> None:
+        columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
+        require(
+            all(column.shape == (len(self.x_px),) for column in columns),
+            f"minutiae must be lists of one length, but they have the shapes {[column.shape for column in columns]}.",
+        )
+        rows, width = self.size
+        require(
+            0 <= rows <= LARGEST_SIDE_PX and 0 <= width <= LARGEST_SIDE_PX,
+            f"a print of {rows} x {width} pixels at 500 ppi is larger than {LARGEST_SIDE_PX}; check its resolution.",
+        )
+        if self.count:
+            inside = self.x_px.min() >= 0 and self.y_px.min() >= 0
+            inside = inside and self.x_px.max() < width and self.y_px.max() < rows
+            require(bool(inside), f"minutiae must lie inside their print of {rows} x {width} pixels.")
+            require(bool(np.isfinite(self.direction_rad).all()), "directions of minutiae must be finite.")
+            require(int(self.quality.max()) <= 100, "qualities of minutiae must lie between 0 and 100.")
+            require(int(self.type.max()) <= BIFURCATION, "types of minutiae are 0, 1 (ending) and 2 (bifurcation).")
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.x_px)
+
+    @property
+    def acquired(self) -> bool:
+        """Whether they are enough to be compared; false is a failure to acquire."""
+        return self.count >= MIN_MINUTIAE
+
+    @property
+    def x_mm(self) -> NDArray[np.float64]:
+        """(N,) to the right of the print's middle."""
+        return np.asarray((self.x_px - (self.size[1] - 1) / 2) * 25.4 / PPI)
+
+    @property
+    def y_mm(self) -> NDArray[np.float64]:
+        """(N,) up from the print's middle, towards the tip."""
+        return np.asarray(((self.size[0] - 1) / 2 - self.y_px) * 25.4 / PPI)
+
+    def taken(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Minutiae:
+        """Some of them, by their places or by a mask."""
+        return Minutiae(
+            self.x_px[index], self.y_px[index], self.direction_rad[index], self.type[index], self.quality[index],
+            self.size,
+        )  # fmt: skip
+
+
+def no_minutiae(size: tuple[int, int] = (0, 0)) -> Minutiae:
+    """Return what a print without minutiae gives: a failure to acquire."""
+    whole, small = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint8)
+    return Minutiae(whole, whole, np.zeros(0), small, small, size)
+
+
+def pack_minutiae(minutiae: Minutiae) -> bytes:
+    """Bytes of minutiae, 16 and 7 for each; none where there are none.
+
+    Directions are kept in steps of 1.4 deg; those of mindtct (11.25 deg) exactly.
+    """
+    if not minutiae.count:
+        return b""
+    steps = np.round(minutiae.direction_rad / _STEP_RAD).astype(np.int64) % 256
+    columns: list[Any] = [minutiae.x_px, minutiae.y_px, steps, minutiae.type, minutiae.quality]
+    return _PACKING.pack((*minutiae.size, minutiae.count), np.rec.fromarrays(columns, _ROW).tobytes())
+
+
+def holds_minutiae(data: bytes) -> bool:
+    """Whether a template's payload is of minutiae, not of ridges."""
+    return data[:4] == _PACKING.magic
+
+
+def unpack_minutiae(data: bytes) -> Minutiae:
+    """Read what :func:`pack_minutiae` wrote.
+
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae.
+
+    >>> unpack_minutiae(b"").acquired
+    False
+    """
+    if not data:
+        return no_minutiae()
+    (rows, columns, _), body = _PACKING.unpack(data, lambda rows, columns, count: count * _ROW.itemsize)
+    table = np.frombuffer(body, dtype=_ROW)
+    x, y = (table[name].astype(np.int32) for name in "xy")
+    direction, kind, quality = table["direction"] * _STEP_RAD, table["type"].copy(), table["quality"].copy()
+    return Minutiae(x, y, direction, kind, quality, (rows, columns))
+
+
+# Minutiae of one finger in space, as matchers take them, and the bytes in which they are kept.
+#
+# The bytes, little-endian: ``SKM3``, version and number of minutiae (uint16 each), CRC-32 of all that follows (uint32);
+# for each minutia x, y, z in mm, theta and phi in radians (float32 each), type and quality (a byte each). A finger
+# without any minutiae is zero bytes.
+
+
+MINUTIAE3D_VERSION = 1
+"""Version of the packed bytes; a reader refuses others."""
+_SPACE_PACKING = Packing("minutiae in space", b"SKM3", MINUTIAE3D_VERSION, "H", "make them from the surface again.")
+_SPACE_ROW = np.dtype([(name, "<f4") for name in ("x", "y", "z", "theta", "phi")] + [("type", "u1"), ("quality", "u1")])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpaceMinutiae:
+    """N minutiae of one finger, in any right-handed frame.
+
+    As :class:`splitknit_match.records.minutiae3d.Minutiae3D` has them: the upright finger's frame where they come from
+    a reconstruction (x to the right, y to the tip, z to the camera).
+    """
+
+    position_mm: NDArray[np.float64]
+    """(N, 3)."""
+    theta_rad: NDArray[np.float64]
+    """(N,) azimuth of the minutia's direction, counter-clockwise from x."""
+    phi_rad: NDArray[np.float64]
+    """(N,) its elevation above the plane of x and y, in [-pi/2, pi/2]."""
+    type: NDArray[np.uint8]
+    """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
+    quality: NDArray[np.uint8]
+    """(N,) 0 to 100."""
+
+    def __post_init__(self) -> None:
+        count = len(self.theta_rad)
+        require(
+            self.position_mm.shape == (count, 3)
+            and all(one.shape == (count,) for one in (self.theta_rad, self.phi_rad, self.type, self.quality)),
+            "minutiae in space must be (N, 3) places and lists of N angles, types and qualities; all of one length.",
+        )
+        require(count <= MAX_MINUTIAE, f"a finger has no {count} minutiae (at most {MAX_MINUTIAE} are compared).")
+        finite = all(np.isfinite(one).all() for one in (self.position_mm, self.theta_rad, self.phi_rad))
+        require(finite, "places and angles of minutiae in space must be finite; leave out those that are not known.")
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.theta_rad)
+
+    @property
+    def acquired(self) -> bool:
+        """Whether they are enough to be compared (ten, as in the plane); false is a failure to acquire."""
+        return self.count >= MIN_MINUTIAE
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """(N, 3) unit vectors."""
+        flat = np.cos(self.phi_rad)
+        return np.stack([flat * np.cos(self.theta_rad), flat * np.sin(self.theta_rad), np.sin(self.phi_rad)], axis=-1)
+
+
+def no_space_minutiae() -> SpaceMinutiae:
+    """Return what a finger without minutiae gives: a failure to acquire."""
+    none, small = np.zeros(0), np.zeros(0, dtype=np.uint8)
+    return SpaceMinutiae(np.zeros((0, 3)), none, none, small, small)
+
+
+def pack_space_minutiae(minutiae: SpaceMinutiae) -> bytes:
+    """Bytes of minutiae, 12 and 22 for each; none where there are none. Numbers keep single precision."""
+    if not minutiae.count:
+        return b""
+    columns = [*minutiae.position_mm.T, minutiae.theta_rad, minutiae.phi_rad, minutiae.type, minutiae.quality]
+    return _SPACE_PACKING.pack((minutiae.count,), np.rec.fromarrays(columns, _SPACE_ROW).tobytes())
+
+
+def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
+    """Read what :func:`pack_space_minutiae` wrote.
+
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae in space.
+
+    >>> unpack_space_minutiae(b"").acquired
+    False
+    """
+    if not data:
+        return no_space_minutiae()
+    _, body = _SPACE_PACKING.unpack(data, lambda count: count * _SPACE_ROW.itemsize)
+    table = np.frombuffer(body, dtype=_SPACE_ROW)
+    with np.errstate(invalid="ignore"):  # NaN is refused below
+        numbers = np.stack([table[name] for name in ("x", "y", "z", "theta", "phi")], axis=1).astype(np.float64)
+    return SpaceMinutiae(numbers[:, :3], numbers[:, 3], numbers[:, 4], table["type"].copy(), table["quality"].copy())

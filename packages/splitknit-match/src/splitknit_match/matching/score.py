@@ -1,0 +1,160 @@
+"""From distances to scores, and from scores to rates.
+
+The thesis's score (5.2) grows with distance; here it is called what it is, a dissimilarity, and turned round at the
+edge: everywhere else a higher score means more similar.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from splitknit import BadInput, read_json, require
+
+_TAIL = 50
+"""Impostors by which rates are extrapolated."""
+_ENTRIES = 64
+"""Entries of a table of false match rates, at most."""
+Side = TypeVar("Side", bound=Any)
+
+
+def dissimilarity(ratio: float, distances: ArrayLike) -> float:
+    """(5.2): exp(-ratio^4 / sum of distances), in [0, 1); 0 for distance 0.
+
+    Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
+    """
+    total = float(np.sum(np.asarray(distances, dtype=np.float64)))
+    require(0 < ratio <= 1, f"the ratio of the masks must lie in (0, 1], but it is {ratio}.")
+    require(bool(np.isfinite(total)) and bool(np.min(distances) >= 0), "distances must be finite and not negative.")
+    return math.exp(-(ratio**4) / total) if total > 0 else 0.0
+
+
+def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
+    """One side of a comparison as `kind`, made with `settings` (or the usual ones) where it is not prepared.
+
+    Raises BadInput if it was prepared with other settings.
+    """
+    if not isinstance(side, kind):
+        made: Side = kind(side) if settings is None else kind(side, settings)
+        return made
+    require(settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again.")
+    return side
+
+
+def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
+    """Both sides, see :func:`prepared_side`. Raises BadInput if they were prepared with different settings."""
+    left, right = (prepared_side(side, kind, settings) for side in (a, b))
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
+    return left, right
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FmrTable:
+    """False match rate as a function of the similarity, from impostor scores."""
+
+    similarity: NDArray[np.float64]
+    """(K,) rising."""
+    fmr: NDArray[np.float64]
+    """(K,) falling; rate of impostor scores at or above `similarity`."""
+    impostors: int
+    """Comparisons behind it: no rate below 1 / (impostors + 1) is ever stated."""
+    population: str = ""
+    """Whose fingers were compared."""
+
+    @property
+    def smallest(self) -> float:
+        """The smallest rate that it can state: none of its impostors is as similar."""
+        return float(self.fmr.min())
+
+    def beyond(self, fmr: float) -> tuple[float, float]:
+        """Similarity at which a smaller rate than was measured is reached, and the rate that is to be expected there.
+
+        Beyond the most similar impostor the tail goes on as an exponential, whose mean is that of the `_TAIL` impostors
+        before. `fmr` is the upper limit of 95 %, of this mean and of the number of impostors there.
+        """
+        from scipy.stats import chi2  # measured rates need none of it
+
+        rest = int(np.searchsorted(-self.fmr * (self.impostors + 1), -(_TAIL + 1.0)))
+        rest = min(rest, len(self.fmr) - 2)
+        count = max(float(self.fmr[rest]) * (self.impostors + 1) - 1, 1.0)
+        mean = float(self.fmr[rest:-1] @ np.diff(self.similarity[rest:])) / float(self.fmr[rest])
+        high = 2 * count * mean / float(chi2.ppf(0.025, 2 * count))
+        last = float(self.similarity[-1])
+        none_of = 1 - 0.025 ** (1 / self.impostors)
+        similarity = last + high * max(math.log(none_of / fmr), 0.0)
+        return similarity, self.smallest * math.exp((last - similarity) / mean)
+
+    def __call__(self, similarity: float) -> float:
+        """False match rate if this similarity were the threshold; never below what the table was measured on."""
+        place = int(np.searchsorted(self.similarity, similarity, side="right")) - 1
+        return float(self.fmr[place]) if place >= 0 else 1.0
+
+
+def calibrate_scores(impostor: ArrayLike) -> FmrTable:
+    """Table of false match rates from impostor similarities (N,).
+
+    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
+    BadInput if there are fewer than 100 scores or one is not finite.
+
+    Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
+    """
+    scores = np.sort(np.asarray(impostor, dtype=np.float64).ravel())
+    require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")
+    require(bool(np.isfinite(scores).all()), "impostor scores contain NaN or infinite values.")
+    # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
+    above = np.unique(np.round(np.geomspace(1, scores.size, _ENTRIES)).astype(np.int64))[::-1]
+    thresholds = np.concatenate([scores[scores.size - above], [np.nextafter(scores[-1], np.inf)]])
+    thresholds = np.unique(thresholds)
+    # between two entries the lower one's (larger) rate holds
+    count = scores.size - np.searchsorted(scores, thresholds, side="left")
+    return FmrTable(thresholds, (count + 1) / (scores.size + 1), int(scores.size))
+
+
+DECISION_FORMAT = "splitknit-decision"
+
+
+@dataclass(frozen=True, slots=True)
+class OwnRates:
+    """False match rates of somebody's own prints: what ``evaluate --calibrate`` writes."""
+
+    table: FmrTable
+    method: str
+    """Of ``match``, whose scores were measured."""
+    least_mm2: float
+    """Where less overlaps, nothing was measured."""
+
+
+def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: float) -> dict[str, Any]:
+    """Content of a file of own rates; failures (NaN) are left out. Raises BadInput as :func:`calibrate_scores`."""
+    scores = np.asarray(impostor, dtype=np.float64)
+    table = calibrate_scores(scores[~np.isnan(scores)])
+    return {
+        "format": DECISION_FORMAT, "version": 1, "method": method, "what": what, "least_mm2": least_mm2,
+        "impostors": table.impostors, "similarity": table.similarity.tolist(), "fmr": table.fmr.tolist(),
+    }  # fmt: skip
+
+
+def read_own_rates(path: Path) -> OwnRates:
+    """Read what ``evaluate --calibrate`` wrote. Raises BadInput if it is something else."""
+    wrong = f"'{path}' is no file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
+    document, _ = read_json(path)
+    require(isinstance(document, dict) and document.get("format") == DECISION_FORMAT, wrong)
+    require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
+    try:
+        scores, rates = (np.array(document[name], dtype=np.float64) for name in ("similarity", "fmr"))
+        table = FmrTable(scores, rates, int(document["impostors"]), str(document["what"]))
+        found = OwnRates(table, str(document["method"]), float(document["least_mm2"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(wrong) from error
+    sound = scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1 and found.least_mm2 >= 0
+    require(sound and bool((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all()), wrong)
+    require(bool(((rates > 0) & (rates <= 1)).all()) and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
+    return found

@@ -1,0 +1,49 @@
+"""What matching makes of a reconstruction: a template, and images for the thesis's matcher."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from splitknit import Surface, height_gradients, normals_from_gradients
+from splitknit_match.matching.minutiae3d import Minutiae3DSettings, TetrahedraSettings
+from splitknit_match.matching.ridge import RidgeMatchSettings
+from splitknit_match.matching.ridge_band import RidgeBandSettings, ridge_band
+from splitknit_match.matching.surface_code import SurfaceCodeSettings, SurfaceMatchSettings
+from splitknit_match.matching.template import Template, TemplateSettings, make_template
+from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_images
+from splitknit_match.matching.voted_minutiae import LeaveOneOutSettings, VoteSettings
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingSettings:
+    """All that the settings of a comparison can change."""
+
+    band: RidgeBandSettings = field(default_factory=RidgeBandSettings)
+    template: TemplateSettings = field(default_factory=TemplateSettings)
+    ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
+    thesis: ThesisSettings = field(default_factory=ThesisSettings)
+    leave_one_out: LeaveOneOutSettings = field(default_factory=LeaveOneOutSettings)
+    voted: VoteSettings = field(default_factory=VoteSettings)
+    minutiae3d: Minutiae3DSettings = field(default_factory=Minutiae3DSettings)
+    tetrahedra: TetrahedraSettings = field(default_factory=TetrahedraSettings)
+    surface_code: SurfaceCodeSettings = field(default_factory=SurfaceCodeSettings)
+    surface_match: SurfaceMatchSettings = field(default_factory=SurfaceMatchSettings)
+
+
+def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
+    """Template of a reconstruction."""
+    band = ridge_band(
+        surface.ridge_mm, surface.mask, surface.pitch_mm, surface.shape_mm, surface.input_from_upright,
+        upright_size=surface.upright_size, settings=settings.band,
+    )  # fmt: skip
+    return make_template(band, settings.template)
+
+
+def surface_images(surface: Surface) -> FingerImages:
+    """Channels for the thesis's matcher; where the surface is not split, its height is its relief."""
+    across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
+    relief = surface.ridge_mm + surface.shape_mm if surface.whole else surface.ridge_mm
+    return finger_images(
+        surface.normals, relief, surface.mask, surface.pitch_mm, surface.input_from_upright,
+        upright_size=surface.upright_size, shape_normals=normals_from_gradients(across, up),
+    )  # fmt: skip

@@ -1,0 +1,212 @@
+"""The compact template of one finger: the ridge band in four levels, and where it is valid.
+
+A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each), number of runs (uint32),
+pitch in micrometres (uint16); the lengths of alternating runs of missing and valid pixels in row order (uint16 each, or
+65535 and a uint32 for longer ones); two bits for each valid pixel, the first pixel in the lowest bits; and of a print,
+where they were found, its minutiae (:func:`splitknit_match.matching.minutiae_record.pack_minutiae`, with a version of
+their own). A finger that could not be acquired is a payload of zero bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, require
+from splitknit_match.matching.minutiae_record import (
+    PPI,
+    Minutiae,
+    holds_minutiae,
+    no_minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
+from splitknit_match.matching.ridge_band import RidgeBand
+
+VERSION = 1
+"""Version of the payload; a reader refuses others."""
+_HEAD = struct.Struct("<HHIH")
+_THRESHOLD, _LEVELS = 0.98, (-1.51, -0.45, 0.45, 1.51)
+_LONG = 65535
+_NO_MINUTIAE = b"SKMI"
+"""In place of the minutiae of a print that has none."""
+_LARGEST_SIDE = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateSettings(Checked):
+    """What a template keeps."""
+
+    least_area_mm2: Annotated[float, Limits(0)] = 30.0
+    """A smaller ridge band is a failure to acquire."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """One finger, ready to be compared; empty if nothing could be acquired."""
+
+    level: NDArray[np.uint8]
+    """(H, W) 0 to 3: deep valley, valley, ridge, high ridge; 0 where not `valid`."""
+    valid: BoolArray
+    """(H, W)."""
+    pitch_mm: float
+    minutiae: Minutiae | None = None
+    """Minutiae of a print; None where none were sought or found."""
+
+    @property
+    def empty(self) -> bool:
+        """Whether the finger could not be acquired."""
+        return not bool(self.valid.any())
+
+    @property
+    def area_mm2(self) -> float:
+        """Skin in the template."""
+        return float(self.valid.sum()) * self.pitch_mm**2
+
+    def value(self) -> FloatArray:
+        """(H, W) ridge band of about unit variance, zero where not valid."""
+        return np.where(self.valid, np.asarray(_LEVELS, dtype=np.float32)[self.level], np.float32(0.0))
+
+
+def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
+    """Return the template of a ridge band, cut to what is valid.
+
+    It is empty where less than ``least_area_mm2`` is valid: a failure to acquire. Raises BadInput if the band is larger
+    than the format allows: larger than any finger.
+
+    >>> import numpy as np
+    >>> from splitknit_match.matching.ridge_band import ridge_band
+    >>> waves = np.sin(np.arange(200) * 1.4)[None, :] * np.ones((200, 1))
+    >>> make_template(ridge_band(waves.astype(np.float32), np.ones((200, 200), bool), 0.1)).empty
+    False
+    """
+    settings = settings or TemplateSettings()
+    if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
+        return _failed_template(band.pitch_mm)
+    box = bounding_box(band.valid)
+    value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
+    require(
+        max(valid.shape) <= _LARGEST_SIDE,
+        f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch ({band.pitch_mm:g} mm).",
+    )
+    return leveled(value, valid, band.pitch_mm)
+
+
+def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:
+    """Template of a ridge band (H, W) in four levels."""
+    level = np.digitize(value, (-_THRESHOLD, 0.0, _THRESHOLD)).astype(np.uint8)
+    return Template(np.where(valid, level, np.uint8(0)), valid, pitch_mm)
+
+
+def scaled(template: Template, scale: float) -> Template:
+    """The template of a finger that is so many times as large."""
+    if template.empty:
+        return template
+    size = [max(1, round(side * scale)) for side in template.valid.shape]
+    value, valid = (cv2.resize(one, size[::-1]) for one in (template.value(), template.valid.astype(np.float32)))
+    larger = leveled(np.asarray(value), np.asarray(valid > 0.5), template.pitch_mm)
+    found = template.minutiae
+    if found is None:
+        return larger
+    sizes = print_size(larger)
+    x, y = (
+        np.minimum(np.rint((one + 0.5) * (new / old) - 0.5).astype(np.int32), new - 1)
+        for one, new, old in zip((found.x_px, found.y_px), sizes[::-1], found.size[::-1], strict=True)
+    )
+    return replace(larger, minutiae=replace(found, x_px=x, y_px=y, size=sizes))
+
+
+def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
+    """`template` with the minutiae of its print, on a grid of 500 ppi whose middle is the template's, as they are kept.
+
+    `valid`: (H, W) of the whole band that the template was cut from. Those beyond the template's border are left out.
+    """
+    minutiae = unpack_minutiae(pack_minutiae(minutiae))  # directions in steps: the same before and after
+    if template.empty:
+        return replace(template, minutiae=minutiae)
+    box, step = bounding_box(valid), template.pitch_mm * PPI / 25.4
+    size = print_size(template)
+    # the band is the mirrored print: its column c lies at the print's column (width - 1) - c step
+    middle = [0.5 * (one.start + one.stop - 1) * step for one in box]
+    first = (round(middle[0] - (size[0] - 1) / 2), round(minutiae.size[1] - 1 - middle[1] - (size[1] - 1) / 2))
+    x, y = minutiae.x_px - np.int32(first[1]), minutiae.y_px - np.int32(first[0])
+    inside = (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+    return replace(
+        template,
+        minutiae=Minutiae(
+            x[inside], y[inside], minutiae.direction_rad[inside], minutiae.type[inside], minutiae.quality[inside], size
+        ),
+    )
+
+
+def print_size(template: Template) -> tuple[int, int]:
+    """Rows and columns of the grid of its minutiae."""
+    step = template.pitch_mm * PPI / 25.4
+    rows, columns = (round((side - 1) * step) + 1 for side in template.valid.shape)
+    return rows, columns
+
+
+def _failed_template(pitch_mm: float = 0.1) -> Template:
+    """Return the template of a failure to acquire."""
+    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
+
+
+def pack(template: Template) -> bytes:
+    """Payload of a template; no bytes for a failure to acquire."""
+    if template.empty:
+        return b""
+    flat = template.valid.ravel()
+    edges = np.flatnonzero(np.diff(flat)) + 1
+    runs = np.diff(np.concatenate([[0] if not flat[0] else [0, 0], edges, [flat.size]]))
+    head = _HEAD.pack(*template.valid.shape, len(runs), round(1000 * template.pitch_mm))
+    lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
+    level = template.level.ravel()[flat]
+    level = np.concatenate([level, np.zeros(-len(level) % 4, dtype=np.uint8)]).reshape(-1, 4)
+    packed = level[:, 0] | level[:, 1] << 2 | level[:, 2] << 4 | level[:, 3] << 6
+    minutiae = b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
+    return head + lengths + packed.astype(np.uint8).tobytes() + minutiae
+
+
+def unpack(payload: bytes) -> Template:
+    """Read what :func:`pack` wrote. Raises BadInput if the payload is damaged."""
+    if not payload:
+        return _failed_template()
+    require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")
+    wrong = "the template's content contradicts itself; enroll the finger again."
+    require(len(payload) >= _HEAD.size, wrong)
+    height, width, count, pitch_um = _HEAD.unpack_from(payload)
+    require(0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE and pitch_um > 0, wrong)
+    require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
+    short = np.frombuffer(payload, "<u2", count, _HEAD.size).tolist()
+    runs, position = ([], _HEAD.size) if _LONG in short else (short, _HEAD.size + 2 * count)
+    while len(runs) < count:
+        require(position + 2 <= len(payload), wrong)
+        (length,) = struct.unpack_from("<H", payload, position)
+        position += 2
+        if length == _LONG:
+            require(position + 4 <= len(payload), wrong)
+            (length,) = struct.unpack_from("<I", payload, position)
+            position += 4
+        runs.append(length)
+    require(sum(runs) == height * width and all(runs[1:]), wrong)
+    flat = np.repeat(np.arange(count) % 2 == 1, runs)
+    known = int(flat.sum())
+    end = position + (known + 3) // 4
+    require(known > 0 and len(payload) >= end, wrong)
+    rest = payload[end:]
+    require(rest[:4] in (b"", _NO_MINUTIAE), wrong)
+    minutiae = no_minutiae() if rest == _NO_MINUTIAE else unpack_minutiae(rest) if rest else None
+    packed = np.frombuffer(payload[:end], dtype=np.uint8, offset=position)
+    level = np.zeros(height * width, dtype=np.uint8)
+    level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
+    shape = (height, width)
+    found = Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
+    known = (
+        not minutiae or not minutiae.count or minutiae.size == print_size(found)
+    )  # others: an earlier version's grid
+    return found if known else replace(found, minutiae=None)

@@ -1,0 +1,153 @@
+"""The matcher that the thesis's author ran (``thesis-code``), where his program differs from his text.
+
+By the facts of his public MATLAB program (ICVGIP 2022, DOI 10.1145/3571600.3571618); no code of it is here. What the
+differences change: docs/experiments/authors-program.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BoolArray, FloatArray, require
+from splitknit_match.matching.features import REFERENCE_PX_PER_MM
+from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, overlaps, tip_column
+
+NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
+"""Pixels around the circle of a local binary pattern, of radius one pixel."""
+CELL_PX, REACH_PX, STEP_PX = 32, 100, 5
+"""Side of a cell, largest lateral shift and its step, at 75.7 px/mm."""
+
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodeSide:
+    """One finger, ready: (h, w) labels of the uniform patterns by channel, and its mask."""
+
+    labels: Mapping[str, Labels]
+    mask: BoolArray
+    px_per_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CodeMatch:
+    """Scores of the author's program; 1 for equal fingers, negative for most others."""
+
+    similarity: float
+    """Mean of `scores`."""
+    scores: Mapping[str, float]
+    """1 - the mean over channels of the L1 distance by feature."""
+    ratio: float
+    """Intersection over union of the masks; he has no gate."""
+    shift_px: int
+
+
+def code_side(images: FingerImages) -> CodeSide:
+    """Label the patterns of a finger's channels, for :func:`code_match`."""
+    labels = {
+        name: pattern_labels(images.channels[name], NEIGHBOURS[attribute])
+        for attribute, names in ATTRIBUTES.items()
+        for name in names
+        if name in images.channels
+    }
+    return CodeSide(labels, images.mask, images.px_per_mm)
+
+
+def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
+    """Labels (H, W) of the uniform local binary patterns of `neighbours` pixels at radius 1, bilinear, not turned.
+
+    Patterns with at most two changes around the circle have labels of their own, all others share the last one:
+    n (n - 1) + 3 labels. Pixels beyond the border repeat its edge. Source: Ojala, Pietikainen and Maenpaa 2002,
+    section 2.1.
+    """
+    padded = np.pad(image, 2, mode="edge")
+    rows, columns = image.shape
+    codes = np.zeros(image.shape, dtype=np.uint32)
+    for k in range(neighbours):
+        down, right = -np.sin(2 * np.pi * k / neighbours), np.cos(2 * np.pi * k / neighbours)
+        top, left = int(np.floor(down)), int(np.floor(right))
+        lower, later = down - top, right - left
+        seen = sum(
+            np.float32(weight) * padded[2 + top + i : 2 + top + i + rows, 2 + left + j : 2 + left + j + columns]
+            for i, j, weight in (
+                (0, 0, (1 - lower) * (1 - later)), (0, 1, (1 - lower) * later),
+                (1, 0, lower * (1 - later)), (1, 1, lower * later),
+            )
+        )  # fmt: skip
+        codes |= (cast("FloatArray", seen) >= image).astype(np.uint32) << np.uint32(k)
+    return _labels_of(neighbours)[codes]
+
+
+@cache
+def _labels_of(neighbours: int) -> Labels:
+    """(2^n,) the label of each pattern."""
+    codes = np.arange(1 << neighbours, dtype=np.uint32)
+    changed = codes ^ ((codes >> 1) | ((codes & 1) << (neighbours - 1)))
+    uniform = sum((changed >> k) & 1 for k in range(neighbours)) <= 2
+    return np.where(uniform, np.cumsum(uniform) - 1, _bins(neighbours) - 1).astype(np.uint8)
+
+
+def _bins(neighbours: int) -> int:
+    return neighbours * (neighbours - 1) + 3
+
+
+def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
+    """Compare a query with a finger of the database, as the author's program does.
+
+    The tips are laid on each other, then the query is moved sideways to the largest overlap of the masks; it is neither
+    turned nor brought to the database's size. Histograms are counts; the score of an attribute is 1 - the mean over its
+    channels of the L1 distance, divided by the number of features. Raises BadInput if the scales differ, a mask is
+    smaller than a cell, or one side lacks a channel of the other.
+    """
+    scale = database.px_per_mm / REFERENCE_PX_PER_MM
+    same = abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02
+    require(same, "the two fingers have different scales; the matcher thesis-code needs one scale.")
+    missing = set(database.labels) ^ set(query.labels)
+    require(not missing, f"one finger has no channel '{min(missing, default='')}'.")
+    cell = max(4, round(CELL_PX * scale))
+    rows, columns = (side // cell for side in database.mask.shape)
+    require(rows > 0 and columns > 0, f"the finger is smaller than a cell of {cell} pixels.")
+    tip = tip_column(database.mask) - tip_column(query.mask)
+    reach, step = round(REACH_PX * scale), max(1, round(STEP_PX * scale))
+    shifts = range(tip - reach, tip + reach + 1, step)
+    common = overlaps(database.mask, query.mask, shifts)
+    best = max(range(len(shifts)), key=lambda k: (common[k], -abs(shifts[k] - tip)))
+    both = int(common[best])
+    union = np.count_nonzero(database.mask) + np.count_nonzero(query.mask) - both
+    scores = {}
+    for attribute, names in ATTRIBUTES.items():
+        bins = _bins(NEIGHBOURS[attribute])
+        area = (CELL_PX / cell) ** 2  # counts as at 75.7 px/mm
+        distances = [
+            np.abs(
+                _counts(database.labels[name], 0, cell, (rows, columns), bins)
+                - _counts(query.labels[name], shifts[best], cell, (rows, columns), bins)
+            ).mean()
+            for name in names
+            if name in database.labels
+        ]
+        if distances:
+            scores[attribute] = float(1.0 - area * np.mean(distances))
+    return CodeMatch(float(np.mean(list(scores.values()))), scores, both / union, shifts[best])
+
+
+def _counts(labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int) -> NDArray[np.int64]:
+    """(cells, bins) how often each label occurs, after a shift by `right` columns; nothing is the flat pattern."""
+    rows, columns = cells[0] * cell, cells[1] * cell
+    laid = np.full((rows, columns), _FLAT[bins], dtype=np.int64)
+    first, last = max(0, right), min(columns, labels.shape[1] + right)
+    height = min(rows, labels.shape[0])
+    if last > first:
+        laid[:height, first:last] = labels[:height, first - right : last - right]
+    laid += bins * (np.arange(rows)[:, None] // cell * cells[1] + np.arange(columns)[None, :] // cell)
+    return np.bincount(laid.ravel(), minlength=bins * cells[0] * cells[1])
+
+
+_FLAT = {_bins(count): _bins(count) - 2 for count in set(NEIGHBOURS.values())}
+"""Label of a place whose neighbours are all as large as it is, by the number of bins: all bits are set."""

@@ -1,0 +1,249 @@
+"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a source of prints.
+
+The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as
+wide as the outline. Its print is then made as that of a capture's photograph is, on the plane or unrolled. The camera
+is taken to look straight at the pad from afar; nothing is known of the relief.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    FINGER_WIDTH,
+    PEOPLE,
+    SUFFIXES,
+    BadInput,
+    BoolArray,
+    FloatArray,
+    Photo,
+    Upright,
+    bounding_box,
+    check_borders,
+    check_mask,
+    find_crease,
+    find_upright,
+    is_coloured,
+    largest_component,
+    naming,
+    phalange_mask,
+    read_photo,
+    reduce_image,
+    require,
+)
+from splitknit_match.matching.minutiae_record import PPI
+from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit_match.prints.enhance import node_amplitudes
+from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.make import make_print
+from splitknit_match.prints.photo_mask import finger_in_photo
+from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.prints.sources import Source
+
+PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
+"""Suffixes of pictures that may be prints."""
+USUAL_WIDTH_MM = 17.0
+_PEOPLE_WIDTH = 0.12
+"""Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
+Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
+_THICKNESS = 0.8
+"""Depth over breadth of a fingertip."""
+_LENGTH = 1.5
+"""From the tip, in widths, that is kept: about to the first crease."""
+_NARROWEST, _WIDEST = 130, 700
+"""Widths of the finger in pixels: at least, and in the picture that is kept."""
+LEAST_QUALITY, _GOOD = 20, 50
+"""Of a photograph: at least, and from which on nothing has to be changed; without ridges in view it is 0 to 22
+(validation/match/telephone.py)."""
+_CLEAR = 0.4
+"""Confidence from which on ridges are clear."""
+_FAINT = 0.003
+"""Height of a ridge's wave over the light around, at least: steps of 8 bits look like half as much."""
+_NEARER = 1.04
+"""Scale of the pad over that of the outline, 7 mm behind it, for a camera about 18 cm away."""
+_PAD = (0.3, 1.1)
+"""From the tip along the skin, in widths: where ridges are as far apart as contact prints show them; wider below."""
+
+
+def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
+    """A file that is a picture in colour, or of a kind that prints never are; damaged ones are refused elsewhere."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES or not Path(path).is_file():
+        return None
+    try:
+        photo = read_photo(path)
+    except BadInput:
+        if suffix in PRINTS:
+            return None
+        raise
+    return photo if suffix not in PRINTS or is_coloured(photo.pixels) else None
+
+
+def read_fingerphoto(
+    path: str | os.PathLike[str],
+    px_per_mm: float | None = None,
+    where: PhotoFinger | None = None,
+    photo: Photo | None = None,
+) -> Source:
+    """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
+
+    `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
+    finger; `photo`: the file, if it was read. Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
+    :func:`splitknit_match.prints.make.make_print` prints with the method ``photo``; its `scale` says what was taken for
+    what.
+    """
+    read, where = photo or read_photo(path), where or PhotoFinger()
+    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
+    return replace(found, hashes={Path(path).name: read.sha256})
+
+
+def source_of_photo(
+    pixels: NDArray[np.uint8] | NDArray[np.uint16],
+    px_per_mm: float | None = None,
+    mask: BoolArray | None = None,
+    box: tuple[int, int, int, int] | None = None,
+) -> Source:
+    """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
+
+    `mask`: (H, W) of the finger; `box`: left, top, width and height in pixels of where it lies. Raises BadInput if the
+    photograph is not in colour, no part of it looks like a finger, the finger is too small or has an impossible width
+    by the given scale, or its quality is below :data:`LEAST_QUALITY`. Source of the chain of steps: C. Stein, C. Nickel
+    and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012.
+    """
+    require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
+    require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
+    require(min(pixels.shape[:2]) >= _NARROWEST, "the photograph is too small to show the ridges of a finger.")
+    taken, direction_deg = "taken for a photograph of a finger;", None
+    if mask is None:
+        chosen = finger_in_photo(pixels, box)
+        mask, direction_deg = chosen.mask, chosen.direction_deg
+        if chosen.others:
+            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
+    else:
+        mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
+        check_borders(mask)
+    width = find_upright(mask, direction_deg).width_px
+    require(
+        width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
+    )
+    reduction = min(1.0, _WIDEST / width)
+    box_of = bounding_box(mask, round(0.1 * width))
+    light = reduce_image(np.ascontiguousarray(pixels[(*box_of, 1)], dtype=np.float32), reduction)
+    inside = reduce_image(mask[box_of].astype(np.float32), reduction) > 0.5
+    upright = find_upright(inside, direction_deg)
+    row, column = (np.arange(side, dtype=np.float32) for side in inside.shape)
+    to = upright.upright_from_input[1]
+    inside &= to[0] * column + (to[1] * row + to[2])[:, None] < upright.tip_row + _LENGTH * upright.width_px
+    shape, scale = _mean_shape(inside, upright), _NEARER * upright.width_px / USUAL_WIDTH_MM
+    found = Source(
+        "photo", inside, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape / np.float32(scale),
+        photo=light,
+    )  # fmt: skip
+    made = make_print(found, "photo", "free")
+    ridges = pressed_ridges(made.image)
+    seen = (ridges.image, ridges.inside) if ridges.inside.any() else (made.image, made.weight > 0.5)
+    field = ridge_field(seen[0], PPI, seen[1])
+    amplitude = np.abs(node_amplitudes(made.values, field, 0.75))
+    clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
+    clear &= amplitude > _FAINT * _at_nodes(made.values, field)
+    finger = _at_nodes(made.weight > 0.5, field)
+    quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
+    brightness = light[inside] / np.float32(np.iinfo(pixels.dtype).max)
+    change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
+    require(
+        quality >= LEAST_QUALITY,
+        f"the photograph's quality is {quality:.0f} of 100, below {LEAST_QUALITY}; {change}, and photograph it again.",
+    )
+    if px_per_mm is None:
+        scale, note = _usual_scale(field, clear, scale, upright.width_px)
+    else:
+        scale = px_per_mm * reduction
+        note = f"by the given scale it is {upright.width_px / scale:.1f} mm wide."
+        note = " ".join([note, *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")])
+    note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
+    note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
+    phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
+    shown = cv2.remap(phalange.view(np.uint8), made.map.columns, made.map.rows, cv2.INTER_NEAREST) > 0
+    larger = found.pitch_mm * scale  # than the finger is
+    flat = cv2.resize(np.where(shown, made.image, np.uint8(255)), None, fx=1 / larger, fy=1 / larger)
+    return replace(
+        found, mask=phalange, pitch_mm=1.0 / scale, shape_mm=shape / np.float32(scale), scale=f"{taken} {note}",
+        quality=round(quality, 1), flat=np.asarray(flat, dtype=np.uint8),
+    )  # fmt: skip
+
+
+def _to_change(
+    clear: BoolArray, finger: BoolArray, field: RidgeField, amplitude: FloatArray, *, width_px: float, light: FloatArray
+) -> str:
+    """The one thing to change in a photograph.
+
+    `clear`, `finger`: (n, m) nodes of the field of its print with clear ridges, and on the finger; `amplitude`: (n, m)
+    of the ridges; `width_px`: of the finger in the photograph; `light`: (N,) of its pixels, 0 to 1.
+    """
+    causes = {
+        "focus on the finger": 0.3,
+        "come nearer, until it is 400 pixels wide (distance)": 400.0 / width_px - 1.0,
+        "use more light": 4.0 * (0.3 - float(np.median(light))),
+        "turn finger or light so that nothing shines (glare)": 10.0 * float((light > 0.97).mean()) - 0.2,
+    }
+    if 100 * clear.sum() >= LEAST_QUALITY * finger.sum() > 0:
+        aside = np.nonzero(clear)[1].mean() - np.nonzero(finger)[1].mean()
+        causes["turn its pad to the camera"] = (abs(aside) * field.step_px * 25.4 / PPI - 2.0) / 3.0
+        height, turn = amplitude[clear], np.exp(2j * field.orientation_rad[clear])
+        uneven = (height * turn).sum() / height.sum() - turn.mean()  # ridges along the motion stay
+        causes["hold finger and camera still (shake)"] = 4.0 * float(abs(uneven)) - 0.4
+    return max(causes, key=lambda cause: causes[cause])
+
+
+def _at_nodes(image: NDArray[Any], field: RidgeField) -> NDArray[Any]:
+    """(n, m) values of an image (h, w) at a field's nodes, 0 beyond it."""
+    step, (n, m) = field.step_px, field.mask.shape
+    padded = np.pad(image, ((0, n * step - image.shape[0]), (0, m * step - image.shape[1])))
+    return padded[step // 2 :: step, step // 2 :: step]
+
+
+def _mean_shape(inside: BoolArray, upright: Upright) -> FloatArray:
+    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
+    rows, columns = upright.size
+    turned = cv2.warpAffine(inside.astype(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
+    known, every = np.flatnonzero(turned.any(axis=1)), np.arange(rows)
+    ends = turned[known].argmax(axis=1), columns - 1 - turned[known, ::-1].argmax(axis=1)
+    lines = np.stack([np.interp(every, known, side) for side in ends])
+    size, sigma = (2 * round(0.12 * upright.width_px) + 1, 1), 0.03 * upright.width_px
+    left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)[..., None].astype(np.float32)
+    half = np.maximum(0.5 * (right - left), np.float32(1.0))
+    aside = (np.arange(columns, dtype=np.float32) - 0.5 * (left + right)) / half
+    height = np.float32(_THICKNESS) * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
+    return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), np.float32(0.0))
+
+
+def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px: float) -> tuple[float, str]:
+    """Pixels a millimetre by which width and ridges are as usual as they can be together, and how well it is known.
+
+    Raises BadInput where both together are no finger's. `field`: ridges of the unrolled print at the scale `by_width`,
+    by which the width alone is usual; `clear`: (n, m) where they count.
+    """
+    back = (np.arange(len(clear)) + 0.5) * field.step_px * (25.4 / PPI / USUAL_WIDTH_MM)
+    on_pad = clear & ((back > _PAD[0]) & (back < _PAD[1]))[:, None]
+    periods = field.period_mm(PPI)[on_pad if on_pad.any() else clear]
+    by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
+    require(
+        abs(np.log(by_ridges / by_width)) < 3.0 * np.hypot(PEOPLE, _PEOPLE_WIDTH),
+        "what was found is no finger, or its scale is unusual: its lines are too far apart or too close for its width; "
+        "mark the finger by `box` or `mask`, or give the scale of the photograph.",
+    )
+    weight = PEOPLE**-2 / (PEOPLE**-2 + _PEOPLE_WIDTH**-2)
+    scale = by_ridges**weight * by_width ** (1.0 - weight)
+    note = (
+        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm wide, ridges "
+        f"{USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
+    )
+    return scale, note

@@ -1,0 +1,349 @@
+"""Prints and minutiae from files: at which resolution they are, and brought to 500 pixels per inch."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit import BadInput, BoolArray, FloatArray, PrintFile, fill_holes, largest_component, read_print_png, require
+from splitknit_match.matching.minutiae import at_500_ppi
+from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
+from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
+from splitknit_match.prints.pressed import frame, pressed_ridges
+from splitknit_match.prints.print_map import plane_map
+from splitknit_match.records.fmr_bytes import ISO_2005
+from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.minutiae_record import FINGER_CODES, PALM_CODES, FingerView, pixels_per_cm
+from splitknit_match.records.print_formats import read_prints
+
+USUAL_PERIOD_MM = 0.46
+"""Between ridges of adults' fingers; people differ by 8 %."""
+MIN_PPI, MAX_PPI = 200.0, 5080.0
+"""Below there are no ridges (telephones and browsers state 72 and 96, of screens); no scanner is above."""
+_MIN_SIDE_PX = 40
+_TILE_PX = 32
+"""Side of a tile in whose spectrum ridges are sought."""
+_WAVE = 0.5
+"""Part of a tile's power that lies in one wave, where it shows ridges."""
+_PERIODS = 0.76, 1.47
+"""Of the usual period: those of 95 % of 280 real prints of seven sensors (validation/prints/any_print.py)."""
+_CLEAR = 0.2
+"""Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or more."""
+_FAINT = 4.0
+"""Standard deviation in grey levels below which a picture is blank."""
+_PAGE_MM = 45.0
+"""A larger picture is a page: it may hold several prints. A rolled print is 40 mm wide and high at most."""
+_PART_MM2 = 25.0
+"""Area of ridges on a page that is taken for a print."""
+_BESIDE, _RIM = -0.25, -0.15
+"""Level beside a print, and at its rim, over that of its middle, in contrasts of its ridges: below both its ridges are
+white. None of 280 real prints is below both, inverted 200 are (validation/prints/any_print.py)."""
+
+
+def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
+    """Read the prints of a file, of known resolution, or its minutiae.
+
+    Of a page (more than 45 mm wide or high, or mostly blank) each print is cut out; white ridges are turned dark, which
+    the print's `note` says.
+
+    `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`: resolution of pictures,
+    whatever they state. Raises BadInput as :func:`splitknit_match.records.print_formats.read_prints`; if a picture does
+    not state its resolution, with the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
+    """
+    require(
+        input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
+        f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
+    )
+    found = tuple(one for one in read_prints(path) if one.finger not in PALM_CODES)
+    require(len(found) > 0, f"{path} shows a palm; prints of fingers are compared.")
+    return tuple(
+        part
+        for one in found
+        for part in (_prints_on(_resolved(one, os.fspath(path), input_ppi)) if isinstance(one, PrintFile) else (one,))
+    )
+
+
+def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | FingerView:
+    """Read the only print, or the minutiae of the only finger, of a file.
+
+    Raises BadInput as :func:`read_print_file`, or if the file holds several.
+    """
+    found = read_print_file(path, input_ppi)
+    require(
+        len(found) == 1,
+        f"{path} holds {len(found)} prints; take them apart with 'splitknit import' or crop the picture.",
+    )
+    return found[0]
+
+
+def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
+    """Read what ``splitknit print`` wrote: the print, and its minutiae if they were found.
+
+    Raises BadInput if a file is damaged, or the print states no resolution.
+    """
+    picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
+    require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
+    return picture, read_minutiae_record(record, ISO_2005).views[0] if record.is_file() else None
+
+
+def print_at_500_ppi(item: PrintFile) -> PrintFile:
+    """Bring a print of known resolution to 500 ppi; one that has as many pixels as at 500 ppi stays as it is.
+
+    Raises BadInput if it were larger than any print.
+    """
+    ppi = item.resolution_ppi or PPI
+    image = at_500_ppi(item.image, ppi)
+    return item if image.shape == item.image.shape else dataclasses.replace(item, image=image, resolution_ppi=PPI)
+
+
+def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
+    stated = item.resolution_ppi
+    if input_ppi is None and (stated is None or stated < MIN_PPI):
+        said = "does not state its resolution" if stated is None else f"states {stated:.0f} ppi, too few for ridges"
+        raise BadInput(f"{name} {said}; {_suggestion(item.image)}.")
+    ppi = input_ppi or stated or 0.0
+    require(
+        ppi <= MAX_PPI, f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi` 500."
+    )
+    return dataclasses.replace(item, resolution_ppi=float(ppi))
+
+
+def _suggestion(image: NDArray[np.uint8]) -> str:
+    period = _ridge_period_px(image)
+    if period is None:
+        return "it shows no ridges to measure it by: give it in pixels per inch, such as `input_ppi` 500"
+    low, high = (10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in _PERIODS[::-1])
+    return (
+        f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch: give the value of the "
+        "scanner's data sheet, such as `input_ppi` 500"
+    )
+
+
+def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Parallel ridges in tiles `step` pixels apart: part of the power in the strongest wave, its period in pixels, and
+    whether the tile has the contrast of the picture's strong ones; (n, m) each.
+
+    Waves of 5 to 11 pixels count; a tile whose power is largest at another period holds none.
+    """
+    side = _TILE_PX
+    hann = np.hanning(side + 2)[1:-1].astype(np.float32)
+    taper = np.outer(hann, hann)
+    frequency = np.fft.fftfreq(side)
+    radius = np.hypot(frequency[:, None], frequency[None, : side // 2 + 1])
+    counted, band = radius >= 1.5 / side, ((radius >= 1 / 11.5) & (radius <= 1 / 4.9)).ravel()
+    down, right = (
+        np.broadcast_to(one, radius.shape).ravel() for one in (frequency[:, None], np.arange(side // 2 + 1) / side)
+    )
+    windows = sliding_window_view(image, (side, side))[::step, ::step]
+    found = np.zeros((3, *windows.shape[:2]), dtype=np.float32)
+    turn = np.zeros(windows.shape[:2], dtype=np.complex64)
+    for row, tiles in enumerate(windows):  # a row at a time bounds the memory
+        mean = np.tensordot(tiles, taper, 2) / taper.sum()
+        power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2 * counted
+        power[..., 1:] *= np.float32(2.0)  # each wave is there twice, but those of the first column, which are halved
+        total = power.sum(axis=(1, 2)) + np.float32(1e-6)
+        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * np.float32(9.0)
+        near = near.reshape(power[0].size, -1)
+        best = near.argmax(axis=0)
+        around = np.moveaxis(power, 0, -1).reshape(near.shape)
+        close = (np.abs(down[:, None] - down[best]) < 1.5 / side) & (np.abs(right[:, None] - right[best]) < 1.5 / side)
+        weight = np.where(close, around, np.float32(0.0))
+        weight /= weight.sum(axis=0) + np.float32(1e-9)
+        there = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
+        found[0, row] = np.where(
+            band[best] & (there > 1 / 11.5), np.minimum(near[best, np.arange(len(best))] / total, 1), 0
+        )
+        found[1, row] = 1.0 / np.maximum(there, 1e-3)
+        turn[row] = np.exp(2j * np.arctan2(down[best], right[best])) * found[0, row]
+        found[2, row] = np.sqrt(total) / (taper.sum() * 0.6)
+    strong = found[2] > max(_FAINT, 0.3 * float((found[2] ** 2).sum() / max(float(found[2].sum()), 1e-6)))
+    around = [cv2.blur(one, (3, 3)) for one in (turn.real, turn.imag, found[0])]  # ridges run on into the tiles beside
+    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], np.float32(1e-6))
+    return np.where(strong, found[0] * agree, np.float32(0.0)), found[1], strong
+
+
+def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
+    """The prints of a picture of known resolution, ridges dark: itself, unless it is a page."""
+    ppi = item.resolution_ppi or PPI
+    rows, columns = item.image.shape
+    scale = 380.0 / ppi  # usual ridges lie 7 pixels apart
+    if min(rows, columns) * scale < 3 * _TILE_PX:
+        return (_dark_ridges(item),)
+    page = max(rows, columns) * 25.4 / ppi > _PAGE_MM
+    small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    step = _TILE_PX if small.size > 8_000_000 else _TILE_PX // 2
+    part, apart, strong = _waves(small, step)
+    ridges, pitch_px = part > _WAVE, step / scale
+    del small
+    wide = 2 * round(2.1 / (pitch_px * 25.4 / ppi)) + 1  # gaps of 4 mm belong to a print
+    joined = cv2.morphologyEx(np.pad(strong.astype(np.uint8), 3), cv2.MORPH_CLOSE, np.ones((wide, wide), np.uint8))[
+        3:-3, 3:-3
+    ]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(joined))
+    if count == 1:  # blank
+        return (dataclasses.replace(item, image=item.image[: 16 * _TILE_PX, : 16 * _TILE_PX]),) if page else (item,)
+    least = _PART_MM2 / (pitch_px * 25.4 / ppi) ** 2
+    clear = [k for k in range(1, count) if int(ridges[labels == k].sum()) >= least]
+    kept = clear or [max(range(1, count), key=lambda k: float(part[labels == k].sum()))]
+    margin, parts = _TILE_PX / scale, []
+    for left, top, wide, high in stats[kept, :4].tolist():
+        starts = [max(0, round(at * pitch_px - margin)) for at in (top, left)]
+        ends = [round((at + n - 1) * pitch_px + 2 * margin) for at, n in ((top, high), (left, wide))]
+        parts.append((slice(starts[0], min(ends[0], rows)), slice(starts[1], min(ends[1], columns))))
+    apart_px = float(np.median(apart[ridges])) / scale if clear else _ridge_period_px(item.image[parts[0]])
+    if apart_px is not None:
+        period = apart_px * 25.4 / ppi
+        if not 0.95 * _PERIODS[0] < period / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
+            doubt = f"at {ppi:.0f} ppi its ridges are {period:.2f} mm apart, which is unusual: check the resolution."
+            item = dataclasses.replace(item, note=" ".join(filter(None, (item.note, doubt))))
+    covered = sum((box[0].stop - box[0].start) * (box[1].stop - box[1].start) for box in parts)
+    if not page and covered > 0.2 * item.image.size:
+        return (_dark_ridges(item),)
+    whole = f"cut out of a picture of {columns} x {rows} pixels."
+    return tuple(
+        _dark_ridges(
+            dataclasses.replace(item, image=item.image[box].copy(), note=" ".join(filter(None, (item.note, whole))))
+        )
+        for box in parts
+    )
+
+
+def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
+    """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
+
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere. Raises BadInput if it has no
+    ridges, or is smaller than 2 mm.
+    """
+    image = print_at_500_ppi(item).image
+    require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
+    pressed = pressed_ridges(image)
+    ridges = pressed.inside if inside is None else pressed.inside & inside
+    require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
+    ppi = item.resolution_ppi or PPI
+    rows, columns = item.image.shape
+    mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
+    there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
+    light = (np.float32(255.0) - image).astype(np.float32)
+    weight = ridges.astype(np.float32)
+    return Print(image, weight, there, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
+
+
+def _dark_ridges(item: PrintFile) -> PrintFile:
+    """The print with its ridges dark, turned where they are white, by what lies beside it and at its rim.
+
+    Where a finger does not touch, a picture looks as its valleys do; its rim fades out towards that.
+    """
+    side = max(2, round(8 * (item.resolution_ppi or PPI) / PPI))
+    n, m = (size // side for size in item.image.shape)
+    if min(n, m) < 8:
+        return item
+    framed = frame(item.image)
+    image = item.image[: n * side, : m * side].astype(np.float32)
+    mean, square = (cv2.resize(one, (m, n), interpolation=cv2.INTER_AREA) for one in (image, image * image))
+    there = ~framed[: n * side, : m * side].reshape(n, side, m, side).any(axis=(1, 3))
+    deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * there
+    strong = deviation > max(_FAINT, 0.35 * float((deviation**2).sum() / max(float(deviation.sum()), 1e-6)))
+    inside, pad = cv2.copyMakeBorder(strong.astype(np.uint8), 6, 6, 6, 6, cv2.BORDER_REPLICATE), slice(6, -6)
+    for kind, radius in ((cv2.MORPH_CLOSE, 5), (cv2.MORPH_OPEN, 2)):
+        inside = cv2.morphologyEx(inside, kind, _disc(radius))
+    whole = np.ascontiguousarray(inside[pad, pad])
+    if not whole.any():
+        return item
+    whole = fill_holes(largest_component(whole > 0)).astype(np.uint8)
+
+    def eroded(radius: int) -> BoolArray:
+        return np.asarray(cv2.erode(whole, _disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
+
+    middle, rim = eroded(4), (whole > 0) & ~eroded(1) & there
+    outside = (cv2.dilate(whole, _disc(1)) == 0) & there
+    beside, edge = outside & (cv2.dilate(whole, _disc(4)) > 0), cv2.dilate(whole, _disc(1)) == 0
+    edge[1:-1, 1:-1] = False
+    if min(int(one.sum()) for one in (middle, rim, beside)) <= 8:
+        return item
+    contrast = 2.6 * float(np.median(deviation[middle])) + 1e-6
+    level = float(np.median(mean[middle]))
+    around, faded = ((float(np.median(mean[one])) - level) / contrast for one in (beside, rim))
+    far = (float(np.median(mean[edge])) - level) / contrast if edge.any() else around
+    note = ""
+    if around < _BESIDE and faded < _RIM and far < _BESIDE:
+        item, note = (
+            dataclasses.replace(item, image=255 - item.image),
+            "its ridges were white and have been turned dark.",
+        )
+    elif max(around, faded, far) < -_RIM:
+        note = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+    return dataclasses.replace(item, note=" ".join(filter(None, (item.note, note))))
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    shape = (2 * radius + 1, 2 * radius + 1)
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, shape), dtype=np.uint8)
+
+
+def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
+    """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none stand out.
+
+    The picture is sought for waves at one size after the other, a factor of the square root of 2 apart.
+    """
+    best, period = 0.0, None
+    for k in range(-1, 9):
+        scale = 2.0 ** (-k / 2)
+        if min(image.shape) * min(scale, 1) < 2 * _TILE_PX or (k < 0 and image.size > 4_000_000):
+            continue
+        kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=kind)
+        part, apart, strong = _waves(small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX)
+        count = max(int(strong.sum()) // 8, 12)
+        if part.size < count:
+            continue
+        score = float(np.sort(part, axis=None)[-count:].mean())
+        score *= (float((part > _WAVE).sum()) / max(int(strong.sum()), 1)) ** 0.25
+        if score > max(best, _CLEAR):
+            best, period = score, float(np.median(apart[part >= 0.7 * score])) / scale
+    return period
+
+
+def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impression: str = "unknown") -> FingerView:
+    """Minutiae of 500 ppi as a record has them; a finger that records have no code for is ``unknown``."""
+    return FingerView(
+        found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=quality,
+        finger=coded_finger(finger), impression=impression, resolution_ppcm=pixels_per_cm(PPI),
+    )  # fmt: skip
+
+
+def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
+    """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none without ridges."""
+    try:
+        made = pressed_print(PrintFile(image, PPI, {}))
+        return minutiae_by_phase(made, enhance(made, PPI), PPI)
+    except BadInput:
+        return no_minutiae((image.shape[0], image.shape[1]))
+
+
+def coded_finger(finger: object) -> str:
+    """A finger's name, or ``unknown`` where records have no code for it."""
+    return finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
+
+
+def minutiae_of(view: FingerView) -> Minutiae:
+    """Minutiae of a record, on the pixel grid of 500 ppi; qualities that are not known become 0.
+
+    Raises BadInput if its image is larger than any print.
+    """
+    usual = pixels_per_cm(PPI)[0]
+    scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]
+    size = max(1, round(view.size[0] * scales[1])), max(1, round(view.size[1] * scales[0]))
+    x, y = (
+        np.clip(np.rint(np.asarray(pixels) * scale), 0, side - 1).astype(np.int32)
+        for pixels, scale, side in zip((view.x_px, view.y_px), scales, size[::-1], strict=True)
+    )
+    quality = np.where(np.asarray(view.quality) <= 100, view.quality, 0).astype(np.uint8)
+    kind = np.asarray(view.type, dtype=np.uint8)
+    return Minutiae(x, y, np.asarray(view.direction_rad, dtype=np.float64), kind, quality, size)

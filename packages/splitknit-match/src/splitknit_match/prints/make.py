@@ -1,0 +1,174 @@
+"""Prints of a finger: what is inked (relief, curvature, photograph), and where (finger plane, unrolled skin)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BadInput, FloatArray, PrintSettings, ink, override, require
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.curvature import CurvatureSettings, curvature
+from splitknit_match.prints.enhance import Enhanced, gabor_enhance, stft_enhance
+from splitknit_match.prints.phase_minutiae import by_phase
+from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit_match.prints.print_quality import PrintQuality, print_quality
+from splitknit_match.prints.sources import Source
+from splitknit_match.prints.unroll import KINDS, Unrolled, UnrollSettings, unroll
+from splitknit_match.prints.unroll_grid import surface_grid
+from splitknit_match.rolled.blend import RolledSettings
+
+if TYPE_CHECKING:
+    from splitknit_match.rolled.finger import Rolled
+
+METHODS = ("relief", "unroll", "curvature", "photo", "specular", "rolled")
+SURFACES = ("plane", *KINDS)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintingSettings:
+    """All that the settings of a print can change."""
+
+    ink: PrintSettings = field(default_factory=PrintSettings)
+    unroll: UnrollSettings = field(default_factory=UnrollSettings)
+    curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
+    enhance: Literal["gabor", "stft"] = "gabor"
+    """How ``enhanced.png`` is made."""
+    minutiae: Literal["phase", "print", "enhanced"] = "phase"
+    """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
+    rolled: RolledSettings = field(default_factory=RolledSettings)
+    """How the method ``rolled`` combines the views of a capture with mirrors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print:
+    """A print, and where its pixels come from."""
+
+    image: NDArray[np.uint8]
+    """(h, w) ridges dark."""
+    weight: FloatArray
+    """(h, w) fraction of the pixel that lies on the finger, 0 to 1."""
+    map: PrintMap
+    values: FloatArray
+    """(h, w) what its quality is measured on: the relief in mm, or the light of the photograph."""
+    in_mm: bool
+    """Whether it is the relief."""
+    unrolled: Unrolled | None = None
+    even: NDArray[np.uint8] | None = None
+    """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae are sought there."""
+    confidence: FloatArray | None = None
+    """(h, w) 0 to 1, of such a print: how sure its ridges are."""
+
+    @property
+    def clearest(self) -> NDArray[np.uint8]:
+        """(h, w) the print of even contrast where there is one: in it ridges are followed."""
+        return self.image if self.even is None else self.even
+
+
+def make_print(
+    source: Source, method: str, surface: str | None = None, ppi: float = 500.0,
+    settings: PrintingSettings | None = None,
+) -> Print:  # fmt: skip
+    """Make a print of a finger by a method of :data:`METHODS` other than ``rolled``.
+
+    `surface`: of :data:`SURFACES`; by default the finger plane, but of ``unroll`` the skin laid flat (``free``). Raises
+    BadInput if the source lacks what is needed, or there are no ridges.
+    """
+    settings = settings or PrintingSettings()
+    require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
+    place = checked_surface(method, surface, settings)
+    inks = replace(settings.ink, ppi=ppi)
+    unrolled: Unrolled | None = None
+    if place == "plane":
+        print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
+    else:
+        unrolled, print_map = _laid_flat(source, place, ppi, settings.unroll)
+    if method == "curvature":
+        height = _needed(source.height_mm)
+        found = curvature(height, source.mask, source.pitch_mm, settings.curvature, source.xy_mm).shape_index
+        known = source.mask & np.isfinite(found)
+        require(bool(known.any()), "the finger is too small for a curvature map.")
+        values, weight = resample(found, known, source.pitch_mm, print_map)
+        ink(values, weight, inks)  # refuses what has no ridges
+        grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1
+        image = np.round(255.0 * (1.0 - grey * weight)).astype(np.uint8)
+        relief = _needed(source.ridge_mm)
+        inked, _ = resample(relief, source.mask & np.isfinite(relief), source.pitch_mm, print_map)
+    else:
+        require(
+            method != "specular" or source.specular is not None,
+            "there is no specular image: it needs a capture through polarising films; print with `method` unroll.",
+        )
+        field_of = _needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm))
+        inked, weight = resample(field_of, source.mask & np.isfinite(field_of), source.pitch_mm, print_map)
+        image = ink(inked, weight, inks)
+    return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
+
+
+def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, settings: PrintingSettings) -> Print:
+    """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
+    from splitknit_match.prints.rolled import laid_flat  # slow to import
+
+    unrolled, print_map = laid_flat(rolled, kind, ppi, settings.unroll)
+    inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
+    image = ink(inked, weight, replace(settings.ink, ppi=ppi))
+    return Print(image, weight, print_map, inked, True, unrolled)
+
+
+def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
+    """Where a print is made; refuses what does not go together.
+
+    Raises BadInput if method or surface are not known, or ``unroll`` is asked for on the plane.
+    """
+    require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
+    require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")
+    if method == "rolled":
+        from splitknit_match.prints.rolled import KINDS as ROLLED_KINDS  # slow to import
+
+        kind = surface or (settings.unroll.kind if settings.unroll.kind in ROLLED_KINDS else "free")
+        require(kind in ROLLED_KINDS, f"a rolled finger is laid flat {' or '.join(ROLLED_KINDS)}, not on the {kind}.")
+        return kind
+    if surface is None:
+        return settings.unroll.kind if method == "unroll" else "plane"
+    require(
+        not (method == "unroll" and surface == "plane"),
+        "`method` unroll cannot be printed on the plane; use `method` relief for that.",
+    )
+    return surface
+
+
+def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -> Enhanced:
+    """Enhance a print by the method in the settings."""
+    settings = settings or PrintingSettings()
+    require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
+    if made.even is None and settings.enhance == "stft":  # an even one is filtered along the ridges already
+        return stft_enhance(made.image, ppi, made.weight > 0.5)
+    return gabor_enhance(made.clearest, ppi, made.weight > 0.5)
+
+
+def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
+    """How good a print is; `enhanced` is what :func:`enhance` made of it."""
+    values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
+    return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm)
+
+
+def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:
+    """Minutiae of a print; `enhanced` is what :func:`enhance` made of it."""
+    return by_phase(made.clearest, enhanced, ppi, made.confidence)
+
+
+def _needed(values: FloatArray | None) -> FloatArray:
+    if values is None:
+        raise BadInput("this kind of print needs a reconstruction or a photograph that the input does not hold.")
+    return values
+
+
+def _laid_flat(source: Source, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
+    grid = surface_grid(
+        _needed(source.shape_mm), source.mask, source.pitch_mm, source.input_from_upright, source.upright_size,
+        xy_mm=source.xy_mm, settings=settings.grid,
+    )  # fmt: skip
+    unrolled = unroll(grid, override(settings, {"kind": kind}))
+    return unrolled, unrolled_map(unrolled, kind, ppi, settings.slant_deg)

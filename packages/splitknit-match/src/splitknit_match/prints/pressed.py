@@ -1,0 +1,278 @@
+"""Prints that were pressed on glass or paper: their ridges, dry, wet or scratched, and how sure these are.
+
+Short windows are transformed. What a window's power says about direction and period is weighed with what the windows
+around it say, over the whole print (relaxation labelling): where ridges are broken or flooded, and several directions
+are about as strong, the one that continues the surroundings is taken. Then each window keeps what runs along its ridges
+and has their period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit import BoolArray, FloatArray, blur, fill_holes
+from splitknit_match.prints.ridge_field import overlap_added
+
+# lengths in pixels at 500 ppi
+_WINDOW_PX, _STEP_PX = 32, 8
+"""Side of a window: some four ridges; and between windows."""
+_TAPER = np.sqrt(np.outer(*(np.hanning(_WINDOW_PX + 1)[:-1],) * 2)).astype(np.float32)
+_SHORTEST_PX, _LONGEST_PX = 4.5, 15.0
+"""Periods of ridges: 0.23 to 0.76 mm."""
+_CONTRAST_PX = 11.0
+"""Sigma over which mean and contrast are made even."""
+_LEVEL, _RAISED = 8.0, 0.3
+"""Grey levels, and part of the print's usual contrast; contrast below the larger one is not raised further."""
+_DIRECTIONS, _PERIODS = 24, 10
+"""Directions and periods that a window may have; means between them are taken."""
+_ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * np.float32(np.pi / _DIRECTIONS)
+"""Directions across the ridges, counter-clockwise."""
+_LOGS = np.log(np.geomspace(1 / _LONGEST_PX, 1 / _SHORTEST_PX, _PERIODS)).astype(np.float32)
+"""Logarithms of the frequencies."""
+_DIRECTION_DEG, _PERIOD_WIDTH = 9.0, 0.11
+"""Sigma of one of them; of periods relative."""
+_TURN_DEG = 10.0
+"""Sigma of the turn of directions from a window to those about it."""
+_TYPICAL = 0.3
+"""Sigma of periods about the print's own, relative."""
+_REACHES = (4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
+"""Sigma of the surroundings, in windows, of one pass after the other."""
+_WEAK = 0.03
+"""Power of a window, relative to noise of the evened print's variance, below which it says little."""
+_FANS_DEG = (16.0, 22.0, 30.0, 42.0)
+"""Sigma of the filter across directions: where they agree, to where they do not."""
+_BAND_PER_PX = 0.035
+"""Sigma of the filter across frequencies, cycles a pixel."""
+_TURNS = 64
+"""Directions of the filters."""
+_STEEPNESS = 1.6
+"""Steepness of the result's grey curve."""
+_PURE, _NOISE = 0.42, 0.2
+"""Part of its power that a window of parallel ridges has near one direction and period; of that, what noise has."""
+_CLEAR = 0.35
+"""Confidence of a print's clearest ridges below which there is no print."""
+_CLEAREST_PX = 7750
+"""Number of the clearest pixels that set this level: 20 mm2."""
+_EDGE = 0.25
+"""Ridges end where their confidence falls below this part of the way from noise to the clearest ones."""
+_FAINT = 0.4
+"""Contrast, relative to that of the clear ridges, below which confidence falls: what others left on the sensor."""
+_CLOSED_PX, _OPENED_PX = 14, 10
+"""Radii: gaps between ridges belong to them, specks do not."""
+_FRAME_STEP = 20
+"""Grey levels between a constant border and what is beside it, where that is the sensor's frame, no paper."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressedRidges:
+    """Ridges of a pressed print."""
+
+    image: NDArray[np.uint8]
+    """(H, W) even ridges, dark; white where there are none."""
+    inside: BoolArray
+    """(H, W) where there are ridges."""
+    confidence: FloatArray
+    """(H, W) 0 (noise) to 1 (parallel ridges and nothing else)."""
+
+
+def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
+    """Enhance a print (H, W) uint8 of 500 ppi, ridges dark, that was pressed on glass or paper; white without ridges.
+
+    Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
+    Recognition 40, 2007 (windows, filters); A. Rosenfeld, R. Hummel and S. Zucker, "Scene labeling by relaxation
+    operations", IEEE Trans. SMC 6, 1976, equation 10 (directions that support each other).
+
+    >>> waves = 127 + 90 * np.sin(np.arange(160) * 2 * np.pi / 9)[None] * np.ones((160, 1))
+    >>> bool(pressed_ridges(waves.astype(np.uint8)).inside[80, 80])
+    True
+    """
+    even, contrast = _evened(image)
+    spectra = _spectra(even)
+    rows, columns = spectra.shape[:2]
+    power = np.square(spectra.real) + np.square(spectra.imag)
+    power[..., 0] *= np.float32(0.5)  # the only column of the half spectrum that holds each of its waves twice
+    inner, bank, _, _ = _bank()
+    power = power.reshape(rows * columns, -1)[:, inner]
+    weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
+    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
+    unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
+    direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)))
+    wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
+    wave /= np.sqrt(blur(wave * wave, 0.7 * _CONTRAST_PX)) + np.float32(0.02)
+    places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
+    sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
+    confidence: FloatArray = np.asarray(
+        cv2.remap(sure, *np.meshgrid(places[1], places[0]), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        dtype=np.float32,
+    )
+    strong = contrast[confidence >= 0.5 * _clearest(confidence)]
+    confidence *= np.minimum(contrast / (_FAINT * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
+    inside = _extent(confidence)
+    soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
+    grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(np.float32(_STEEPNESS) * wave))
+    return PressedRidges(np.round(255.0 * grey).astype(np.uint8), inside, np.where(inside, confidence, np.float32(0)))
+
+
+def _evened(image: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
+    """(H, W) the print with even mean and contrast, and its contrast; the sensor's frame does not count."""
+    known = (~frame(image)).astype(np.float32)
+    grey = image.astype(np.float32)
+    grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
+    weight = np.maximum(blur(known, _CONTRAST_PX), np.float32(1e-3))
+    centred: FloatArray = grey
+    for _ in range(2):  # the second pass takes out what a one-sided window leaves at the frame
+        centred = np.asarray((centred - blur(centred * known, _CONTRAST_PX) / weight) * known, dtype=np.float32)
+    contrast = np.sqrt(blur(centred * centred, _CONTRAST_PX) / weight)
+    level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
+    return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
+
+
+def _usual(contrast: FloatArray) -> np.float32:
+    """Mean contrast, weighted by itself: of the strong places, however few."""
+    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), np.float32(1e-6)))
+
+
+def frame(image: NDArray[np.uint8]) -> BoolArray:
+    """(H, W) areas of one grey level at the picture's border that end in a step: beside the sensor's window."""
+    border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    level = int(np.bincount(border).argmax())
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
+    padded = cv2.copyMakeBorder((image == level).astype(np.uint8), 9, 9, 9, 9, cv2.BORDER_REPLICATE)
+    found = np.zeros(image.shape, dtype=np.bool_)
+    if not padded.any() or padded.all():
+        return found
+    flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc)[9:-9, 9:-9])
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(flat)
+    for k in range(1, count):
+        if stats[k, cv2.CC_STAT_AREA] < 400:
+            continue
+        area = (labels == k).astype(np.uint8)
+        near, beside = (cv2.dilate(area, np.ones((side, side), np.uint8)) > 0 for side in (5, 11))
+        ring = beside & ~near
+        if int(ring.sum()) > 20 and np.percentile(np.abs(image[ring].astype(np.float32) - level), 20) > _FRAME_STEP:
+            found |= near
+    return found
+
+
+def _spectra(even: FloatArray) -> NDArray[np.complex64]:
+    """(n, m, window, window // 2 + 1) of overlapping windows, of which the first begins before the print."""
+    import scipy.fft  # a comparison of templates needs none of it
+
+    side, step = _WINDOW_PX, _STEP_PX
+    below, right = ((-size // step + 1) * step + 2 * side for size in (-even.shape[0], -even.shape[1]))
+    first = side - step
+    padded = cv2.copyMakeBorder(even, first, below - first - step, first, right - first - step, cv2.BORDER_CONSTANT)
+    windows = sliding_window_view(padded, (side, side))[::step, ::step]
+    n, m = (-(-size // step) + side // step - 1 for size in even.shape)
+    return np.asarray(scipy.fft.rfft2(windows[:n, :m] * _TAPER), dtype=np.complex64)
+
+
+@lru_cache(maxsize=1)
+def _bank() -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
+    """Which frequencies count (flat), their part in each direction and period, and both filters on the half spectrum.
+
+    The filters are (fans, directions, window, half window) and (periods, window, half window).
+    """
+    side = _WINDOW_PX
+    down, right = np.meshgrid(np.fft.fftfreq(side), np.fft.rfftfreq(side), indexing="ij")
+    frequency, angle = np.hypot(down, right), np.arctan2(-down, right)
+    inner = (frequency > 0.8 / _LONGEST_PX) & (frequency < 1.15 / _SHORTEST_PX)
+    apart = _apart(angle[inner][:, None], _ANGLES)
+    octaves = np.log(frequency[inner])[:, None] - _LOGS
+    along = np.exp(-0.5 * (apart / np.deg2rad(_DIRECTION_DEG)) ** 2)[:, :, None]
+    bank = (along * np.exp(-0.5 * (octaves / _PERIOD_WIDTH) ** 2)[:, None]).reshape(int(inner.sum()), -1)
+    bank /= np.median(bank.sum(axis=1))
+    turns = np.pi / _TURNS * np.arange(_TURNS)[:, None, None]
+    passed = (frequency > 1 / _LONGEST_PX) & (frequency < 1 / _SHORTEST_PX)
+    fans = [np.exp(-0.5 * (_apart(angle, turns) / np.deg2rad(width)) ** 2) * passed for width in _FANS_DEG]
+    periods = np.geomspace(1 / _LONGEST_PX, 1 / _SHORTEST_PX, 3 * _PERIODS)
+    bands = np.exp(-0.5 * ((frequency - periods[:, None, None]) / _BAND_PER_PX) ** 2)
+    tables = [np.asarray(table, dtype=np.float32) for table in (bank, np.stack(fans), bands)]
+    return inner.ravel(), tables[0], tables[1], tables[2]
+
+
+def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Angle between two directions, up to a quarter turn."""
+    return np.asarray(np.abs(np.mod(a - b + np.pi / 2, np.pi) - np.pi / 2))
+
+
+def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Direction across the ridges, frequency, how well the directions agree, and the part of the power that has both.
+
+    `weighed` (n, m, directions, periods): parts of each window's own power; `trust` (n, m, 1, 1): little where a window
+    has little power, so that the edge of a sheet says nothing about ridges.
+    """
+    n, m = weighed.shape[:2]
+    said = weighed * trust
+    clear = said.reshape(n, m, -1).max(axis=2)
+    votes = np.einsum("nmf,nm->f", said.max(axis=2), clear**3)
+    own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))  # logarithm of the print's frequency
+    usual = (np.exp(-0.5 * ((_LOGS - own) / _TYPICAL) ** 2) + 0.05).astype(np.float32)
+    said = said @ usual
+    strength = said.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
+    belief = said
+    for reach in _REACHES:
+        around = blur(belief, reach) @ turn
+        around /= around.sum(axis=2, keepdims=True) + np.float32(1e-12)
+        belief = said * around
+        belief *= strength / (belief.sum(axis=2, keepdims=True) + np.float32(1e-12))
+    belief = (said + np.float32(0.02 * said.max())) * around
+    belief /= belief.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    number = (belief.argmax(axis=2)[..., None] + np.arange(-3, 4)) % _DIRECTIONS
+    peak = np.take_along_axis(belief, number, axis=2)
+    direction = 0.5 * np.angle((peak * np.exp(2j * _ANGLES[number])).sum(axis=2)).astype(np.float32)
+    agreement = np.abs((belief * np.exp(2j * _ANGLES)).sum(axis=2)).astype(np.float32)
+    near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / np.deg2rad(1.5 * _DIRECTION_DEG)) ** 2)
+    along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
+    period = blur(along * usual * trust[..., 0], 1.5) ** 2
+    frequency = (period @ _LOGS) / (period.sum(axis=2) + np.float32(1e-20))
+    of_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_WIDTH)) ** 2)
+    return direction, frequency, agreement, (along * of_period).sum(axis=2).astype(np.float32)
+
+
+def _filtered(
+    spectra: NDArray[np.complex64], direction: FloatArray, frequency: FloatArray, agreement: FloatArray
+) -> FloatArray:
+    """What runs along the ridges and has their period, from windows added up."""
+    import scipy.fft  # a comparison of templates needs none of it
+
+    _, _, fans, bands = _bank()
+    side, step = _WINDOW_PX, _STEP_PX
+    turn = np.rint(direction * (_TURNS / np.pi)).astype(np.intp) % _TURNS
+    fan = np.clip((0.95 - agreement) / 0.6 * len(_FANS_DEG), 0, len(_FANS_DEG) - 1).astype(np.intp)
+    lowest, highest = np.log([1 / _LONGEST_PX, 1 / _SHORTEST_PX])
+    band = np.clip(np.rint((frequency - lowest) / (highest - lowest) * (len(bands) - 1)), 0, len(bands) - 1)
+    kept = spectra * fans[fan, turn]
+    kept *= bands[band.astype(np.intp)]
+    parts = scipy.fft.irfft2(kept, s=(side, side)) * _TAPER
+    return overlap_added(parts, step)[side - step :, side - step :]
+
+
+def _clearest(confidence: FloatArray) -> float:
+    """Confidence that the clearest ridges have at least, on a twentieth of the picture, at most 20 mm2."""
+    last = confidence.size - 1 - min(confidence.size // 20, _CLEAREST_PX)
+    return float(np.partition(confidence, last, axis=None)[last])
+
+
+def _extent(confidence: FloatArray) -> BoolArray:
+    """(H, W) where there are ridges: clear ones and what hangs on them, holes filled."""
+    clearest = _clearest(confidence)
+    if clearest < _CLEAR:
+        return np.zeros(confidence.shape, dtype=np.bool_)
+    raw, pad = (confidence > _EDGE * clearest).astype(np.uint8), 2 * _CLOSED_PX
+    closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
+    for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+        closed = cv2.morphologyEx(closed, kind, disc)
+    closed = np.ascontiguousarray(closed[pad:-pad, pad:-pad])
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
+    sizes = stats[:, cv2.CC_STAT_AREA].copy()
+    sizes[0] = 0
+    return fill_holes(np.asarray((sizes > 0.1 * sizes.max())[labels]))

@@ -1,0 +1,151 @@
+"""A finger in, a flat print out: as an object, or as a folder."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from splitknit import (
+    AnyPath,
+    BadInput,
+    Help,
+    HowReconstructed,
+    InputPpi,
+    Job,
+    Progress,
+    PxPerMm,
+    RidgePeriod,
+    Settings,
+    check,
+    check_scale,
+    function_of,
+)
+from splitknit_match.matching.photo_finger import PhotoBox, PhotoMask
+
+if TYPE_CHECKING:
+    from splitknit import Capture, Reconstruction
+    from splitknit_match.prints.make import Print
+
+    Finger = Reconstruction | Capture | AnyPath
+else:
+    Finger = AnyPath
+
+
+@dataclass(frozen=True, slots=True)
+class PrintJob(Job):
+    """Turn a finger in space into a flat print of 500 pixels per inch.
+
+    Returns
+    -------
+    dict
+        The facts of ``report.json``, and ``out``.
+
+    Raises
+    ------
+    BadInput
+        Naming the input at fault; nothing is written.
+    """
+
+    # fmt: off
+    finger: Annotated[AnyPath, Help(
+        "result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, "
+        "ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae; or a photograph of a finger "
+        "in colour, which is unrolled by a mean shape", "FINGER", positional=True)]
+    _: KW_ONLY
+    out: Annotated[AnyPath, Help("folder to write the print into", "DIR")]
+    method: Annotated[Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"] | None, Help(
+        "unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
+        "curvature: the shape index; photo: the photograph (needs a capture); specular: what the surface reflects "
+        "(needs polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors)"
+        )] = None
+    surface: Annotated[Literal["plane", "free", "arc", "tube", "cylinder"] | None, Help(
+        "where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least "
+        "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)")] = None
+    ppi: Annotated[Literal[500, 1000], Help("pixels per inch")] = 500
+    pores: Annotated[bool, Help(
+        "also write pores.json: where sweat pores lie on the skin, in mm (pixels of 34 um at most; with --method photo "
+        "they are sought on the photograph, which shows more of them)")] = False
+    px_per_mm: PxPerMm = None
+    ridge_period_mm: RidgePeriod = None
+    input_ppi: InputPpi = None
+    mask: PhotoMask = None
+    box: PhotoBox = None
+    preset: HowReconstructed = "metric"
+    settings: Settings = None
+    # fmt: on
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_scale(self.px_per_mm, self.ridge_period_mm)
+
+    @property
+    def path(self) -> Path:
+        """Path of the finger."""
+        return Path(self.finger)
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Make it and write all its files."""
+        from splitknit_match.prints.folder import print_to_folder
+
+        return print_to_folder(self, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class MakePrintJob(Job):
+    """Make the 2D print of a finger.
+
+    Returns
+    -------
+    Print
+        ``image`` (h, w) uint8, ridges dark, mirrored as ink on paper is.
+
+    Raises
+    ------
+    BadInput
+        If the input lacks what the method needs, or shows no ridges.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> import splitknit_simulator
+    >>> import splitknit_match
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.12})
+    >>> splitknit_match.make_print(splitknit.reconstruct(capture, "ea")).image.dtype
+    dtype('uint8')
+    """
+
+    # fmt: off
+    finger: Annotated[Finger, Help(
+        "what is printed; a capture is reconstructed first, by the preset ``metric``",
+        takes="Reconstruction, Capture or path")]
+    method: Annotated[Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"], Help(
+        "``photo`` needs a capture; ``rolled`` one with mirrors, as a path")] = "unroll"
+    ppi: Annotated[float, Help("resolution in pixels per inch")] = 500.0
+    settings: Settings = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> Print:
+        """Make it."""
+        from splitknit import Capture, Reconstruction, override
+        from splitknit_match.prints.make import PrintingSettings, make_print, make_rolled_print
+        from splitknit_match.prints.sources import read_source, source_of, source_of_capture
+
+        finger, chosen, photo = self.finger, override(PrintingSettings(), self.settings or {}), self.method == "photo"
+        if self.method == "rolled":
+            from splitknit_match.prints.rolled import read_rolled
+
+            if isinstance(finger, Capture | Reconstruction):
+                raise BadInput("a rolled print needs the path of a capture folder.")
+            source, rolled = read_rolled(Path(finger), "metric", chosen.rolled, progress)
+            return make_rolled_print(rolled, source, "free", self.ppi, chosen)
+        if isinstance(finger, Reconstruction):
+            source = source_of(finger)
+        elif isinstance(finger, Capture):
+            source = source_of_capture(finger, photo=photo, surface=not photo)
+        else:
+            source = read_source(Path(finger), photo=photo, surface=not photo)
+        return make_print(source, self.method, ppi=self.ppi, settings=chosen)
+
+
+make_print = function_of(MakePrintJob)

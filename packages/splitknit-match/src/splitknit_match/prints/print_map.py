@@ -1,0 +1,352 @@
+"""Where the pixels of a print lie in the image, and the other way round.
+
+A map is made of a coarse grid of nodes whose places are known in the input and on the print, read by cubic
+interpolation (Catmull and Rom 1974); its inverse is found by Newton's method and stored densely. Points are (column,
+row), as everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from splitknit import (
+    MM_PER_INCH,
+    BoolArray,
+    FloatArray,
+    bounding_box,
+    check_mask,
+    gaussian_mean,
+    require,
+    upright_from_print,
+)
+from splitknit_match.prints.unroll import Unrolled
+from splitknit_match.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
+
+# Smooth functions on coarse grids: read anywhere, read densely, and inverted.
+#
+# Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
+
+
+def _linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArray:
+    """Read a coarse grid, its first pixel two steps before the fine one's, linearly at every pixel of a fine grid."""
+    down, across = (
+        _weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True)
+    )
+    return np.asarray(down @ values @ across.T, dtype=np.float32)
+
+
+def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
+    """(N, count) matrix that interpolates a line of `count` values at `places`: Catmull-Rom, or linear."""
+    first = np.floor(places).astype(np.intp)
+    rest = places - first
+    parts = [1.0 - rest, rest] if linear else _catmull_rom(rest)
+    shift = 0 if linear else -1
+    matrix = np.zeros((len(places), count), dtype=np.float32)
+    line = np.arange(len(places))
+    for k, part in enumerate(parts):
+        matrix[line, np.clip(first + shift + k, 0, count - 1)] += part
+    return matrix
+
+
+def _catmull_rom(t: Array) -> list[Array]:
+    return [
+        0.5 * (-t + 2 * t**2 - t**3), 0.5 * (2 - 5 * t**2 + 3 * t**3), 0.5 * (t + 4 * t**2 - 3 * t**3),
+        0.5 * (-(t**2) + t**3),
+    ]  # fmt: skip
+
+
+def _catmull_rom_slope(t: Array) -> list[Array]:
+    return [
+        0.5 * (-1 + 4 * t - 3 * t**2), 0.5 * (-10 * t + 9 * t**2), 0.5 * (1 + 8 * t - 9 * t**2),
+        0.5 * (-2 * t + 3 * t**2),
+    ]  # fmt: skip
+
+
+def _cubic(values: Array, places: Array, slopes: bool = False) -> tuple[Array, Array]:
+    """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2, 2); NaN outside."""
+    n, m = values.shape[:2]
+    result = np.full((len(places), 2), np.nan)
+    slope = np.full((len(places), 2, 2), np.nan)
+    with np.errstate(invalid="ignore"):
+        good = (places[:, 0] >= 1) & (places[:, 0] <= m - 2) & (places[:, 1] >= 1) & (places[:, 1] <= n - 2)
+    where = places[good]
+    first = np.minimum(np.floor(where).astype(np.intp), [m - 3, n - 3])
+    rest = where - first
+    around = np.arange(-1, 3)
+    patch = values[(first[:, 1, None] + around)[:, :, None], (first[:, 0, None] + around)[:, None, :]]  # (N, 4, 4, 2)
+    across, down = (np.stack(_catmull_rom(rest[:, d]), axis=1) for d in range(2))
+    along = np.einsum("nijk,nj->nik", patch, across)
+    result[good] = np.einsum("nik,ni->nk", along, down)
+    if slopes:
+        across_slope, down_slope = (np.stack(_catmull_rom_slope(rest[:, d]), axis=1) for d in range(2))
+        slope[good] = np.stack(
+            [
+                np.einsum("nik,ni->nk", np.einsum("nijk,nj->nik", patch, across_slope), down),
+                np.einsum("nik,ni->nk", along, down_slope),
+            ],
+            axis=2,
+        )
+    return result, slope
+
+
+def _inverted(values: Array, targets: Array, start: Array, rounds: int = 8) -> Array:
+    """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN where none is."""
+    places = start.copy()
+    error = np.full(len(targets), np.inf)
+    live = np.flatnonzero(np.isfinite(places).all(axis=1))
+    for _ in range(rounds):
+        here, slope = _cubic(values, places[live], slopes=True)
+        miss = targets[live] - here
+        error[live] = np.abs(miss).max(axis=1)
+        keep = error[live] > 1e-5  # NaN is dropped too
+        live, miss, slope = live[keep], miss[keep], slope[keep]
+        if live.size == 0:
+            break
+        determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+        determinant = np.where(np.abs(determinant) > 1e-12, determinant, 1e-12)
+        right = (miss[:, 0] * slope[:, 1, 1] - miss[:, 1] * slope[:, 0, 1]) / determinant
+        down = (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
+        places[live] += np.clip(np.stack([right, down], axis=1), -1.5, 1.5)
+    here, _ = _cubic(values, places)
+    with np.errstate(invalid="ignore"):
+        good = np.abs(here - targets).max(axis=1) < 1e-3
+    places[~good] = np.nan
+    return places
+
+
+Array = NDArray[np.float64]
+NOWHERE = -1e6
+"""Where a print's pixel lies in the input if it shows nothing."""
+_STEP_MM = 0.25
+"""Spacing of the coarse grid on the print on which the inverse is computed."""
+_LARGEST_PX = 25_000_000
+"""Largest print: 250 x 250 mm at 500 ppi."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintMap:
+    """Between the input's pixels and a print's."""
+
+    surface: str
+    """``plane``, or the kind of unrolling."""
+    ppi: float
+    columns: FloatArray
+    """(h, w) column of the input that each pixel of the print shows; :data:`NOWHERE` if none."""
+    rows: FloatArray
+    """(h, w) row, likewise."""
+    input_from_grid: Array
+    """(3, 3) where the nodes lie in the input."""
+    print_of_grid: Array
+    """(n, m, 2) where the nodes lie on the print, pixels; NaN where nowhere."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the print."""
+        return self.columns.shape[0], self.columns.shape[1]
+
+    def print_from_input(self, points: Array) -> Array:
+        """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
+        nodes = _moved(_inverse(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
+        return _cubic(self.print_of_grid, nodes)[0]
+
+    def input_from_print(self, points: Array) -> Array:
+        """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        nodes = np.full(points.shape, np.nan)
+        there = np.isfinite(points).all(axis=1)
+        there &= ((points > -0.5) & (points < [self.size[1] - 0.5, self.size[0] - 0.5])).all(axis=1)
+        at = np.rint(points[there]).astype(np.intp)
+        start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
+        start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
+        nodes[there] = _moved(_inverse(self.input_from_grid), start)
+        return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
+
+    def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
+        """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
+        return _carried(self.print_from_input, points, angles_rad)
+
+    def directions_in_input(self, points: Array, angles_rad: Array) -> Array:
+        """Directions (N,) in the input of directions at places (N, 2) of the print; both counter-clockwise as seen."""
+        return _carried(self.input_from_print, points, angles_rad)
+
+
+def plane_map(
+    pitch_mm: float, input_from_upright: Array, upright_size: tuple[int, int], ppi: float = 500.0
+) -> PrintMap:
+    """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
+
+    Raises BadInput if pitch or resolution are not positive.
+    """
+    _check_scale(pitch_mm, ppi)
+    step = MM_PER_INCH / ppi / pitch_mm
+    size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
+    input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
+    column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
+    columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
+    rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]
+    # a grid of nodes wider than any input: straight lines are read exactly
+    reach = 4.0 * max(size)
+    print_from_grid = np.array([[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]])
+    node = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), axis=2)
+    print_of_grid = _moved(print_from_grid, node.reshape(-1, 2)).reshape(node.shape)
+    return PrintMap(
+        "plane", ppi, columns.astype(np.float32), rows.astype(np.float32), input_from_print @ print_from_grid,
+        print_of_grid,
+    )  # fmt: skip
+
+
+def unrolled_map(
+    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = 70.0, margin_mm: float = 0.5
+) -> PrintMap:
+    """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
+
+    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
+    the resolution is not positive.
+    """
+    _check_scale(unrolled.grid.pitch_mm, ppi)
+    px_per_mm = ppi / MM_PER_INCH
+    flat, grid = unrolled.flat_mm, unrolled.grid
+    facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
+    require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
+    used = flat[facing]
+    low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
+    size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
+    middle = 0.5 * (low + high)
+    print_of_grid = np.stack(
+        [
+            0.5 * (size[1] - 1) - (flat[..., 0] - middle[0]) * px_per_mm,  # mirrored, as paper shows it
+            0.5 * (size[0] - 1) - (flat[..., 1] - middle[1]) * px_per_mm,
+        ],
+        axis=2,
+    )
+    columns, rows = _dense_inverse(print_of_grid, grid, size, _STEP_MM * px_per_mm, slant_deg)
+    return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
+
+
+def _checked_size(rows: int, columns: int) -> tuple[int, int]:
+    require(
+        rows * columns <= _LARGEST_PX,
+        f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale of its input.",
+    )
+    return rows, columns
+
+
+def _check_scale(pitch_mm: float, ppi: float) -> None:
+    require(
+        bool(np.isfinite(pitch_mm)) and pitch_mm > 0,
+        f"a print needs the scale of its input, but pitch_mm is {pitch_mm}; calibrate the camera.",
+    )
+    require(bool(np.isfinite(ppi)) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
+
+
+def _dense_inverse(
+    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], step: float, slant_deg: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of the input for every pixel of the print."""
+    lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
+    coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
+    near = np.isfinite(print_of_grid).all(axis=2)
+    near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    places = np.argwhere(near)[:, ::-1].astype(np.float64)
+    distance, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
+    gaps = _gaps(print_of_grid)[near]
+    start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
+    nodes = _inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
+    found = np.isfinite(nodes).all(axis=2)
+    filled = extrapolated(nodes, 3)
+    holes = ~np.isfinite(filled).all(axis=2)
+    filled[holes] = 0.0
+    input_of_coarse = _moved(grid.input_from_grid, filled.reshape(-1, 2)).reshape(filled.shape)
+    input_of_coarse[holes] = 0.0
+    down, across = (_weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
+    columns, rows = (down @ input_of_coarse[..., d].astype(np.float32) @ across.T for d in range(2))
+    trusted = _linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
+    if slant_deg is not None:
+        column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
+        cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
+    columns, rows = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    return columns, rows
+
+
+def _gaps(print_of_grid: Array) -> Array:
+    """(n, m) largest distance of a node from its four neighbours, on the print."""
+    across = np.linalg.norm(np.diff(print_of_grid, axis=1), axis=2)
+    down = np.linalg.norm(np.diff(print_of_grid, axis=0), axis=2)
+    left, right = np.pad(across, ((0, 0), (0, 1))), np.pad(across, ((0, 0), (1, 0)))
+    above, below = np.pad(down, ((0, 1), (0, 0))), np.pad(down, ((1, 0), (0, 0)))
+    return np.asarray(np.fmax(np.fmax(left, right), np.fmax(above, below)))
+
+
+def _facing(grid: SurfaceGrid) -> FloatArray:
+    """(n, m) cosine of the slant, evened out over neighbours so that its contours are smooth; continued outwards."""
+    cosine = np.where(grid.inside, slant_cos(grid.points_mm), np.nan)[..., None]
+    cosine = np.clip(np.nan_to_num(extrapolated(cosine, 4)[..., 0]), 0.0, 1.0).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _moved(matrix: Array, points: Array) -> Array:
+    return points @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def _carried(move: object, points: Array, angles_rad: Array) -> Array:
+    """Directions that a map gives to directions, by a small step to both sides."""
+    assert callable(move)
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    angles = np.asarray(angles_rad, dtype=np.float64).reshape(-1)
+    step = 0.5 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)  # rows run downwards
+    along = move(points + step) - move(points - step)
+    return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))
+
+
+# A field of the input, read at a print's pixels.
+
+
+def resample(
+    field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap, sigma_px: float = 0.5
+) -> tuple[FloatArray, FloatArray]:
+    """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a pixel is on the finger.
+
+    `pitch_mm`: of the input; `sigma_px`: of the Gaussian, in pixels of the print, that takes out what the print is too
+    coarse for; used only where it is coarser than the input.
+    """
+    mask = check_mask(mask, (field.shape[0], field.shape[1]))
+    step = MM_PER_INCH / print_map.ppi / pitch_mm
+    rows, columns = bounding_box(mask, int(4 * step) + 2)
+    inside = mask[rows, columns]
+    weight = inside.astype(np.float32)
+    values = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)
+    factor = max(1, int(step / 1.9))
+    if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
+        height, width = (n // factor for n in inside.shape)
+        cut = slice(0, height * factor), slice(0, width * factor)
+        weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
+    if step > 1.0:
+        sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
+        fraction = gaussian_mean(weight, sigma)
+        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        values[fraction <= 1e-3] = 0.0
+        weight = fraction
+    x, y = (
+        (places - np.float32(box.start) + np.float32(0.5)) / np.float32(factor) - np.float32(0.5)
+        for places, box in ((print_map.columns, columns), (print_map.rows, rows))
+    )
+    return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)
+
+
+def _shrunk(image: FloatArray, size: tuple[int, int]) -> FloatArray:
+    return np.asarray(cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _read(image: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    read = cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return np.asarray(read, dtype=np.float32)

@@ -1,0 +1,227 @@
+"""How good a print is: one score made of figures that show what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import MM_PER_INCH, BadInput, BoolArray, FloatArray, gaussian_mean, require
+from splitknit_match.prints.enhance import node_amplitudes
+from splitknit_match.prints.ridge_field import RidgeField
+
+# Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
+#
+# Everything is measured on the values that are inked (the relief in micrometres, or light), not on the print's grey
+# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
+# all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
+
+_SIGMA_PERIODS = 0.75
+"""Standard deviation of the window in which a wave is fitted, in ridge periods."""
+_SMOOTH_MM = 0.6
+"""Values are taken relative to their Gaussian mean of this standard deviation."""
+_CLOSE_MM = 3.0
+"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class QualityFigures:
+    """What was measured; ``docs/guide/prints.md`` has ranges."""
+
+    ridge_share: float
+    """0 to 1: fraction of the finger's area on the print that has ridges, pure and high enough."""
+    ridge_height_um: float | None
+    """um, 0 or more: median height of ridges above their valleys, wherever waves were found; None where not in um."""
+    coherence: float
+    """0 to 1: median agreement of the directions, wherever waves were found."""
+    plausible_share: float
+    """0 to 1: fraction of the ridges whose period is near the median."""
+    period_mm: float
+    """mm: median ridge period."""
+    sharpness: float
+    """0 to about 0.5: second harmonic of the ridges, where it goes with the first, over the first."""
+    ridge_area_mm2: float
+    """mm2, 0 to the finger's area: ridges."""
+    finger_area_mm2: float
+    """mm2: the finger on the print."""
+    ridge_length_mm: float
+    """mm, 0 or more: from the tip of the finger to the last rows of ridges."""
+    gap_share: float
+    """0 to 1: fraction without ridges of what ridges surround."""
+    centre_offset_mm: float
+    """mm, 0 or more: sideways from the middle of the finger's area to the middle of the ridges."""
+
+
+def _quality_figures(
+    values: FloatArray, weight: FloatArray, found: RidgeField, ppi: float, min_height_um: float | None
+) -> QualityFigures:
+    """Measure the figures of a print's quality.
+
+    `values`, `weight`, `found`, `ppi`: as of :func:`print_quality`; `min_height_um`: of ridges above their valleys,
+    None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
+    """
+    in_um = min_height_um is not None
+    if values.ndim != 2 or values.shape != weight.shape:
+        raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
+    nodes = tuple(-(-side // found.step_px) for side in values.shape)
+    require(nodes == found.mask.shape, f"the ridges' field must have {nodes} nodes, but it has {found.mask.shape}.")
+    px = ppi / MM_PER_INCH
+    finger = _at_nodes(weight, found) > 0.5
+    require(bool(finger.any()), "nothing of the finger lies on the print.")
+    finger[1::2], finger[:, 1::2] = False, False  # every second node, each way, is enough
+    looked = replace(found, mask=found.mask & finger)
+    mm = found.step_px / px
+    cell = (2.0 * mm) ** 2
+    if not bool(looked.mask.any()):
+        return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
+    first, second, purity = _waves(values, weight, looked, px)
+    height = 2.0 * np.abs(first)
+    strong = looked.mask & (purity > _MIN_PURITY)
+    if min_height_um is not None:
+        strong &= height > min_height_um
+    period = 1.0 / (found.frequency_px * np.float32(px))
+    typical = float(np.median(period[looked.mask]))
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
+    return QualityFigures(
+        ridge_share=float(strong.sum() / finger.sum()),
+        ridge_height_um=float(np.median(height[looked.mask])) if in_um else None,
+        coherence=float(np.median(found.coherence[looked.mask])),
+        plausible_share=float(near[strong].mean()) if bool(strong.any()) else 0.0,
+        period_mm=typical,
+        sharpness=_sharpness(first[strong], second[strong]),
+        ridge_area_mm2=float(strong.sum()) * cell,
+        finger_area_mm2=float(finger.sum()) * cell,
+        ridge_length_mm=_length(strong, finger, 2.0 * mm),
+        gap_share=_gaps(strong[::2, ::2], finger[::2, ::2], 2.0 * mm),
+        centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - float(np.nonzero(finger)[1].mean())) * mm
+        if bool(strong.any())
+        else 0.0,
+    )
+
+
+def _waves(
+    values: FloatArray, weight: FloatArray, looked: RidgeField, px: float
+) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
+    """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
+    inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
+    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), np.float32(1e-3))
+    centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
+    for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
+        mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
+        centred = np.where(inside > 0, centred - mean, np.float32(0.0)).astype(np.float32)
+    centred = (centred * inside).astype(np.float32)
+    twice = replace(looked, frequency_px=np.float32(2.0) * looked.frequency_px)
+    first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
+    second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
+    width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
+    there: FloatArray = np.maximum(gaussian_mean(inside, width), np.float32(0.3))
+    variance = _at_nodes((gaussian_mean(centred * centred, width) / there).astype(np.float32), looked)
+    fraction = _at_nodes(there, looked)
+    first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
+    purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
+    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), np.float32(0.0)).astype(np.float32)
+
+
+def _sharpness(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> float:
+    """Second harmonic that keeps its phase against the first's, which noise does not, over the first."""
+    if first.size == 0:
+        return 0.0
+    size = np.maximum(np.abs(first), np.float32(1e-12))
+    return float(np.abs(np.mean(second * np.conj(first / size) ** 2)) / np.mean(size))
+
+
+def _length(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
+    """From the finger's first row to the last with ridges on a third of its median breadth, mm."""
+    breadth = finger[::2].sum(axis=1)
+    first = int(np.flatnonzero(breadth)[0])
+    enough = strong[::2].sum(axis=1) > np.median(breadth[breadth > 0]) / 3.0
+    return float(np.flatnonzero(enough)[-1] - first + 1) * cell_mm if bool(enough.any()) else 0.0
+
+
+def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
+    """Fraction of the closed area of the ridges (cells) that has none."""
+    if not bool(strong.any()):
+        return 1.0
+    reach = max(1, round(_CLOSE_MM / cell_mm))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    raw = cv2.copyMakeBorder(strong.astype(np.uint8), *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc)[reach:-reach, reach:-reach] > 0
+    closed &= finger
+    return float(1.0 - strong[closed].mean())
+
+
+def _at_nodes(image: FloatArray, found: RidgeField) -> FloatArray:
+    """(n, m) means over the nodes' cells."""
+    (n, m), step = found.mask.shape, found.step_px
+    padded = np.zeros((n * step, m * step), dtype=np.float32)
+    padded[: image.shape[0], : image.shape[1]] = image
+    return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+_MIN_PART = 0.01
+"""Rating of the worst figure: no single one makes the score 0."""
+_MIN_PURITY = 0.3
+"""Fraction of what varies around a place that one wave must explain, or there are no ridges."""
+_MIN_HEIGHT_UM = 10.0
+"""Ridges that rise less above their valleys count as none (prints of the relief)."""
+_PERIOD_TOLERANCE = 0.35
+"""A ridge period further from the finger's median than this, relative, is not plausible."""
+PARTS = {
+    "ridge_share": (0.2, 1.0, 0.3),
+    "ridge_height_um": (5.0, 50.0, 0.3),
+    "coherence": (0.5, 1.0, 0.15),
+    "plausible_share": (0.5, 1.0, 0.15),
+    "sharpness": (0.02, 0.11, 0.15),
+    "ridge_area_mm2": (20.0, 300.0, 0.15),
+    "ridge_length_mm": (6.0, 20.0, 0.3),
+    "gap_share": (0.4, 0.0, 0.15),
+    "centre_offset_mm": (8.0, 1.0, 0.1),
+}
+"""Parts of the score, by figure: value rated lowest, value rated 1 (linear in between), and exponent."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrintQuality:
+    """Quality of a print."""
+
+    score: float
+    """0 to 100, the higher the better."""
+    figures: QualityFigures
+    worth: dict[str, float]
+    """Rating of each figure, 0.01 to 1, by its name."""
+
+
+def print_quality(
+    values: FloatArray, weight: FloatArray, found: RidgeField, ppi: float = 500.0, *, in_um: bool = True
+) -> PrintQuality:
+    """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
+
+    `values`: (h, w) float32, what is inked: the relief in um, or anything else that is high on ridges (`in_um` false:
+    no heights then); `weight`: (h, w) float32, fraction of the pixel that lies on the finger, the tip at row 0;
+    `found`: ridges of the print.
+
+    Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
+    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
+    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
+    """
+    figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
+    score, ratings = score_of(figures)
+    return PrintQuality(score, figures, ratings)
+
+
+def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
+    """Score of figures, 0 to 100, and the rating of each, 0.01 to 1.
+
+    100 times the product of the ratings, each to the power of its weight: it never falls when a figure gets better, and
+    many good figures do not make up for a bad one. 0 where there are no ridges. Figures that are None are left out.
+    """
+    ratings = {
+        name: float(np.clip((figure - useless) / (good - useless), _MIN_PART, 1.0))
+        for name, (useless, good, _) in PARTS.items()
+        if (figure := getattr(figures, name)) is not None
+    }
+    if figures.ridge_area_mm2 <= 0.0:
+        return 0.0, ratings
+    return 100.0 * float(np.prod([rating ** PARTS[name][2] for name, rating in ratings.items()])), ratings

@@ -1,0 +1,193 @@
+"""Where a print has ridges, which way they run and how close they lie.
+
+Directions come from the structure tensor at two widths (the narrow one where it is sure of itself: cores and deltas
+stay sharp), frequencies from the power spectra of overlapping windows. Everything lives on nodes a few pixels apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import cv2
+import numpy as np
+import scipy
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from splitknit import MM_PER_INCH, BadInput, BoolArray, FloatArray, require
+
+# lengths in mm on the print
+_STEP_MM = 0.2
+"""Between two nodes (rounded to whole pixels)."""
+_NARROW_MM = 0.3
+"""Standard deviation over which the narrow structure tensor is averaged."""
+_WIDE_MM = 0.8
+"""Standard deviation over which the wide one is averaged."""
+_WINDOW_MM = 1.63
+"""Side of the windows whose spectra give the frequency."""
+_SHORTEST_MM = 0.25
+"""Shortest ridge period that is accepted."""
+_LONGEST_MM = 0.9
+"""Longest ridge period that is accepted."""
+_MIN_STRENGTH = 0.2
+"""Contrast below this fraction of the print's strong parts is background."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RidgeField:
+    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5) - 0.5``."""
+
+    step_px: int
+    orientation_rad: FloatArray
+    """(n, m) direction of the ridges, counter-clockwise from the right as seen, 0 to pi."""
+    coherence: FloatArray
+    """(n, m) 0 (no direction) to 1 (one direction)."""
+    frequency_px: FloatArray
+    """(n, m) ridges per pixel."""
+    mask: BoolArray
+    """(n, m) where there are ridges."""
+
+    def period_mm(self, ppi: float) -> FloatArray:
+        """(n, m) ridge period, NaN where there are no ridges."""
+        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
+
+
+def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
+    """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
+
+    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if the image is of another kind, or has
+    no ridges.
+
+    Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
+    points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
+    Fingerprint enhancement using STFT analysis, section 3 (frequencies).
+    """
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")
+    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
+    require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
+    px = ppi / MM_PER_INCH
+    step = max(2, round(_STEP_MM * px))
+    n, m = (-(-size // step) for size in image.shape)
+    grey = cv2.copyMakeBorder(
+        image, 0, n * step - image.shape[0], 0, m * step - image.shape[1], cv2.BORDER_REPLICATE
+    ).astype(np.float32)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.05 * px), dtype=np.float32)
+    right, down = cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)
+    xx, xy, yy = (
+        cv2.resize(product, (m, n), interpolation=cv2.INTER_AREA)
+        for product in (right * right, right * down, down * down)
+    )
+    energy, double_cos, double_sin = xx + yy, xx - yy, 2.0 * xy
+    sigmas = [length * px / step for length in (_NARROW_MM, _WIDE_MM)]
+    narrow, wide = ([_blur(part, sigma) for part in (energy, double_cos, double_sin)] for sigma in sigmas)
+    strength = np.sqrt(np.maximum(wide[0], 0.0))
+    mask = _extent(strength, px / step)
+    if inside is not None:
+        require(inside.shape == image.shape, f"inside must have the print's shape {image.shape}, not {inside.shape}.")
+        padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
+        mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
+    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    sure = [np.hypot(c, s) / np.maximum(e, np.float32(1e-6)) for e, c, s in (narrow, wide)]
+    trust = sure[0] ** 4
+    vector = [
+        trust * part / np.maximum(narrow[0], np.float32(1e-6))
+        + (1 - trust) * other / np.maximum(wide[0], np.float32(1e-6))
+        for part, other in zip(narrow[1:], wide[1:], strict=True)
+    ]
+    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
+    orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
+    frequency, peaked = _frequencies(grey, orientation, step, px, mask)
+    mask = np.logical_and(mask, peaked)
+    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
+
+
+def _blur(image: FloatArray, sigma: float) -> FloatArray:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+
+def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
+    """Sum of tiles (n, m, side, side) that lie `step` pixels apart, as far as whole steps go."""
+    (n, m), times = tiles.shape[:2], tiles.shape[2] // step
+    total = np.zeros(((n + times - 1) * step, (m + times - 1) * step), dtype=np.float32)
+    for i, j in product(range(times), repeat=2):
+        part = tiles[:, :, i * step : (i + 1) * step, j * step : (j + 1) * step].transpose(0, 2, 1, 3)
+        total[i * step : (i + n) * step, j * step : (j + m) * step] += part.reshape(n * step, m * step)
+    return total
+
+
+def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
+    """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
+    high = float(np.percentile(strength, 90))
+    if high < 1.0:  # less than a grey level
+        return np.zeros(strength.shape, dtype=np.bool_)
+    raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
+    size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+    closed = closed[size:-size, size:-size]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
+    keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]
+    mask = np.isin(labels, keep)
+    holes = (~mask).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
+    small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
+    return np.asarray(mask | np.isin(labels, small))
+
+
+def _frequencies(
+    grey: FloatArray, orientation: FloatArray, step: int, px: float, mask: BoolArray
+) -> tuple[FloatArray, BoolArray]:
+    """Frequency at the nodes (n, m), ridges per pixel, and where a frequency was found nearby.
+
+    Windows around every second node. The strongest frequency across the ridges is refined to the centroid of the power
+    within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
+    """
+    nodes = mask.shape
+    side = scipy.fft.next_fast_len(max(16, round(_WINDOW_MM * px)), real=True)
+    pad = side // 2
+    wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
+    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
+    count = -(-nodes[0] // 2), -(-nodes[1] // 2)
+    padded = np.pad(mask, ((0, 2 * count[0] - nodes[0]), (0, 2 * count[1] - nodes[1])))
+    wanted = np.asarray(padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3)))
+    patches = windows[: count[0], : count[1]][wanted]
+    hann = np.hanning(side + 2)[1:-1].astype(np.float32)
+    spectrum = scipy.fft.rfft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
+    power = spectrum.real**2 + spectrum.imag**2
+    total = power.sum(axis=(1, 2))
+    # columns -3 to the end: a wave near column 0 has half of its peak on the other side
+    mirrored = np.roll(power[:, ::-1], 1, axis=1)[:, :, 3:0:-1]
+    power = np.concatenate([mirrored, power], axis=2).reshape(len(patches), -1)
+    ky, kx = np.meshgrid(scipy.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
+    radius = np.hypot(kx, ky).ravel()
+    reach = 2.5 / side
+    band = (radius > 1.0 / (_LONGEST_MM * px) - reach) & (radius < 1.0 / (_SHORTEST_MM * px) + reach)
+    x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
+    low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
+    accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
+    power = power[:, band]
+    angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))
+    toward = 2.0 * np.arctan2(-y, x)
+    across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
+    best = np.argmax(power * across * accepted, axis=1)
+    near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
+    near_power = np.where(near, power, np.float32(0.0))
+    weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
+    found = np.hypot(near_power @ x / weight, near_power @ y / weight)
+    fraction = weight / np.maximum(total, np.float32(1e-9))
+    sure = (fraction > 0.1) & (found > low) & (found < high)
+    if not bool(sure.any()):
+        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
+    trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
+    trust[wanted] = np.where(sure, fraction, np.float32(0.0))
+    value[wanted] = found
+    around = _blur(trust, 1.5)
+    smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))
+    smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
+    large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
+    known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
+    return np.ascontiguousarray(large[: nodes[0], : nodes[1]]), known[: nodes[0], : nodes[1]] > 0

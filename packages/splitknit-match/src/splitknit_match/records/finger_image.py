@@ -1,0 +1,262 @@
+"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read and written; ANSI/INCITS 381-2004 read.
+
+The layout of 2005 stands in ``docs/reference/records.md``. ANSI/INCITS 381-2004 has the same version and four bytes
+more, the product's, behind the length. The record of 2011 ("020") has 16 bytes of header, and resolution, depth and
+compression in each representation.
+
+Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    BadInput,
+    PrintFile,
+    decode_image,
+    decode_jpeg2000,
+    encode_jpeg2000,
+    encode_print_png,
+    require,
+)
+from splitknit_match.records.fmr_bytes import Cursor, check_length
+from splitknit_match.records.minutiae_record import (
+    ANSI_2004_IMPRESSIONS,
+    FINGER_CODES,
+    FINGER_IMPRESSIONS,
+    VENDOR_UNKNOWN,
+    name_of,
+    standard_code,
+)
+from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
+
+MAGIC = b"FIR\0"
+MAX_PIXELS = 64_000_000
+"""Pixels of all images of a file together, at most."""
+_V2005, _V2011 = b"010\0", b"020\0"
+_PARAMETERS = struct.Struct(">HHBBHHHHBBH")
+"""Layout of the header of 2005, from the capture device on."""
+_VIEW = struct.Struct(">IBBBBBHHB")
+_HEADER_BYTES = 14 + _PARAMETERS.size
+WRITTEN = ("none", "png", "wsq", "jp2")
+"""Compressions; ``jp2`` is JPEG 2000 without loss."""
+_CODES = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 4, "png": 5}
+_CODES_2011 = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 5, "lossy jp2": 4, "png": 6}
+_LEVELS = {500: 30, 1000: 40}
+"""Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41: certified)."""
+_NO_QUALITY = 254
+"""The only value that ISO/IEC 19794-4:2005 and ANSI/INCITS 381-2004 have for the quality: not defined."""
+_CM_PER_INCH = 2.54
+_MAX_VIEWS = 1000
+_IMPRESSIONS = {**ANSI_2004_IMPRESSIONS, "unknown": 29}
+_NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other": "live_plain"}
+"""Impression types without a code, and what is written for them."""
+
+
+def encode_finger_images(
+    prints: Sequence[PrintFile],
+    compression: str = "none",
+    *,
+    edition: int = 2005,
+    qualities: Sequence[int | None] | None = None,
+    owner: int = VENDOR_UNKNOWN,
+) -> bytes:
+    """Bytes of a record of ISO/IEC 19794-4:2005, or of :2011.
+
+    `prints`: at least one, all of 500 or all of 1000 ppi; `compression`: ``none``, ``png``, ``jp2`` or ``wsq`` (which
+    loses a little, and is for 500 ppi alone); `qualities`: of each, 0 to 100, which :2005 has no room for, with the
+    IBIA number of their `owner`. No device is said to be certified. Raises BadInput if there are none, or the standard
+    cannot state what they are.
+
+    >>> import numpy as np
+    >>> len(encode_finger_images([PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})]))
+    246
+    """
+    require(1 <= len(prints) <= 255, f"a finger image record holds 1 to 255 images, not {len(prints)}.")
+    require(compression in WRITTEN, f"'{compression}' is no compression; choose one of {', '.join(WRITTEN)}.")
+    ppi = round(prints[0].resolution_ppi or 0)
+    same = all(one.resolution_ppi is not None and abs(one.resolution_ppi / ppi - 1) < 0.01 for one in prints)
+    require(
+        ppi in _LEVELS and same,
+        "the images of a finger image record have 500 ppi, or all of them 1000; resample the prints.",
+    )
+    codes = [standard_code(one.finger, FINGER_CODES, "finger") for one in prints]
+    of_finger, number, views = Counter(codes), Counter[int](), []
+    for one, code, quality in zip(prints, codes, qualities or [None] * len(prints), strict=True):
+        number[code] += 1
+        rows, columns = one.image.shape
+        require(
+            one.image.dtype == np.uint8 and 0 < rows <= 65535 and 0 < columns <= 65535,
+            f"a print must be (H, W) uint8, at most 65535 pixels each way, not {one.image.shape} {one.image.dtype}.",
+        )
+        data = encode_print(one.image, float(ppi), compression)
+        if edition == 2011:
+            kind = standard_code(one.impression, FINGER_IMPRESSIONS, "impression type")
+            block = b"\0" if quality is None else b"\1" + struct.pack(">BHH", quality, owner, 1)
+            packed = (code, number[code] - 1, 1, ppi, ppi, ppi, ppi, 8, _CODES_2011[compression], kind, columns, rows)
+            view = b"\xff" * 9 + bytes(5) + block + _REST_2011.pack(*packed, len(data)) + data
+            views.append((4 + len(view)).to_bytes(4, "big") + view)
+            continue
+        kind = standard_code(_NEAREST.get(one.impression, one.impression), ANSI_2004_IMPRESSIONS, "impression type")
+        head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
+        views.append(_VIEW.pack(*head) + data)
+    body = b"".join(views)
+    if edition == 2011:
+        head_2011 = _GENERAL_2011.pack(8 + _GENERAL_2011.size + len(body), len(prints), 0, len(of_finger))
+        return MAGIC + _V2011 + head_2011 + body
+    facts = (0, _LEVELS[ppi], len(of_finger), 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
+    length = (_HEADER_BYTES + len(body)).to_bytes(6, "big")
+    return MAGIC + _V2005 + length + _PARAMETERS.pack(*facts) + body
+
+
+def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
+    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
+
+    Raises BadInput, with `name`, if `data` is no such record, truncated or damaged, claims more than 64 million pixels,
+    or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
+    """
+    require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
+    if data[4:8] == _V2011:
+        return _read_2011(Cursor(data, name, 8))
+    require(
+        data[4:8] == _V2005,
+        f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 and 020 are read.",
+    )
+    return _read_2005(data, name)
+
+
+def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    cursor = Cursor(data, name, 8)
+    length = int.from_bytes(cursor.take(6, "its header"), "big")
+    check_length(data, length, name)
+    start = next((start for start in (_HEADER_BYTES, _HEADER_BYTES + 4) if _fits(data, start)), 0)
+    require(start > 0, f"{name} is damaged: the lengths of its images do not add up to that of the record.")
+    cursor.place = start - _PARAMETERS.size
+    _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
+    ppi = _resolution(unit, x, y, name)
+    compression = _compression(code, _CODES, bits, name)
+    found: list[PrintFile] = []
+    pixels = 0
+    while cursor.place < len(data):
+        what = f"image {len(found) + 1}"
+        length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
+        pixels = _more(pixels, rows, columns, name)
+        stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
+        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
+        found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+    return tuple(found)
+
+
+_GENERAL_2011 = struct.Struct(">IHBB")
+_BEGIN_2011 = struct.Struct(">I9sBHHB")
+_REST_2011 = struct.Struct(">BBBHHHHBBBHHI")
+
+
+def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
+    data, name = cursor.data, cursor.name
+    length, count, certified, _ = cursor.unpack(_GENERAL_2011, "its header")
+    check_length(data, length, name)
+    require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
+    require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
+    found: list[PrintFile] = []
+    pixels = 0
+    for number in range(1, count + 1):
+        what, start = f"image {number}", cursor.place
+        length, *_, qualities = cursor.unpack(_BEGIN_2011, f"the header of {what}")
+        cursor.take(5 * qualities, f"the qualities of {what}")
+        if certified:
+            cursor.take(3 * cursor.take(1, f"the certificates of {what}")[0], f"the certificates of {what}")
+        head = cursor.unpack(_REST_2011, f"the header of {what}")
+        finger, _, unit, _, _, x, y, bits, code, impression, columns, rows, size = head
+        pixels = _more(pixels, rows, columns, name)
+        compression = _compression(code, _CODES_2011, bits, name)
+        ppi = _resolution(unit, x, y, name)
+        stored = cursor.take(size, f"the pixels of {what}")
+        require(
+            start + length >= cursor.place,
+            f"{name} is damaged: {what} is longer than its header states; copy it again.",
+        )
+        cursor.take(start + length - cursor.place, f"the extended data of {what}")
+        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
+        found.append(_print(image, ppi, finger, _impression(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
+    require(
+        cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
+    )
+    return tuple(found)
+
+
+def _fits(data: bytes, place: int) -> bool:
+    """Whether the lengths of the views, from `place` on, lead to the end."""
+    count = 0
+    while place + _VIEW.size <= len(data) and count < _MAX_VIEWS:
+        length = int.from_bytes(data[place : place + 4], "big")
+        if length < _VIEW.size:
+            return False
+        place, count = place + length, count + 1
+    return count > 0 and place == len(data)
+
+
+def _resolution(unit: int, x: int, y: int, name: str) -> float:
+    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
+    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
+    ppi = float(x) if unit == 1 else x * _CM_PER_INCH
+    return next((float(usual) for usual in _LEVELS if round(usual / _CM_PER_INCH) == round(ppi / _CM_PER_INCH)), ppi)
+
+
+def _compression(code: int, codes: dict[str, int], bits: int, name: str) -> str:
+    require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
+    words = next((words for words, known in codes.items() if known == code), None)
+    if words is None:
+        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG, JPEG 2000 and PNG are read.")
+    return words
+
+
+def _more(pixels: int, rows: int, columns: int, name: str) -> int:
+    total = pixels + rows * columns
+    require(rows > 0 and columns > 0, f"{name} is damaged: an image has no pixels; copy it again.")
+    require(total <= MAX_PIXELS, f"{name} claims {total} pixels, more than the {MAX_PIXELS} that are read.")
+    return total
+
+
+def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
+    """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of (rows, columns). Raises
+    BadInput if it has another size, is not 8-bit grey, or is damaged.
+    """
+    rows, columns = size
+    expected = f"but its record states {rows} x {columns}"
+    if compression == "none":
+        require(len(stored) == rows * columns, f"{name} holds {len(stored)} pixels, {expected}.")
+        return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
+    if compression == "wsq":
+        image = decode_wsq(stored, name).image
+    elif compression.endswith("jp2"):
+        image = decode_jpeg2000(stored, name, rows * columns)
+    else:
+        pixels = decode_image(stored, name, max_pixels=rows * columns)
+        require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
+        image = np.asarray(pixels[..., 0], dtype=np.uint8)
+    require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")
+    return image
+
+
+def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, name: str) -> PrintFile:
+    return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
+
+
+def _impression(code: int, codes: dict[str, int]) -> str:
+    return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
+
+
+def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
+    """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold it."""
+    if compression == "wsq":
+        return encode_wsq(image, ppi)
+    if compression == "jp2":
+        return encode_jpeg2000(image)
+    return encode_print_png(image, ppi) if compression == "png" else np.ascontiguousarray(image).tobytes()

@@ -1,0 +1,154 @@
+"""A reader of records that cannot overrun, and which standard's a record of minutiae is."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from splitknit import BadInput, require
+
+MAX_RECORD_BYTES = 20_000_000
+"""176 full views with full extended data take 12 MB."""
+
+
+@dataclass(slots=True)
+class Cursor:
+    """A place in a record; what would lie behind the end is refused with a message."""
+
+    data: bytes
+    name: str
+    """Name of the file."""
+    place: int = 0
+
+    def take(self, count: int, what: str) -> bytes:
+        """Return the next `count` bytes, `what` they are."""
+        end = self.place + count
+        if end > len(self.data):
+            raise BadInput(
+                f"{self.name} is truncated: it ends after {len(self.data)} bytes, within {what} (to byte {end}); copy "
+                "it again."
+            )
+        taken = self.data[self.place : end]
+        self.place = end
+        return taken
+
+    def unpack(self, layout: struct.Struct, what: str) -> tuple[Any, ...]:
+        """Return the numbers of the next bytes, `what` they are."""
+        return layout.unpack(self.take(layout.size, what))
+
+
+def check_length(data: bytes, said: int, name: str) -> None:
+    """Require that a record has the length that its header states."""
+    if len(data) < said:
+        raise BadInput(f"{name} is truncated: its header states {said} bytes, but it has {len(data)}; copy it again.")
+    require(
+        len(data) == said,
+        f"{name} has {len(data)} bytes, but its header states {said}; cut off what does not belong to the record.",
+    )
+
+
+# Which standard's record a file is: minutiae records of several standards begin with the same eight bytes.
+
+ISO_2005 = "ISO/IEC 19794-2:2005"
+ISO_2011 = "ISO/IEC 19794-2:2011"
+ANSI_2004 = "ANSI/INCITS 378-2004"
+ANSI_2009 = "ANSI/INCITS 378-2009"
+ANSI_2009_AM1 = "ANSI/INCITS 378-2009 amendment 1"
+
+MAGIC_20 = b"FMR\0 20\0"
+"""First bytes of ISO/IEC 19794-2:2005 and ANSI/INCITS 378-2004."""
+MAGIC_030 = b"FMR\x00030\0"
+"""First bytes of ISO/IEC 19794-2:2011 and ANSI/INCITS 378-2009."""
+MAGIC_035 = b"FMR\x00035\0"
+"""First bytes of amendment 1 to ANSI/INCITS 378-2009."""
+
+_OTHERS = (
+    (b"FIR\0", "a finger image record (ISO/IEC 19794-4 or ANSI/INCITS 381)"),
+    (b"FAC\0", "a face record (ISO/IEC 19794-5)"),
+    (b"IIR\0", "an iris record (ISO/IEC 19794-6)"),
+    (b"\xff\xa0", "a WSQ image"),
+    (b"1.001:", "an ANSI/NIST-ITL transaction"),
+    (b"SKTMPL\r\n", "a template of splitknit (.skt)"),
+    (b"\x89PNG", "a PNG image"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"II*\0", "a TIFF image"),
+    (b"MM\0*", "a TIFF image"),
+    (b"PK\x03\x04", "a ZIP or NPZ file"),
+    (b"{", "a JSON file"),
+)
+_ENVELOPE_BYTES = 4096
+_TOLD_APART_BYTES = 14
+"""Fewer do not distinguish the standards."""
+
+
+def standard_of(data: bytes) -> str | None:
+    """Return the standard of a minutiae record, by its header alone; None if it is no such record. `data`: the file, or
+    its first bytes. ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB,
+    in six), in the same place. The length that fits the file decides; if none does, the one that is possible.
+
+    >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 0, 0, 32]) + bytes(20))
+    'ISO/IEC 19794-2:2005'
+    >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 34]) + bytes(24))
+    'ANSI/INCITS 378-2004'
+    """
+    if data[:8] == MAGIC_20:
+        return _of_20(data)
+    if data[:8] == MAGIC_030:
+        return ISO_2011 if _is_iso_2011(data) else ANSI_2009
+    return ANSI_2009_AM1 if data[:8] == MAGIC_035 else None
+
+
+def require_standard(data: bytes, wanted: str, magic: bytes, name: str) -> None:
+    """Raise :class:`BadInput`, with what the bytes are instead, unless they are a record of the `wanted` standard."""
+    found = standard_of(data)
+    if not data:
+        raise BadInput(f"{name} is empty; a record of {wanted} is expected.")
+    if len(data) < _TOLD_APART_BYTES and data[: len(magic)] == magic[: len(data)]:
+        raise BadInput(f"{name} is truncated: it ends after {len(data)} bytes of the header; copy it again.")
+    if found == wanted:
+        return
+    if found is not None:
+        raise BadInput(
+            f"{name} is a record of {found}, but one of {wanted} is expected; convert it or read it as such."
+        )
+    raise BadInput(f"{name} is {what_bytes_are(data)}, but a record of {wanted} is expected.")
+
+
+def _of_20(data: bytes) -> str:
+    short, whole = int.from_bytes(data[8:10], "big"), int.from_bytes(data[8:12], "big")
+    if whole == len(data):
+        return ISO_2005
+    if len(data) in (short, int.from_bytes(data[10:14], "big")) and (short > 0 or len(data) > 65535):
+        return ANSI_2004
+    if short:  # 26 and more would be a record of 1.7 MB by ISO
+        return ANSI_2004 if short >= 26 else ISO_2005
+    return ANSI_2004 if whole < 24 else ISO_2005  # the first bytes of a length in six
+
+
+def _is_iso_2011(data: bytes) -> bool:
+    """Whether the lengths of the representations, of 34 bytes at least each, add up to that of the record."""
+    total, place = int.from_bytes(data[8:12], "big"), 15
+    for _ in range(int.from_bytes(data[12:14], "big")):
+        length = int.from_bytes(data[place : place + 4], "big")
+        if length < 34 or place + length > total:
+            return False
+        place += length
+        if place > len(data):
+            return True
+    return place == total
+
+
+def what_bytes_are(data: bytes, otherwise: str = "no minutiae record (it does not begin with 'FMR')") -> str:
+    """Name what a file is by its bytes, for messages; `otherwise` where they are not known."""
+    if not data:
+        return "empty"
+    for start, words in _OTHERS:
+        if data.startswith(start):
+            return words
+    if data[:4] == b"FMR\0":
+        return f"a minutiae record of an unknown version {data[4:8]!r}"
+    at = data.find(b"FMR\0", 1, _ENVELOPE_BYTES)
+    if at > 0:
+        return f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
+    return otherwise

@@ -1,0 +1,147 @@
+"""Finger images of ISO/IEC 39794-4:2019 in tagged binary encoding (DER written, BER read), by `asn1tools`.
+
+The module below is our own, of the fields that are public: ISO/IEC 39794-1 publishes its ASN.1; part 4 is described
+field by field in the source of JMRTD. What follows the sampling rate of a representation is passed over. Of part 2
+(minutiae) no description is public: it is neither written nor read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BadInput, PrintFile, decode_image, decode_jpeg2000, importing, refusing, require
+from splitknit_match.records.finger_image import MAX_PIXELS, WRITTEN, encode_print
+from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
+from splitknit_match.records.wsq_image import decode_wsq
+
+TAG = b"\x64"
+"""First byte: application tag 4, constructed."""
+_MODULE = """
+FingerImage DEFINITIONS AUTOMATIC TAGS ::= BEGIN
+FingerImageDataBlock ::= [APPLICATION 4] SEQUENCE {
+  versionBlock SEQUENCE { generation INTEGER, year INTEGER, ... },
+  representationBlocks SEQUENCE OF RepresentationBlock, ... }
+RepresentationBlock ::= SEQUENCE {
+  position Code, impression Code, imageDataFormat Code, imageData OCTET STRING,
+  captureDateTimeBlock SEQUENCE { ... } OPTIONAL, captureDeviceBlock SEQUENCE { ... } OPTIONAL,
+  qualityBlocks SEQUENCE OF QualityBlock OPTIONAL,
+  spatialSamplingRateBlock SEQUENCE { samplesPerUnit INTEGER, unitDimension INTEGER } OPTIONAL, ... }
+QualityBlock ::= SEQUENCE {
+  algorithmIdBlock SEQUENCE { organization INTEGER, id INTEGER },
+  scoreOrError CHOICE { score INTEGER, error SEQUENCE { ... } }, ... }
+Code ::= CHOICE { code INTEGER, extensionBlock SEQUENCE { fallback INTEGER, ... } }
+END
+"""
+_IMPRESSIONS = {
+    "live_plain": 0, "live_rolled": 1, "swipe": 8, "contactless": 24, "contactless_rolled": 25, "other": 28,
+    "unknown": 29, "contactless_moving": 41, "contactless_rolled_moving": 42,
+}  # fmt: skip
+"""Moving fingers have the codes 42 and 41 in ANSI/NIST-ITL."""
+_FORMATS = {"none": 0, "wsq": 1, "jp2": 3, "png": 4}
+_PGM = re.compile(rb"P5\s+([0-9]{1,6})\s+([0-9]{1,6})\s+255\s")
+_GENERATION, _YEAR, _INCH, _CM = 3, 2019, 0, 1
+
+
+@cache
+def _codec(rules: str) -> Any:
+    with importing("ISO/IEC 39794 needs the package asn1tools: pip install 'splitknit-match[records]'."):
+        import asn1tools  # type: ignore[import-untyped,import-not-found,unused-ignore]  # an extra
+    return asn1tools.compile_string(_MODULE, rules)
+
+
+def encode_finger_image_block(
+    prints: Sequence[PrintFile], compression: str = "none", *, quality: int | None = None, owner: int = VENDOR_UNKNOWN
+) -> bytes:
+    """Bytes of a FingerImageDataBlock; `compression` as of 19794-4, where ``none`` is a PGM file inside.
+
+    `quality`: of all of them, 0 to 100, by algorithm 1 of `owner`. Raises BadInput if there are none, one has no
+    resolution, its impression type has no code here, or the package `asn1tools` is not installed.
+    """
+    require(len(prints) > 0, "a finger image block holds one image at least.")
+    require(compression in WRITTEN, f"'{compression}' is no compression; choose one of {', '.join(WRITTEN)}.")
+    blocks = []
+    for one in prints:
+        ppi = one.resolution_ppi or 0.0
+        require(1 <= ppi <= 65535, "a print of a finger image block must have a resolution.")
+        data = encode_print(one.image, ppi, compression)
+        head = b"P5\n%d %d\n255\n" % one.image.shape[::-1] if compression == "none" else b""
+        block: dict[str, Any] = {
+            "position": ("code", standard_code(one.finger, FINGER_CODES, "finger")),
+            "impression": ("code", standard_code(one.impression, _IMPRESSIONS, "impression type")),
+            "imageDataFormat": ("code", _FORMATS[compression]),
+            "imageData": head + data,
+            "spatialSamplingRateBlock": {"samplesPerUnit": round(ppi), "unitDimension": _INCH},
+        }
+        if quality is not None:
+            score = {"algorithmIdBlock": {"organization": owner, "id": 1}, "scoreOrError": ("score", quality)}
+            block["qualityBlocks"] = [score]
+        blocks.append(block)
+    version = {"generation": _GENERATION, "year": _YEAR}
+    document = {"versionBlock": version, "representationBlocks": blocks}
+    return bytes(_codec("der").encode("FingerImageDataBlock", document))
+
+
+def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
+    """Read the images of a FingerImageDataBlock.
+
+    Raises BadInput, with `name`, if it is none, truncated or damaged, claims more than 64 million pixels, or an image
+    is not 8-bit grey or states no resolution.
+    """
+    damaged = f"{name} is no finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged; copy it again."
+    require(data[:1] == TAG, damaged)
+    codec = _codec("ber")
+    with refusing(damaged):
+        require(codec.decode_length(data) == len(data), damaged)
+        document = codec.decode("FingerImageDataBlock", data)
+        blocks, version = document["representationBlocks"], document["versionBlock"]
+    require(version["generation"] == _GENERATION, f"{name} is of generation {version['generation']}; 3 is read.")
+    require(len(blocks) > 0, f"{name} holds no image.")
+    found: list[PrintFile] = []
+    left = MAX_PIXELS
+    for number, block in enumerate(blocks, start=1):
+        what = f"image {number} of {name}"
+        rate = block.get("spatialSamplingRateBlock")
+        known = rate is not None and rate["samplesPerUnit"] > 0 and rate["unitDimension"] in (_INCH, _CM)
+        require(known, f"{what} states no resolution; convert it.")
+        ppi = rate["samplesPerUnit"] * (1.0 if rate["unitDimension"] == _INCH else 2.54)
+        image = _image(bytes(block["imageData"]), _code(block["imageDataFormat"]), left, what)
+        left -= image.size
+        finger = name_of(_code(block["position"]), FINGER_CODES, f"finger position of {what}")
+        code = _code(block["impression"])
+        impression = next((words for words, known_code in _IMPRESSIONS.items() if known_code == code), "unknown")
+        found.append(PrintFile(image, float(ppi), {}, finger, impression))
+    return tuple(found)
+
+
+def _code(choice: tuple[str, Any]) -> int:
+    return int(choice[1] if choice[0] == "code" else choice[1]["fallback"])
+
+
+def _image(data: bytes, code: int, left: int, name: str) -> NDArray[np.uint8]:
+    """Decode one image of at most `left` pixels."""
+    too_large = f"{name} makes more than the {MAX_PIXELS} pixels that are read; split the record."
+    if code == _FORMATS["none"]:
+        head = _PGM.match(data)
+        if head is None:
+            raise BadInput(f"{name} is no 8-bit PGM image; convert it.")
+        columns, rows = int(head[1]), int(head[2])
+        require(rows * columns <= left, too_large)
+        body = data[head.end() :]
+        require(len(body) == rows * columns > 0, f"{name} is damaged: its PGM image has another size.")
+        return np.frombuffer(body, np.uint8).reshape(rows, columns).copy()
+    if code == _FORMATS["wsq"]:
+        image = decode_wsq(data, name).image
+        require(image.size <= left, too_large)
+        return image
+    if code in (2, 3):
+        return decode_jpeg2000(data, name, left)
+    require(code == _FORMATS["png"], f"{name} has the image format {code}; PGM, WSQ, JPEG 2000 and PNG are read.")
+    pixels = decode_image(data, name, max_pixels=left)
+    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
+    return np.asarray(pixels[..., 0], dtype=np.uint8)

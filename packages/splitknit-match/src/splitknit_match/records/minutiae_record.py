@@ -1,0 +1,249 @@
+"""What a record of minutiae holds, whatever the standard in which it is written; codes of fingers and impressions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import require
+
+FINGER_CODES = {
+    "unknown": 0,
+    "right_thumb": 1,
+    "right_index": 2,
+    "right_middle": 3,
+    "right_ring": 4,
+    "right_little": 5,
+    "left_thumb": 6,
+    "left_index": 7,
+    "left_middle": 8,
+    "left_ring": 9,
+    "left_little": 10,
+}
+"""Finger positions in all the standards here: ISO/IEC 19794-2 table 2, ANSI/INCITS 378, ANSI/NIST-ITL table 8."""
+
+_PALMS = (
+    "unknown_palm", "right_full_palm", "right_writers_palm", "left_full_palm", "left_writers_palm", "right_lower_palm",
+    "right_upper_palm", "left_lower_palm", "left_upper_palm", "right_other_palm", "left_other_palm",
+    "right_interdigital", "right_thenar", "right_hypothenar", "left_interdigital", "left_thenar", "left_hypothenar",
+)  # fmt: skip
+PALM_CODES = {name: code for code, name in enumerate(_PALMS, start=20)}
+"""Positions of palms in ANSI/NIST-ITL table 9."""
+
+LATENT_IMPRESSIONS = {"latent_impression": 4, "latent_tracing": 5, "latent_photo": 6, "latent_lift": 7}
+PALM_IMPRESSIONS = {
+    "live_palm": 10, "nonlive_palm": 11, "latent_palm_impression": 12, "latent_palm_tracing": 13,
+    "latent_palm_photo": 14, "latent_palm_lift": 15,
+}  # fmt: skip
+FINGER_IMPRESSIONS = {
+    "live_plain": 0,
+    "live_rolled": 1,
+    "nonlive_plain": 2,
+    "nonlive_rolled": 3,
+    "swipe": 8,
+    "optical_contact_plain": 20,
+    "optical_contact_rolled": 21,
+    "nonoptical_contact_plain": 22,
+    "nonoptical_contact_rolled": 23,
+    "contactless": 24,
+    "contactless_rolled": 25,
+    "nonoptical_contactless_plain": 26,
+    "nonoptical_contactless_rolled": 27,
+    "other": 28,
+    "unknown": 29,
+    "contactless_rolled_moving": 41,
+    "contactless_moving": 42,
+}
+ITL_IMPRESSIONS = {**FINGER_IMPRESSIONS, **LATENT_IMPRESSIONS, **PALM_IMPRESSIONS}
+"""ANSI/NIST-ITL 1-2011 (update 2015), table 7, of single fingers and palms: 24 is a plain print, taken contactless of
+a finger at rest; older editions call it live-scan, optical, contactless, plain."""
+
+ANSI_2009_IMPRESSIONS = {name: code for name, code in FINGER_IMPRESSIONS.items() if code <= 29}
+"""ANSI/INCITS 378-2009."""
+
+ISO_2005_IMPRESSIONS = {"live_plain": 0, "live_rolled": 1, "nonlive_plain": 2, "nonlive_rolled": 3, "swipe": 8}
+"""ISO/IEC 19794-2:2005, table 3. It has no code for contactless prints."""
+
+ANSI_2004_IMPRESSIONS = {**ISO_2005_IMPRESSIONS, "contactless": 9}
+"""ANSI/INCITS 378-2004."""
+
+IMPRESSIONS = tuple(ITL_IMPRESSIONS)
+"""All names."""
+
+
+def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
+    """Name of a `code` of the table `codes`, BadInput if there is none; `what` it is, for messages.
+
+    >>> name_of(7, FINGER_CODES, "finger position")
+    'left_index'
+    """
+    names = [name for name, known in codes.items() if known == code]
+    known = ", ".join(str(value) for value in sorted(codes.values()))
+    require(bool(names), f"the {what} {code} is not one of the standard's codes ({known}); correct the record.")
+    return names[0]
+
+
+def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
+    """Code of a `name` in the table `codes`, BadInput if there is none; `what` it is, for messages."""
+    require(name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}.")
+    return codes[name]
+
+
+OTHER, ENDING, BIFURCATION = 0, 1, 2
+"""Types of minutiae, with the codes that all the standards share."""
+MAX_MINUTIAE = 255
+"""A view of a record cannot count more; see :meth:`FingerView.best`."""
+LARGEST_COORDINATE = 16383
+"""Coordinates have 14 bits."""
+NOT_COMPUTED, FAILED = 254, 255
+"""Qualities in ANSI/INCITS 378-2009: nobody tried, or the attempt failed."""
+VENDOR_UNKNOWN = 0x0103
+"""IBIA's number for a producer that has not registered."""
+RESOLUTION_500_PPI = (197, 197)
+"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require."""
+
+
+def pixels_per_cm(ppi: float) -> tuple[int, int]:
+    """Resolution along columns and rows as the standards give it, in whole pixels per centimetre.
+
+    >>> pixels_per_cm(500), pixels_per_cm(1000)
+    ((197, 197), (394, 394))
+    """
+    require(
+        bool(np.isfinite(ppi)) and 250 <= ppi <= 25_400,
+        f"a print's resolution must lie between 250 and 25400 ppi, but it is {ppi}; resample the print.",
+    )
+    return (round(ppi / 2.54), round(ppi / 2.54))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerView:
+    """N minutiae of one image of one finger, on the image's pixel grid. The frame is that of the print: column 0 at its
+    left, row 0 at its top, seen as ink on paper, as in all the standards here: nothing is turned or mirrored.
+    """
+
+    x_px: NDArray[np.int32]
+    """(N,) column of a pixel."""
+    y_px: NDArray[np.int32]
+    """(N,) row, downwards."""
+    direction_rad: NDArray[np.float64]
+    """(N,) counter-clockwise as seen in the print, 0 to the right: from an ending back along its ridge, from a
+    bifurcation between its branches."""
+    type: NDArray[np.uint8]
+    """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
+    quality: NDArray[np.uint8]
+    """(N,) 0 (none known) to 100; 254 and 255 in ANSI/INCITS 378-2009 only."""
+    size: tuple[int, int]
+    """(rows, columns) of the image."""
+    finger_quality: int
+    """0 to 100, the higher the better (such as NFIQ 2); 254 and 255 in ANSI/INCITS 378-2009 only."""
+    finger: str = "unknown"
+    """``right_thumb`` to ``left_little``, or ``unknown``."""
+    impression: str = "contactless"
+    """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
+    view: int = 0
+    """Number of this image among those of the same finger, from 0, at most 15."""
+    resolution_ppcm: tuple[int, int] = RESOLUTION_500_PPI
+    """Pixels per centimetre along columns and rows."""
+    quality_algorithm: tuple[int, int] = (VENDOR_UNKNOWN, 1)
+    """Vendor and algorithm of `finger_quality`, kept by ANSI/INCITS 378-2009 only."""
+    extended: bytes = b""
+    """Extended data of the record's standard as they come: kept, not understood."""
+
+    def __post_init__(self) -> None:
+        columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
+        shapes = [np.shape(column) for column in columns]
+        require(
+            shapes[0] == (len(self.x_px),) and len(set(shapes)) == 1,
+            f"minutiae must be lists of one length, but they have the shapes {shapes}.",
+        )
+        for name in ("x_px", "y_px", "type", "quality"):
+            kind = np.asarray(getattr(self, name)).dtype.kind
+            require(kind in "iu", f"{name} of minutiae must be whole numbers; round them first.")
+        rows, width = self.size
+        require(
+            0 < rows <= 65535 and 0 < width <= 65535,
+            f"an image of {rows} x {width} pixels does not fit a record (1 to 65535 each way).",
+        )
+        require(
+            all(0 < pixels <= 65535 for pixels in self.resolution_ppcm),
+            f"the resolution must lie between 1 and 65535 pixels per cm, but it is {self.resolution_ppcm}.",
+        )
+        require(self.finger in FINGER_CODES, f"'{self.finger}' is no finger; choose one of {', '.join(FINGER_CODES)}.")
+        require(
+            self.impression in IMPRESSIONS,
+            f"'{self.impression}' is no impression type; choose one of {', '.join(IMPRESSIONS)}.",
+        )
+        require(0 <= self.view <= 15, f"views are numbered from 0 to 15, but this one is {self.view}.")
+        require(len(self.extended) <= 65535, f"{len(self.extended)} bytes of extended data are more than 65535.")
+        require(
+            all(0 <= number <= 65535 for number in self.quality_algorithm),
+            f"vendor and algorithm of the quality must lie between 0 and 65535, but are {self.quality_algorithm}.",
+        )
+        _check_quality(np.array([self.finger_quality]), "the finger's quality")
+        if self.count:
+            self._check_minutiae()
+
+    def _check_minutiae(self) -> None:
+        rows, width = self.size
+        x, y = int(np.max(self.x_px)), int(np.max(self.y_px))
+        inside = int(np.min(self.x_px)) >= 0 and int(np.min(self.y_px)) >= 0 and x < width and y < rows
+        require(inside, f"a minutia lies outside the image of {rows} x {width} pixels; correct the record.")
+        require(
+            max(x, y) <= LARGEST_COORDINATE,
+            f"a minutia's coordinate is {max(x, y)}, but {LARGEST_COORDINATE} is the largest; crop the print.",
+        )
+        require(bool(np.isfinite(self.direction_rad).all()), "directions of minutiae must be finite.")
+        kinds = int(np.min(self.type)) >= OTHER and int(np.max(self.type)) <= BIFURCATION
+        require(kinds, "types of minutiae are 0 (other), 1 (ending) and 2 (bifurcation), but there is another.")
+        _check_quality(np.asarray(self.quality), "a minutia's quality")
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.x_px)
+
+    def best(self, count: int = MAX_MINUTIAE) -> FingerView:
+        """Return the `count` minutiae of the highest quality, in the order they have here."""
+        order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
+        index = np.sort(order)
+        names = ("x_px", "y_px", "direction_rad", "type", "quality")
+        return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MinutiaeRecord:
+    """Views of fingers, and what took them."""
+
+    views: tuple[FingerView, ...]
+    """At least one; no two with the same finger and number."""
+    device: int = 0
+    """Number that the producer gives its capture device; 0 = none. 12 bits, in ANSI/INCITS 378-2009 16."""
+    certification: int = 0
+    """Bits of the device's certificates; 0 = none. 4 bits, in ANSI/INCITS 378-2009 8."""
+    product: tuple[int, int] = (VENDOR_UNKNOWN, 0)
+    """Owner (not 0) and type of the extractor, kept by ANSI/INCITS 378 only."""
+    standard: str = ""
+    """The one that the record was read from; extended data hold for it alone."""
+
+    def __post_init__(self) -> None:
+        require(0 < len(self.views) <= 176, f"a record holds 1 to 176 views, but this one has {len(self.views)}.")
+        seen: set[tuple[str, int]] = set()
+        for view in self.views:
+            key = (view.finger, view.view)
+            require(key not in seen, f"two views are both number {view.view} of the finger '{view.finger}'.")
+            seen.add(key)
+
+    def without_extended(self) -> MinutiaeRecord:
+        """Return the record without extended data, which another standard could not hold."""
+        return dataclasses.replace(self, views=tuple(dataclasses.replace(view, extended=b"") for view in self.views))
+
+
+def _check_quality(quality: NDArray[np.integer], what: str) -> None:
+    good = ((quality >= 0) & (quality <= 100)) | (quality == NOT_COMPUTED) | (quality == FAILED)
+    wrong = np.asarray(quality)[~good]
+    require(wrong.size == 0, f"{what} must lie between 0 and 100, but it is {wrong[:1].tolist()}.")

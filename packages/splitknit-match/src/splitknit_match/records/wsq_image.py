@@ -1,0 +1,185 @@
+"""Prints as WSQ, the FBI's lossy compression for prints of 500 ppi, through the package `wsq` (NIST's own code).
+
+That code ends the whole process on some damaged files, and keeps state in global variables. So it runs in a process of
+its own, which may end: 50 ms more, and whatever the bytes, an image or one sentence. The process may take the memory
+and the processor's time that an image of the size in the checked header needs, several times over, and no more (where
+the system has such limits). The package serves Pillow; its codec is called without it here.
+
+Source: FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image Software", 2007:
+cwsq, dwsq.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BadInput, PrintFile, require
+
+BIT_RATE = 0.75
+"""Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files
+come out smaller, about 1/15 of the pixels' bytes."""
+MIN_SIDE_PX = 96
+"""Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
+LARGEST_SIDE_PX = 5000
+TIMEOUT_S = 60.0
+_MEMORY_BYTES, _MEMORY_PER_PIXEL = 200_000_000, 30
+"""The codec takes 10 bytes a pixel, beside the 13 MB of Python and the file."""
+_CPU_S, _PIXELS_PER_S = 2, 1_000_000
+"""A desktop's core decodes 18 million pixels a second."""
+_CHILD = f"""
+import sys
+try:
+    import resource
+    for limit, most in zip((resource.RLIMIT_AS, resource.RLIMIT_CPU), map(int, sys.argv[3:])):
+        resource.setrlimit(limit, (most, most))
+except (ImportError, OSError, ValueError):
+    pass  # not on every system
+sys.path.insert(0, sys.argv[1])
+import _wsq
+data = sys.stdin.buffer.read()
+if sys.argv[2] == "encode":
+    sys.stdout.buffer.write(_wsq.compress(data[8:], int.from_bytes(data[:4]), int.from_bytes(data[4:8]), {BIT_RATE}))
+else:
+    pixels, columns, rows, _ = _wsq.decompress(data)
+    sys.stdout.buffer.write(rows.to_bytes(4) + columns.to_bytes(4) + pixels)
+"""
+
+
+def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
+    """Compress a print (H, W) uint8, at least 96 pixels each way, of 500 ppi within 1 %: WSQ is defined for no other.
+    Raises BadInput if the image or the resolution is of another kind, or the package `wsq` is not installed.
+    """
+    array = np.asarray(image)
+    require(
+        array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
+    )
+    require(
+        min(array.shape) >= MIN_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
+        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
+        f"{array.shape[1]}; pad or crop the print, or write PNG.",
+    )
+    require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
+    rows, columns = array.shape
+    data = _run("encode", array.size, rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
+    if data is None or _wsq_header(data, "the compressed print")[0] != rows:
+        raise BadInput("the print cannot be compressed as WSQ; write it as PNG.")
+    return data
+
+
+def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
+    """Decompress a print, the whole file `data`, with the comment's resolution, None if there is none; `name`: for
+    messages. Raises BadInput if it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
+    """
+    rows, columns, ppi = _wsq_header(data, name)
+    decoded = _run("decode", rows * columns, data)
+    size = rows.to_bytes(4, "big") + columns.to_bytes(4, "big")
+    if decoded is None or decoded[:8] != size or len(decoded) != 8 + rows * columns:
+        raise BadInput(f"{name} is damaged: its WSQ image cannot be decoded; copy it again.")
+    pixels = np.frombuffer(decoded, dtype=np.uint8, offset=8).reshape(rows, columns)
+    return PrintFile(pixels.copy(), None if ppi is None else float(ppi), {})
+
+
+def _run(task: str, pixels: int, data: bytes) -> bytes | None:
+    """Return what the package makes of the bytes in a process of its own; None if it failed or ended."""
+    found = importlib.util.find_spec("_wsq")
+    if found is None or found.origin is None:
+        raise BadInput("WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG.")
+    limits = _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data), _CPU_S + pixels // _PIXELS_PER_S
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", _CHILD, str(Path(found.origin).parent), task, *map(str, limits)],
+            input=data,
+            capture_output=True,
+            timeout=TIMEOUT_S,
+            check=False,
+            env={name: value for name, value in os.environ.items() if not name.startswith("SPLITKNIT_")},  # no keys
+        )
+    except subprocess.TimeoutExpired:
+        return None
+    except OSError as error:
+        raise BadInput(f"WSQ needs a Python process of its own, which could not be started: {error}.") from error
+    return done.stdout if done.returncode == 0 else None
+
+
+# The structure of a WSQ file, checked before its decoder sees it.
+#
+# WSQ has no checksums: a changed byte inside the image data cannot be distinguished from a picture. What can be found
+# is a file that ends early, has a damaged header, or claims more pixels than any print has.
+#
+# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and
+# segments.
+
+SIGNATURE = b"\xff\xa0"
+_END, _FRAME, _BLOCK = 0xA1, 0xA2, 0xA3
+_TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
+"""Filters, quantisers, Huffman codes, restart interval, comment."""
+_COMMENT = 0xA8
+_MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
+_PPI_LINE = re.compile(rb"^PPI ([0-9]{1,5})$", re.MULTILINE)
+_MAX_PIXELS = 25_000_000
+
+
+def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
+    """Walk all segments of a WSQ file to its end marker; rows, columns, and the resolution in ppi if the comment
+    (NIST_COM) states it. Raises BadInput if it is no WSQ file, ends early, is damaged, or claims more than 25 million
+    pixels.
+    """
+    require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (it begins with FF A0); name another file.")
+    truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."
+    damaged = f"{name} is damaged: a marker of the WSQ file is missing; copy it again."
+    size: tuple[int, int] | None = None
+    place, blocks, ppi = 2, 0, None
+    while True:
+        require(place + 2 <= len(data), truncated)
+        require(data[place] == 0xFF, damaged)
+        marker = data[place + 1]
+        if marker == _END:
+            break
+        require(marker in _TABLES or marker in (_FRAME, _BLOCK), damaged)
+        require(place + 4 <= len(data), truncated)
+        length = int.from_bytes(data[place + 2 : place + 4], "big")
+        body = data[place + 4 : place + 2 + length]
+        require(length >= 2 and len(body) == length - 2, truncated)
+        place += 2 + length
+        if marker == _FRAME:
+            require(size is None, f"{name} is damaged: it has two WSQ frames; copy it again.")
+            size = _frame(body, name)
+        elif marker == _COMMENT:
+            ppi = _ppi(body) or ppi
+        elif marker == _BLOCK:
+            require(size is not None, f"{name} is damaged: its image data come before their size; copy it again.")
+            found = _MARKER_IN_BLOCK.search(data, place)
+            if found is None:
+                raise BadInput(truncated)
+            place, blocks = found.start(), blocks + 1
+    if size is None or blocks == 0:
+        raise BadInput(f"{name} is damaged: the WSQ file holds no image; copy it again.")
+    return *size, ppi
+
+
+def _frame(body: bytes, name: str) -> tuple[int, int]:
+    require(
+        len(body) == 15, f"{name} is damaged: its WSQ frame header has {len(body) + 2} bytes, not 17; copy it again."
+    )
+    rows, columns = int.from_bytes(body[2:4], "big"), int.from_bytes(body[4:6], "big")
+    require(rows > 0 and columns > 0, f"{name} is damaged: its WSQ frame header gives no size; copy it again.")
+    require(
+        rows * columns <= _MAX_PIXELS,
+        f"{name} claims {rows} x {columns} pixels, more than {_MAX_PIXELS}; no print is that large.",
+    )
+    return rows, columns
+
+
+def _ppi(comment: bytes) -> int | None:
+    """Last line ``PPI n`` after the one that begins with ``NIST_COM``, in time linear in the bytes."""
+    head = re.search(rb"^NIST_COM ", comment, re.MULTILINE)
+    stated = _PPI_LINE.findall(comment, head.end()) if head else []
+    return int(stated[-1]) if stated else None

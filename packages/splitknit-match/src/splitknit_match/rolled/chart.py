@@ -1,0 +1,131 @@
+"""The sheet on which views of a finger are fused: angle around the finger, and length along it.
+
+Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A surface is the distance
+along them. So the sheet reaches around the finger and over its tip, where a height above one plane cannot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from splitknit import FloatArray, Sight, View, sampled_at
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """Rays around a finger."""
+
+    centre_mm: Array
+    """(3,) on the axis, where the fan of the tip starts; rig's frame."""
+    axes: Array
+    """(3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed."""
+    angle_rad: Array
+    """(m,) two at least, ascending; 0 faces the camera, positive to the right."""
+    length_mm: Array
+    """(n,) falling, two at least: negative below the centre, above it the fan's angle times `cap_mm`."""
+    cap_mm: float
+    """Typical distance of the skin from the centre at the tip."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows (lengths), columns (angles)."""
+        return self.length_mm.size, self.angle_rad.size
+
+    @property
+    def pitch_mm(self) -> float:
+        """Along the finger."""
+        return float(self.length_mm[0] - self.length_mm[-1]) / (self.length_mm.size - 1)
+
+    def rays(self) -> tuple[Array, Array]:
+        """Starts (n, 3) and directions (n, m, 3) of the rays, rig's frame."""
+        start = self.centre_mm + np.minimum(self.length_mm, 0.0)[:, None] * self.axes[1]
+        fan = np.maximum(self.length_mm, 0.0) / self.cap_mm
+        right, front = np.sin(self.angle_rad), np.cos(self.angle_rad)
+        beside, over = np.cos(fan)[:, None], np.broadcast_to(np.sin(fan)[:, None], self.shape)
+        return start, np.stack([beside * right, over, beside * front], axis=-1) @ self.axes
+
+    def points(self, radius_mm: Any) -> Array:
+        """(n, m, 3) points at distances (n, m) along the rays."""
+        start, directions = self.rays()
+        return np.asarray(start[:, None] + np.asarray(radius_mm, dtype=np.float64)[..., None] * directions)
+
+    def locate(self, points_mm: Array) -> tuple[Array, Array, Array]:
+        """Angle, length and distance (...) of points (..., 3)."""
+        right, along, front = np.moveaxis((points_mm - self.centre_mm) @ self.axes.T, -1, 0)
+        beside = np.hypot(right, front)
+        over = np.maximum(along, 0.0)
+        length = np.where(along > 0, self.cap_mm * np.arctan2(over, beside), along)
+        return np.arctan2(right, front), length, np.hypot(beside, over)
+
+    def places(self, angle_rad: Array, length_mm: Array) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (...) of angles and lengths (...)."""
+        columns = (angle_rad - self.angle_rad[0]) / (self.angle_rad[-1] - self.angle_rad[0]) * (self.shape[1] - 1)
+        rows = (self.length_mm[0] - length_mm) / self.pitch_mm
+        return columns.astype(np.float32), rows.astype(np.float32)
+
+
+def surface_normals(points_mm: Array) -> Array:
+    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
+    down, right = np.gradient(points_mm, axis=(0, 1))
+    normal = np.cross(right, -down)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(np.nan_to_num(normal / np.maximum(length, 1e-12)))
+
+
+def read(
+    field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
+) -> FloatArray:
+    """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
+    return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
+
+
+# A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
+
+BEYOND_MM = 16.0
+"""The camera's rays are followed from this far above the finger's axis."""
+
+
+def heights(sight: Sight, chart: Chart, radius_mm: Any, view: View) -> FloatArray:
+    """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels of `view`, or NaN."""
+    surface = np.asarray(radius_mm, dtype=np.float32)
+    middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])
+    x, y = view.x_mm, view.y_mm if view.y_mm.ndim == 2 else view.y_mm[:, None]
+    place = np.empty((y.shape[0], x.shape[-1], 3))
+
+    def lift(height: Any) -> None:
+        nearer = 1.0 if view.apex_mm is None else 1.0 - height / view.apex_mm
+        place[..., 0], place[..., 1], place[..., 2] = x * nearer, y * nearer, height
+
+    lift(middle[2])
+    axis = sight.turned(chart.axes[1])
+    beside = np.hypot(axis[0], axis[1])
+    along = ((place[..., 0] - middle[0]) * axis[0] + (place[..., 1] - middle[1]) * axis[1]) / max(beside, 1e-6) ** 2
+    level = middle[2] + (along * axis[2] if beside > 0.5 else 0.0)
+
+    def outside(height: Array) -> tuple[Array, NDArray[np.bool_]]:
+        lift(height)
+        angle, length, distance = chart.locate(sight.to_view(place))
+        column, row = chart.places(angle, length)
+        last_row, last_column = chart.shape[0] - 1, chart.shape[1] - 1
+        there = (column >= 0) & (column <= last_column) & (row <= last_row)
+        met = scipy.ndimage.map_coordinates(surface, [row, column], order=1, mode="nearest")
+        return np.nan_to_num(distance - met, nan=1e3), there
+
+    low = np.broadcast_to(level, place.shape[:2])
+    high = low + BEYOND_MM
+    hit = outside(low)[0] < 0
+    for _ in range(20):
+        middle_height = 0.5 * (low + high)
+        out = outside(middle_height)[0] > 0
+        high, low = np.where(out, middle_height, high), np.where(out, low, middle_height)
+    found = 0.5 * (low + high)
+    _, there = outside(found)
+    return np.where(hit & there, found, np.nan).astype(np.float32)

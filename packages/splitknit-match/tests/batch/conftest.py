@@ -1,0 +1,3 @@
+"""Fixtures of the folder."""
+
+from batch_fixtures import *

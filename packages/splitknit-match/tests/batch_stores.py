@@ -1,0 +1,35 @@
+"""What the tests of the batch share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from splitknit_match.batch.chunks import SUFFIX
+from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.store import Store
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.template import make_template, pack
+
+EA = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=2)
+
+
+def chunks(out: Path) -> dict[str, bytes]:
+    """Every Parquet file of a store by its place."""
+    return {file.relative_to(out).as_posix(): file.read_bytes() for file in sorted(out.rglob(f"*{SUFFIX}"))}
+
+
+def pairs_of(out: Path, matcher: str) -> list[tuple[str, str]]:
+    table = Store(out).scores("ea", matcher)
+    return list(zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True))
+
+
+def waves(finger: str, number: int) -> bytes:
+    """Template of a finger: waves of its own, and a little of a session's noise."""
+    rng = np.random.default_rng(list(finger.encode()))
+    row, column = np.mgrid[:90, :80] * 0.1
+    turn = rng.uniform(0, np.pi) + 0.25 * np.hypot(row - rng.uniform(2, 7), column - rng.uniform(2, 6))
+    relief = np.sin(14.0 * (np.cos(turn) * column + np.sin(turn) * row))
+    relief += 0.4 * np.random.default_rng(number).standard_normal(relief.shape)
+    return pack(make_template(ridge_band(relief.astype(np.float32), np.ones(relief.shape, bool), 0.1)))

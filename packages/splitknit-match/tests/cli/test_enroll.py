@@ -1,0 +1,566 @@
+"""``splitknit enroll`` and ``splitknit gallery``: what goes in, what can be seen, what is gone, what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import stat
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from enrolled import facts_of, refusal_of, words_of
+from first_gallery import of_version_1
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.io.prints import read_print_png, write_print_png
+from splitknit_match.gallery import key as gallery_key
+from splitknit_match.gallery import manage
+from splitknit_match.gallery.entry import Entry, NewCapture
+
+PHRASE, OTHER = "a phrase for tests", "another phrase for tests"
+
+
+@pytest.fixture(autouse=True)
+def cheap_passphrases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keys in half a millisecond instead of half a second; none from outside."""
+    from splitknit_match.gallery.key import ScryptSettings, lock
+
+    monkeypatch.setattr(
+        "splitknit_match.gallery.gallery.lock", lambda key, scrypt: lock(key, ScryptSettings(log2_n=10))
+    )
+    monkeypatch.delenv("SPLITKNIT_GALLERY_KEY", raising=False)
+    monkeypatch.delenv("SPLITKNIT_GALLERY_NEW_KEY", raising=False)
+
+
+@pytest.fixture(scope="module")
+def whole(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Gallery of the whole population; not to be changed."""
+    file = tmp_path_factory.mktemp("whole") / "people.skg"
+    assert main(["enroll", str(file), "--population", str(people_folder)]) == 0
+    return file
+
+
+@pytest.fixture
+def gallery(whole: Path, tmp_path: Path) -> Path:
+    """The same, to be changed."""
+    return Path(shutil.copy(whole, tmp_path / "people.skg"))
+
+
+def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
+    found = facts_of(capsys, "gallery", "list", gallery, *more)["captures"]
+    return [(one["person"], one["finger"], one["session"]) for one in found]
+
+
+def test_a_gallery_begins_with_its_first_finger(people_folder: Path, tmp_path: Path, capsys) -> None:
+    source = people_folder / "S01/session_1/right_index"
+    arguments = ("--person", "Zoe\u0308 Example", "--finger", "right_index")
+    facts = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
+    assert facts["created"]
+    assert (facts["captures"], facts["fingers"], facts["people"]) == (1, 1, 1)
+    (one,) = facts["enrolled"]
+    assert one["person"] == "Zo\u00eb Example"
+    assert one["session"] == "1"
+    assert one["new"]
+    assert one["acquired"]
+    assert one["images"] == "none"
+    assert 100 < one["area_mm2"] < 500
+    assert stat.S_IMODE((tmp_path / "g.skg").stat().st_mode) == 0o600
+    listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
+    assert listed[0]["enrolled_at"] is None
+    # the same again is no second finger
+    again = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
+    assert not again["created"]
+    assert not again["enrolled"][0]["new"]
+    assert again["captures"] == 1
+    # equal enrolments, equal files
+    facts_of(capsys, "enroll", tmp_path / "h.skg", source, *arguments)
+    assert (tmp_path / "g.skg").read_bytes() == (tmp_path / "h.skg").read_bytes()
+
+
+def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsys) -> None:
+    first, second = (people_folder / f"S02/session_{k}/right_index" for k in (1, 2))
+    finger = ("--person", "Bob", "--finger", "right_index")
+    words = words_of(capsys, "enroll", tmp_path / "g.skg", first / "height.npz", second, *finger)
+    assert "Enrolled Bob, right index, session 1" in words
+    assert "session 2" in words
+    assert "holds 2 captures of 1 finger of 1 person." in words
+    facts = facts_of(capsys, "enroll", tmp_path / "g.skg", second / "print.png", *finger, "--with-time")
+    assert facts["enrolled"][0]["session"] == "3"
+    listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
+    assert [one["kind"] for one in listed] == ["result", "result", "print"]
+    assert listed[2]["enrolled_at"].endswith("+00:00")
+    said = refusal_of(capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2")
+    assert "already" in said
+    assert "--replace" in said
+    facts_of(capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2", "--replace")
+    assert [one["kind"] for one in facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]] == [
+        "result", "print", "print",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("grey", [0, 255])
+def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsys) -> None:
+    write_print_png(tmp_path / "a.png", np.full((400, 300), grey, np.uint8))
+    whose = ("--person", "Ann", "--finger", "left_ring")
+    said = refusal_of(capsys, "enroll", tmp_path / "g.skg", tmp_path / "a.png", *whose)
+    assert "failure to acquire" in said and "nothing was enrolled" in said
+    assert not (tmp_path / "g.skg").exists()
+
+
+def test_the_file_of_a_template_is_kept(tmp_path: Path, capsys) -> None:
+    (tmp_path / "none.skt").write_bytes(b"")
+    arguments = ("enroll", tmp_path / "g.skg", tmp_path / "none.skt", "--person", "Ann", "--finger", "left_ring")
+    assert facts_of(capsys, *arguments, "--keep-images", "raw")["enrolled"][0]["images"] == "raw"
+
+
+def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "none.skt").write_bytes(b"")
+    arguments = ("enroll", tmp_path / "g.skg", tmp_path / "none.skt", "--person", "Ann", "--finger", "left_ring")
+    words = words_of(capsys, *arguments)
+    assert "failure to acquire" in words
+    assert "match nobody" in words
+    facts = facts_of(capsys, "gallery", "info", tmp_path / "g.skg")
+    assert (facts["captures"], facts["failures"], facts["with_code"]) == (1, 1, 0)
+    assert "failure to acquire" in words_of(capsys, "gallery", "list", tmp_path / "g.skg")
+
+
+def test_images_are_kept_where_asked(people_folder: Path, tmp_path: Path, capsys) -> None:
+    source = people_folder / "S01/session_1/left_thumb"
+    file = tmp_path / "g.skg"
+    for keep, path in (("thumbnail", source), ("raw", source), ("thumbnail", source / "print.png"), ("none", source)):
+        one = ("--person", f"{keep} {path.name}", "--finger", "left_thumb")
+        facts = facts_of(capsys, "enroll", file, path, *one, "--keep-images", keep)
+        assert facts["enrolled"][0]["images"] == keep
+    exported = facts_of(capsys, "gallery", "export", file, "--out", tmp_path / "out", "--images")
+    assert exported["images"] == 3
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "gallery.csv").read_text())))
+    small, raw, of_print, none = (row["image"] for row in rows)
+    assert none == ""
+    picture, whole = read_print_png(tmp_path / "out" / small), read_print_png(source / "print.png")
+    assert picture.resolution_ppi == pytest.approx(250, abs=0.1)
+    assert np.allclose(np.array(picture.image.shape) * 2, whole.image.shape, atol=3)
+    assert read_print_png(tmp_path / "out" / of_print).image.shape == tuple(n // 2 for n in whole.image.shape)
+    with zipfile.ZipFile(tmp_path / "out" / raw) as archive:
+        assert archive.namelist() == ["height.npz"]
+        assert archive.read("height.npz") == (source / "height.npz").read_bytes()
+
+
+def test_a_population_with_one_call(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
+    assert who(capsys, whole) == [
+        (person, finger, session)
+        for person, finger in (("S01", "left_thumb"), ("S01", "right_index"), ("S02", "right_index"))
+        for session in "12"
+    ]
+    facts = facts_of(capsys, "gallery", "info", whole)
+    assert (facts["people"], facts["fingers"], facts["captures"], facts["with_code"]) == (2, 3, 6, 6)
+    assert facts["with_images"] == facts["failures"] == 0
+
+
+def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> None:
+    for picture in people_folder.glob("*/*/*/print.png"):
+        copy = tmp_path / "prints" / picture.parent.relative_to(people_folder).with_suffix(".png")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(picture, copy)
+    file = tmp_path / "people.skg"
+    facts = facts_of(capsys, "enroll", file, "--population", tmp_path / "prints")
+    assert (facts["new"], facts["people"], facts["fingers"]) == (6, 2, 3)
+    assert facts_of(capsys, "enroll", file, "--population", tmp_path / "prints")["known"] == 6
+    (tmp_path / "prints" / "S01" / "session_1" / "right_index.skt").touch()
+    words = refusal_of(capsys, "enroll", file, "--population", tmp_path / "prints")
+    assert "are of one finger and session" in words
+
+
+def test_a_population_goes_on_where_it_was_stopped(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    from splitknit_match.batch import enrol as enrolling_population
+
+    file, calls = tmp_path / "g.skg", []
+    made = enrolling_population.made_or_failed
+
+    def stopped(path, *options):
+        calls.append(path)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return made(path, *options)
+
+    monkeypatch.setattr(enrolling_population, "made_or_failed", stopped)
+    assert main(["enroll", str(file), "--population", str(people_folder)]) == 130
+    capsys.readouterr()
+    assert len(who(capsys, file)) == 3
+    facts = facts_of(capsys, "enroll", file, "--population", people_folder)
+    assert (facts["found"], facts["known"], facts["new"]) == (6, 3, 3)
+    assert len(calls) == 7
+    again = facts_of(capsys, "enroll", file, "--population", people_folder)
+    assert (again["known"], again["new"]) == (6, 0)
+
+
+def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path, capsys) -> None:
+    folder, file = tmp_path / "people", tmp_path / "g.skg"
+    for name in ("S01/session_1/left_thumb", "S02/session_1/right_index", "S02/session_2/right_index"):
+        shutil.copytree(people_folder / name, folder / name)
+    with np.load(folder / "S02/session_1/right_index/height.npz") as arrays:
+        smooth = dict(arrays) | {"ridge_mm": np.zeros_like(arrays["ridge_mm"])}
+    np.savez(folder / "S02/session_1/right_index/height.npz", **smooth)
+    sound = (folder / "S02/session_2/right_index/height.npz").read_bytes()
+    (folder / "S02/session_2/right_index/height.npz").write_bytes(sound[:2000])
+    assert main(["enroll", str(file), "--population", str(folder), "--json"]) == 2
+    said = capsys.readouterr()
+    assert "1 of 3 captures cannot be read, the others are enrolled" in said.err
+    facts = json.loads(said.out)
+    assert (facts["new"], facts["failures"], len(facts["unreadable"])) == (2, 1, 1)
+    assert facts["failures_to_acquire"][0]["path"].endswith("S02/session_1/right_index")
+    (folder / "S02/session_2/right_index/height.npz").write_bytes(sound)
+    assert facts_of(capsys, "enroll", file, "--population", folder)["new"] == 1
+    # other files under the same names are noticed
+    shutil.copy(people_folder / "S01/session_2/left_thumb/height.npz", folder / "S01/session_1/left_thumb/height.npz")
+    assert "is not what was enrolled" in refusal_of(capsys, "enroll", file, "--population", folder)
+    assert facts_of(capsys, "enroll", file, "--population", folder, "--replace")["new"] == 1
+    assert len(who(capsys, file)) == 3
+
+
+def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder: Path, monkeypatch) -> None:
+    from splitknit_match.gallery import enrol
+
+    def refuses(path, *rest, **more):
+        raise BadInput(f"{path}: no finger is seen.")
+
+    monkeypatch.setattr(enrol, "read_side", refuses)
+    made = enrol.made_or_failed(twin_folder, enrol.Enrolling(preset="ea"))
+    assert made.template == b""
+    assert made.failure == "no finger is seen."
+    assert made.source_sha256 == enrol.source_hash(twin_folder)
+
+
+def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
+    from splitknit_match.gallery.enrol import source_hash
+
+    copy = Path(shutil.copytree(twin_folder, tmp_path / "copy"))
+    (copy / "truth.npz").unlink()
+    assert source_hash(copy) == source_hash(twin_folder)
+    (copy / "white_0.png").write_bytes((copy / "white_1.png").read_bytes())
+    assert source_hash(copy) != source_hash(twin_folder)
+
+
+@pytest.mark.slow
+def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
+    facts = facts_of(capsys, "enroll", tmp_path / "g.skg", "--population", people_folder, "--workers", 2)
+    assert facts["new"] == 6
+    for file in (whole, tmp_path / "g.skg"):
+        facts_of(capsys, "gallery", "export", file, "--out", tmp_path / file.parent.name / "x")
+    one, other = (
+        {row["person"] + row["finger"] + row["session"]: (folder / row["template"]).read_bytes() for row in rows}
+        for folder in (tmp_path / whole.parent.name / "x", tmp_path / tmp_path.name / "x")
+        for rows in [csv.DictReader(io.StringIO((folder / "gallery.csv").read_text()))]
+    )
+    assert one == other
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_key_comes_from_a_pipe_that_somebody_writes_into(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(gallery_key, "_WRITER_S", 0.3)
+    pipe = tmp_path / "key"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInput, match="a pipe that no program writes into"):
+        gallery_key.key_of(pipe)
+    key = tmp_path / "plain"
+    key.write_text(PHRASE + "\n")
+    slowly = 'sleep 0.1; exec >"$1"; sleep 0.5; printf %s "$2"; sleep 0.1; echo'
+    with subprocess.Popen(["sh", "-c", slowly, "sh", pipe, PHRASE]) as writer:
+        assert gallery_key.key_of(pipe) == gallery_key.key_of(key)
+    assert writer.returncode == 0
+    ours, theirs = os.pipe()
+    os.write(theirs, PHRASE.encode())
+    os.close(theirs)
+    assert gallery_key.key_of(Path(f"/dev/fd/{ours}")) == gallery_key.key_of(key)  # --key-file <(...)
+    os.close(ours)
+    with pytest.raises(BadInput, match="is neither a file nor a pipe"):
+        gallery_key.key_of(Path("/dev/zero"))
+
+
+def test_a_gallery_that_others_can_read_gets_a_note(whole: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    file = tmp_path / "g.skg"
+    file.write_bytes(whole.read_bytes())
+    for mode, noted in ((0o600, False), (0o644, True)):
+        file.chmod(mode)
+        assert ("the gallery" in words_of(capsys, "gallery", "info", file)) == noted
+    shards = tmp_path / "codes"
+    with monkeypatch.context() as patched:
+        patched.setattr("splitknit_match.gallery.shards._write_shard", _full)
+        assert "No space" in refusal_of(capsys, "gallery", "index", file, "--shards", shards)
+    assert not shards.exists()
+
+
+def _full(*_: object) -> None:
+    raise BadInput("cannot write: No space left on device.")
+
+
+def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    file, key, new = tmp_path / "g.skg", tmp_path / "key", tmp_path / "new"
+    key.write_text(PHRASE + "\n")
+    key.chmod(0o644)
+    new.write_text("0f" * 32)
+    new.chmod(0o600)
+    source = people_folder / "S01/session_1/left_thumb"
+    arguments = ("enroll", file, source, "--person", "Ann Example", "--finger", "left_thumb")
+    words = words_of(capsys, *arguments, "--key-file", key)
+    assert "encrypted" in words
+    assert "can be read by others" in words
+    assert b"Ann" not in file.read_bytes()
+    assert "is encrypted; give its key" in refusal_of(capsys, *arguments)
+    monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", OTHER)
+    said = refusal_of(capsys, "gallery", "list", file)
+    assert "the key is not that of the gallery" in said
+    assert OTHER not in said
+    monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", PHRASE)
+    assert who(capsys, file) == [("Ann Example", "left_thumb", "1")]
+    assert facts_of(capsys, "gallery", "info", file)["key"] == "scrypt"
+    assert facts_of(capsys, "gallery", "rekey", file, "--new-key-file", new)["encrypted"]
+    assert "is 32 bytes" in refusal_of(capsys, "gallery", "list", file)
+    assert len(who(capsys, file, "--key-file", new)) == 1
+    assert "or give --plain" in refusal_of(capsys, "gallery", "rekey", file, "--key-file", new)
+    said = words_of(capsys, "gallery", "rekey", file, "--key-file", new, "--plain")
+    assert "not encrypted any more" in said
+    assert "was given, but the gallery" in refusal_of(capsys, "gallery", "list", file)
+    monkeypatch.delenv("SPLITKNIT_GALLERY_KEY")
+    assert b"Ann" in file.read_bytes()
+    info = facts_of(capsys, "gallery", "info", file)
+    assert not info["encrypted"]
+    monkeypatch.setenv("SPLITKNIT_GALLERY_NEW_KEY", PHRASE)
+    assert facts_of(capsys, "gallery", "rekey", file)["encrypted"]
+    assert facts_of(capsys, "gallery", "info", file)["people"] is None  # numbers need no key, people do
+
+
+def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
+    assert b"S02" in gallery.read_bytes()
+    facts = facts_of(capsys, "gallery", "remove", gallery, "--person", "S02")
+    assert (facts["removed"], facts["captures"]) == (2, 4)
+    assert b"S02" not in gallery.read_bytes()
+    assert facts_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--finger", "left_thumb")["removed"] == 2
+    words = words_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--session", "2")
+    assert "Removed 1 capture from" in words
+    assert who(capsys, gallery) == [("S01", "right_index", "1")]
+    assert [path.name for path in gallery.parent.iterdir()] == [gallery.name]
+
+
+def test_doubled_rows_are_refused_before_a_file_is_read(gallery: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "out")
+    table = tmp_path / "out/gallery.csv"
+    table.write_bytes(table.read_bytes() + table.read_bytes().splitlines()[-1] + b"\n")
+    monkeypatch.setattr(manage, "read_template", lambda *unused: pytest.fail("a template was read"))
+    assert "remove one of them" in refusal_of(capsys, "gallery", "import", tmp_path / "new.skg", tmp_path / "out")
+
+
+def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert "not encrypted" in words_of(capsys, "gallery", "export", gallery, "--out", out)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o700
+    assert {stat.S_IMODE(path.stat().st_mode) for path in out.glob("*/*.skt")} == {0o600}
+    facts = facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
+    assert (facts["found"], facts["new"], facts["captures"]) == (6, 6, 6)
+    assert who(capsys, tmp_path / "new.skg") == who(capsys, gallery)
+    again = facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
+    assert (again["new"], again["captures"]) == (0, 6)
+    assert main(["gallery", "export", str(tmp_path / "new.skg"), "--out", str(tmp_path / "out2")]) == 0
+    capsys.readouterr()
+    names = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
+    assert len(names) == 9
+    assert all((out / name).read_bytes() == (tmp_path / "out2" / name).read_bytes() for name in names)
+    # an exported template is a template
+    match = facts_of(capsys, "match", out / "templates/0001.skt", out / "templates/0001.skt")
+    assert match["similarity"] == pytest.approx(1, abs=1e-3)
+
+
+def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path, capsys) -> None:
+    name = '=HYPERLINK("http://x","open")'
+    out = tmp_path / "out"
+    facts_of(capsys, "gallery", "export", gallery, "--out", out)
+    table = (out / "gallery.csv").read_text().replace(",S01,", ",\"'" + name.replace('"', '""') + '",')
+    (out / "gallery.csv").write_text(table)
+    facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
+    assert name in {person for person, *_ in who(capsys, tmp_path / "new.skg")}
+    facts_of(capsys, "gallery", "export", tmp_path / "new.skg", "--out", tmp_path / "again")
+    assert (tmp_path / "again/gallery.csv").read_text() == table
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("gallery.json", lambda data: b"{}", "format is missing"),
+        ("gallery.json", lambda data: data.replace(b'_version": 1', b'_version": 1e999'), "1e999, which is beyond"),
+        ("gallery.json", lambda data: data.replace(b'_version": 1', b'_version": 1.0'), "not of an export"),
+        ("gallery.csv", lambda data: re.sub(rb",,\n", b",,images/0001.png\n", data), "'images' must be 'thumbnail'"),
+        ("gallery.csv", lambda data: re.sub(rb",\d+\.\d+,", b",1e999,", data), "area_mm2 must be a number"),
+        ("gallery.csv", lambda data: data + b"\xff\n", "cannot be read as a table"),
+        ("gallery.json", lambda data: data.replace(b'"template_version": 1', b'"template_version": 9'), "version 9"),
+        ("gallery.csv", lambda data: data.replace(b"0001.skt", b"../a.skt"), "line 2: a template is named"),
+        ("gallery.csv", lambda data: data.replace(b"right_index", b"Right Index"), "cannot be a finger"),
+        ("gallery.csv", lambda data: data.replace(b"session", b"seance", 1), "columns"),
+        ("gallery.csv", lambda data: data.splitlines(keepends=True)[0], "lists no finger"),
+        (
+            "gallery.csv",
+            lambda data: data + data.splitlines()[1],
+            "lines 2 and 8 have the same person, finger, session",
+        ),
+        ("gallery.csv", lambda data: data.replace(b"0005.skt", b"0002.skt"), "lines 3 and 6 have the same template"),
+        ("templates/0003.skt", lambda data: data[:-1] + bytes([data[-1] ^ 1]), "line 4: .*damaged"),
+        ("templates/0003.skt", None, "line 4: .*does not exist"),
+    ],
+)
+def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *, file, change, words) -> None:
+    out = tmp_path / "out"
+    facts_of(capsys, "gallery", "export", whole, "--out", out)
+    data = (out / file).read_bytes()
+    (out / file).unlink()
+    if change is not None:
+        (out / file).write_bytes(change(data))
+    assert re.search(words, refusal_of(capsys, "gallery", "import", tmp_path / "new.skg", out))
+    assert not (tmp_path / "new.skg").exists()
+
+
+@pytest.mark.parametrize("name", ["templates/0001.skt", "images/0001.png", "images", "gallery.csv"])
+def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, capsys, *, name: str) -> None:
+    """An image that was a link to a file of the system came back by ``gallery export --images``."""
+    out, away = tmp_path / "out", tmp_path / "away"
+    facts_of(capsys, "gallery", "export", whole, "--out", out)
+    away.mkdir()
+    (away / "0001.png").write_bytes(b"a file of the user")
+    if name.startswith("images"):
+        table = (out / "gallery.csv").read_text()
+        (out / "gallery.csv").write_text(re.sub(",,\n", ",thumbnail,images/0001.png\n", table, count=1))
+        (out / "images").mkdir() if name != "images" else (out / "images").symlink_to(away)
+    if name != "images":
+        if (out / name).is_file():
+            (out / name).rename(away / "0001.png")
+        (out / name).symlink_to(away / "0001.png")
+    (tmp_path / "link").symlink_to(out)  # what is named may be one
+    assert "is a link inside a folder" in refusal_of(
+        capsys, "gallery", "import", tmp_path / "new.skg", tmp_path / "link"
+    )
+    assert not (tmp_path / "new.skg").exists()
+
+
+def test_damage_is_found_and_taken_out(gallery: Path, capsys) -> None:
+    assert "is sound: all 6" in words_of(capsys, "gallery", "check", gallery)
+    import sqlite3
+
+    with contextlib.closing(sqlite3.connect(gallery)) as raw, raw:
+        raw.execute("UPDATE template SET content = zeroblob(500) WHERE id = 2")
+    raw.close()
+    assert main(["gallery", "check", str(gallery), "--json"]) == 2
+    said = capsys.readouterr()
+    assert "rows 2" in said.err
+    assert [one["row"] for one in json.loads(said.out)["problems"]] == [2]
+    assert facts_of(capsys, "gallery", "remove", gallery, "--row", 2)["removed"] == 1
+    assert facts_of(capsys, "gallery", "check", gallery)["sound"]
+
+
+def test_a_row_that_was_put_back_is_found_and_accepted_only_when_asked(gallery: Path, capsys) -> None:
+    import sqlite3
+
+    raw = sqlite3.connect(gallery)
+    earlier = [raw.execute(f"SELECT * FROM {table} WHERE id = 2").fetchone() for table in ("finger", "template")]
+    raw.close()
+    facts_of(capsys, "gallery", "remove", gallery, "--row", 2)
+    raw = sqlite3.connect(gallery)
+    raw.execute("INSERT INTO finger VALUES (?, ?, ?, ?, ?, ?)", earlier[0])
+    raw.execute("INSERT INTO template VALUES (?, ?)", earlier[1])
+    raw.commit()
+    raw.close()
+    for arguments in (["list"], ["remove", "--row", 3], ["rekey", "--plain"], ["index"], ["export", "--out", "x"]):
+        said = refusal_of(capsys, "gallery", arguments[0], gallery, *arguments[1:])
+        assert "not those that were last written" in said
+        assert "gallery repair" in said
+    assert main(["gallery", "check", str(gallery), "--json"]) == 2
+    assert [one["row"] for one in json.loads(capsys.readouterr().out)["problems"]] == [None]
+    assert "Took 0 rows out" in words_of(capsys, "gallery", "repair", gallery)
+    assert facts_of(capsys, "gallery", "check", gallery)["captures"] == 6
+
+
+def test_a_counter_beside_the_key_finds_an_older_copy(people_folder: Path, tmp_path: Path, capsys) -> None:
+    file, key = tmp_path / "g.skg", tmp_path / "key"
+    key.write_text("0f" * 32)
+    key.chmod(0o600)
+    (tmp_path / "key.counter").touch()
+    with_key = ("--key-file", key)
+    for number, session in enumerate("12"):
+        source = people_folder / f"S01/session_{session}/left_thumb"
+        facts_of(capsys, "enroll", file, source, "--person", "Ann", "--finger", "left_thumb", *with_key)
+        shutil.copy(file, tmp_path / str(number))
+    shutil.copy(tmp_path / "0", file)
+    for arguments in (["gallery", "list", file], ["identify", file, source], ["gallery", "check", file]):
+        assert "is an older copy" in refusal_of(capsys, *arguments, *with_key)
+    shutil.copy(tmp_path / "1", file)
+    assert len(who(capsys, file, *with_key)) == 2
+
+
+def test_a_gallery_of_version_1_is_migrated_by_one_command(tmp_path: Path, people_folder: Path, capsys) -> None:
+    capture = NewCapture(Entry("Ann", "right_index", "1", "result", "0" * 64), b"")
+    file = tmp_path / "first.skg"
+    of_version_1(file, [capture], None, "5e" * 32)
+    assert facts_of(capsys, "gallery", "info", file)["version"] == 1
+    assert who(capsys, file) == [("Ann", "right_index", "1")]
+    source = people_folder / "S01/session_1/left_thumb"
+    said = refusal_of(capsys, "enroll", file, source, "--person", "Bob", "--finger", "left_thumb")
+    assert "gallery migrate" in said
+    assert "(1 capture) is a gallery of version 2 now" in words_of(capsys, "gallery", "migrate", file)
+    assert "of version 2 already" in refusal_of(capsys, "gallery", "migrate", file)
+    assert facts_of(capsys, "gallery", "check", file)["sound"]
+
+
+def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery.open(gallery) as opened:
+        opened.set_codes({2: b"an older one", 3: b"another"}, 99)
+    assert facts_of(capsys, "gallery", "index", gallery)["coded"] == 2
+    assert facts_of(capsys, "gallery", "index", gallery)["coded"] == 0
+    assert facts_of(capsys, "gallery", "check", gallery)["sound"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["enroll", "NEW", "SOURCE"], "name whose finger"),
+        (["enroll", "NEW", "--person", "A", "--finger", "right_index"], "name a capture"),
+        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "nose"], "is no finger"),
+        (["enroll", "NEW", "SOURCE", "--person", "", "--finger", "right_index"], "person's name"),
+        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "a b"], "a session"),
+        (["enroll", "NEW", "SOURCE", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "1"], "one so"),
+        (["enroll", "NEW", "NOWHERE", "--person", "A", "--finger", "right_index"], "there is no"),
+        (["enroll", "NOWHERE/g", "SOURCE", "--person", "A", "--finger", "right_index"], "there is no folder"),
+        (["enroll", "TEXT", "SOURCE", "--person", "A", "--finger", "right_index"], "is not a gallery"),
+        (["enroll", "FOLDER", "SOURCE", "--person", "A", "--finger", "right_index"], "is a folder"),
+        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--key-file", "NOWHERE"], "key file"),
+        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--workers", "2"], "--population"),
+        (["enroll", "NEW", "--population", "FOLDER"], "holds nothing to enrol"),
+        (["enroll", "NEW", "--population", "NOWHERE"], "there is no folder"),
+        (["enroll", "NEW", "--population", "FOLDER", "--person", "A"], "does not go with"),
+        (["enroll", "NEW", "SOURCE", "--population", "FOLDER"], "not both"),
+        (["enroll", "WHOLE", "SOURCE", "--person", "A", "--finger", "right_index", "--set", "band.window_mm=0.7"],
+         "other settings"),
+        (["gallery", "list", "NOWHERE"], "there is no gallery"),
+        (["gallery", "list", "WHOLE", "--person", "Nobody"], "holds nothing of"),
+        (["gallery", "remove", "WHOLE", "--person", "Nobody"], "holds nothing of Nobody"),
+        (["gallery", "remove", "WHOLE"], "name whose"),
+        (["gallery", "remove", "WHOLE", "--row", "77"], "holds no row 77"),
+        (["gallery", "export", "TEXT", "--out", "NEW"], "is not a gallery"),
+        (["gallery", "import", "NEW", "FOLDER"], "is no export"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence(people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words) -> None:
+    (tmp_path / "TEXT").write_text("hello")
+    (tmp_path / "FOLDER").mkdir()
+    names = {"SOURCE": people_folder / "S02/session_1/right_index", "WHOLE": whole}
+    names |= {name: tmp_path / name for name in ("NEW", "NOWHERE", "NOWHERE/g", "TEXT", "FOLDER")}
+    before, data = sorted(path.name for path in tmp_path.iterdir()), whole.read_bytes()
+    assert words in refusal_of(capsys, *(names.get(word, word) for word in arguments))
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert whole.read_bytes() == data

@@ -1,0 +1,332 @@
+"""``splitknit evaluate``: from score files to the report, and from bad ones to one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import splitknit_match
+from splitknit.cli.main import main
+from splitknit_match.evaluation.intervals import BootstrapSettings
+from splitknit_match.evaluation.protocol import comparisons
+from splitknit_match.evaluation.rates import equal_error, gar_at_far
+
+Captured = pytest.CaptureFixture[str]
+QUICK = ["--replicates", "50"]
+HAND = "label,score\n1,0.9\n1,0.8\n1,0.7\n1,0.3\n0,0.1\n0,0.2\n0,0.4\n0,0.5\n"
+
+
+def write_population(
+    path: Path, *, power: float = 3.0, fingers: int = 20, sessions: int = 4, ids: bool = True, turn: bool = False
+) -> Path:
+    """Scores of a protocol, two fingers a subject, every fiftieth missing."""
+    generator = np.random.default_rng(0)
+    finger, session = np.tile(np.arange(fingers), sessions), np.repeat(np.arange(sessions), fingers)
+    pairs = comparisons(finger, session)
+    score = power * pairs.genuine + generator.normal(size=pairs.a.size)
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        names = ["finger_a", "finger_b", "subject_a", "subject_b", "session_a", "session_b"] if ids else []
+        writer.writerow(["label", "score", *names])
+        for k, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
+            text = "" if k % 50 == 0 else f"{-score[k] if turn else score[k]:.6f}"
+            who = [("left", "right")[finger[a] % 2], ("left", "right")[finger[b] % 2]]
+            who += [f"s{finger[a] // 2}", f"s{finger[b] // 2}", session[a] + 1, session[b] + 1]
+            writer.writerow([int(pairs.genuine[k]), text, *(who if ids else [])])
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Score files: ours.csv, theirs.csv (the same pairs), plain.csv (no ids), hand.csv."""
+    here = tmp_path_factory.mktemp("scores")
+    write_population(here / "ours.csv")
+    write_population(here / "theirs.csv", power=2.5)
+    write_population(here / "plain.csv", ids=False)
+    write_population(here / "distances.csv", turn=True)
+    (here / "hand.csv").write_text(HAND)
+    return here
+
+
+def report(out: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((out / "report.json").read_text())
+    return document
+
+
+def svgs(out: Path) -> list[ElementTree.Element]:
+    page = (out / "report.html").read_text()
+    return [ElementTree.fromstring(found) for found in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)]
+
+
+def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
+    said = capsys.readouterr()
+    assert "EER 25.00 %" in said.out and "report.html" in said.out and said.err == ""
+    facts = report(out)
+    assert set(facts["eer"]) == {"value", "low", "high"} and facts["eer"]["value"] == 0.25
+    assert list(facts["gar_at_far"]) == ["0.01", "0.001", "0.0001"]
+    for figure in (facts["eer"], *facts["gar_at_far"].values()):
+        assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
+    assert [one["value"] for one in facts["gar_at_far"].values()] == [0.75] * 3
+    one = facts["systems"]["hand"]
+    assert one["bootstrap"]["method"] == "plain" and list(one["intervals"]) == ["plain"]
+    assert one["operating_points"]["0.01"]["far_upper"] == 0.75 and not one["operating_points"]["0.01"]["resolved"]
+    assert any("cannot resolve a FAR of 1 %" in note for note in facts["notes"])
+    assert one["cmc"] is None and one["session_pairs"] == []
+    assert sorted(path.name for path in out.iterdir()) == [".splitknit", "report.html", "report.json"]
+    assert len(svgs(out)) == 3
+
+
+def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), *QUICK, "--json"]) == 0
+    said = capsys.readouterr()
+    printed, facts = json.loads(said.out), report(out)
+    assert said.err == "" and printed["eer"] == facts["eer"] and printed["out"] == str(out)
+    with (folder / "ours.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    sides = [np.array([float(row["score"] or "nan") for row in rows if row["label"] == label]) for label in ("1", "0")]
+    assert facts["eer"]["value"] == equal_error(*sides).value
+    assert facts["gar_at_far"]["0.01"]["value"] == gar_at_far(*sides, 0.01).gar
+    one = facts["systems"]["ours"]
+    made = gar_at_far(*sides, 0.01, counting="made")
+    assert one["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - made.gar)
+    lost = [int(np.isnan(side).sum()) for side in sides]
+    failures = one["failures_to_acquire"]
+    assert [failures["genuine"], failures["impostor"]] == lost and sum(lost) == 48
+    assert failures["rate"] == 0.02
+    assert one["bootstrap"]["method"] == "finger" and one["bootstrap"]["drawn"] == 20
+    assert {method: found["drawn"] for method, found in one["intervals"].items()} == {
+        "plain": 120,
+        "finger": 20,
+        "subject": 10,
+    }
+    assert [part["sessions"] for part in one["session_pairs"]] == [
+        ["1", "2"],
+        ["1", "3"],
+        ["1", "4"],
+        ["2", "3"],
+        ["2", "4"],
+        ["3", "4"],
+    ]
+    assert one["cmc"]["gallery"] == 20 and one["cmc"]["probes"] == 120
+    assert any("48 of 2400 comparisons gave no score" in note for note in facts["notes"])
+
+
+def test_the_page_needs_nothing_else_and_its_charts_are_sound(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), *QUICK]) == 0
+    page = (out / "report.html").read_text()
+    assert not re.search(r"<script|https?://|src=|@import|url\(", page)
+    assert "nan" not in page.lower() and "None" not in page
+    charts = svgs(out)
+    assert [chart.get("aria-label", "").split(":")[0] for chart in charts] == ["ROC", "DET", "Scores of ours", "CMC"]
+    for chart in charts:
+        wide, tall = (float(value) for value in (chart.get("viewBox") or "").split()[2:])
+        for shape in chart.iter():
+            numbers = [float(v) for v in re.split(r"[ ,]", shape.get("points") or "0,0")]
+            assert min(numbers[::2]) >= -1 and max(numbers[::2]) <= wide + 1
+            assert min(numbers[1::2]) >= -1 and max(numbers[1::2]) <= tall + 1
+
+
+def test_curves_are_staircases(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
+    for chart in svgs(out)[:2]:
+        (line,) = [shape.get("points") or "" for shape in chart.iter() if shape.tag == "polyline"]
+        points = np.array([pair.split(",") for pair in line.split()], dtype=np.float64)
+        assert len(points) > 2 and (np.diff(points, axis=0) == 0).any(axis=1).all()
+
+
+def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Path) -> None:
+    outs = [tmp_path / name for name in ("a", "b", "c")]
+    for out, seed in zip(outs, ("3", "3", "4"), strict=True):
+        done = main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), "--seed", seed, *QUICK])
+        assert done == 0
+    facts = [report(out) for out in outs]
+    for one in facts:
+        assert one.pop("written_at") and one.pop("timings_s")["total"] > 0
+    assert facts[0] == facts[1] and facts[0]["eer"]["low"] != facts[2]["eer"]["low"]
+    assert facts[0]["eer"]["value"] == facts[2]["eer"]["value"]
+    pages = [re.sub(r"\d{4}-\d\d-\d\dT[\d:+]*|[\d.]+ s\. ", "", (out / "report.html").read_text()) for out in outs[:2]]
+    assert pages[0] == pages[1]
+
+
+def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> None:
+    out, files = tmp_path / "out", [str(folder / "ours.csv"), str(folder / "theirs.csv")]
+    assert main(["evaluate", "--scores", *files, "--out", str(out), *QUICK]) == 0
+    facts = report(out)
+    assert list(facts["systems"]) == ["ours", "theirs"] and facts["system"] == "ours"
+    (found,) = facts["differences"]
+    assert (found["first"], found["second"], found["method"]) == ("ours", "theirs", "finger")
+    single = facts["systems"]
+    assert found["eer"]["value"] == pytest.approx(single["ours"]["eer"]["value"] - single["theirs"]["eer"]["value"])
+    assert found["auc"]["low"] > 0
+    assert "Differences" in (out / "report.html").read_text()
+    assert set(facts["inputs_sha256"]) == set(files)
+
+
+def test_a_column_of_systems_is_as_good_as_files(folder: Path, tmp_path: Path) -> None:
+    rows = []
+    for name in ("ours", "theirs"):
+        with (folder / f"{name}.csv").open() as stream:
+            rows += [{**row, "system": name} for row in csv.DictReader(stream)]
+    rows = [rows[k] for k in np.random.default_rng(0).permutation(len(rows))]
+    with (tmp_path / "both.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    files = [str(folder / "ours.csv"), str(folder / "theirs.csv")]
+    assert main(["evaluate", "--scores", str(tmp_path / "both.csv"), "--out", str(tmp_path / "a"), *QUICK]) == 0
+    assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "b"), *QUICK]) == 0
+    one, other = report(tmp_path / "a"), report(tmp_path / "b")
+    assert list(one["systems"]) == list(other["systems"])
+    for name in one["systems"]:
+        assert one["systems"][name]["intervals"]["finger"] == other["systems"][name]["intervals"]["finger"]
+    assert one["differences"][0]["eer"]["value"] == other["differences"][0]["eer"]["value"]
+
+
+def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -> None:
+    files = [str(folder / "ours.csv"), str(folder / "hand.csv")]
+    assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "out"), *QUICK]) == 0
+    facts = report(tmp_path / "out")
+    assert facts["differences"] == []
+    assert any("did not score the same pairs" in note for note in facts["notes"])
+
+
+def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "hand.csv").write_text(HAND.replace("0.3", "0.6"))
+    files = [str(folder / "hand.csv"), str(tmp_path / "hand.csv")]
+    assert main(["evaluate", "--scores", files[0], "--scores", files[1], "--out", str(tmp_path / "o"), *QUICK]) == 0
+    facts = report(tmp_path / "o")
+    assert list(facts["systems"]) == ["hand (1)", "hand (2)"]
+    assert facts["differences"][0]["eer"]["value"] == 0.25 and facts["differences"][0]["method"] == "plain"
+
+
+def test_the_function_takes_one_file_or_several(folder: Path) -> None:
+    one = splitknit_match.evaluate(folder / "ours.csv", bootstrap=BootstrapSettings(replicates=20))
+    two = splitknit_match.evaluate(
+        [str(folder / "ours.csv")], cluster="auto", bootstrap=BootstrapSettings(replicates=20)
+    )
+    assert one.results[0].eer.value == two.results[0].eer.value
+
+
+def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
+    for name, more in (("distances", ["--dissimilarity"]), ("ours", []), ("distances", [])):
+        out = tmp_path / f"{name}{len(more)}"
+        assert main(["evaluate", "--scores", str(folder / f"{name}.csv"), "--out", str(out), *QUICK, *more]) == 0
+    turned, right, wrong = (report(tmp_path / name) for name in ("distances1", "ours0", "distances0"))
+    assert turned["eer"] == right["eer"] and turned["gar_at_far"] == right["gar_at_far"]
+    assert wrong["eer"]["value"] > 0.8
+    assert any("`dissimilarity`" in note for note in wrong["notes"])
+    assert "turned round" in (tmp_path / "distances1" / "report.html").read_text()
+
+
+def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
+    assert main([*arguments, "--cluster", "subject"]) == 0
+    facts = report(tmp_path / "out")
+    one = facts["systems"]["ours"]
+    assert one["bootstrap"]["method"] == "subject" and facts["eer"] == one["intervals"]["subject"]["eer"]
+    plain = ["evaluate", "--scores", str(folder / "plain.csv"), "--out", str(tmp_path / "no"), *QUICK]
+    assert main([*plain, "--cluster", "finger"]) == 2
+    assert "finger_a and finger_b" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def test_with_and_without_the_excluded_averaged_and_not(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "roll.csv").write_text("finger,subject,session,reason\nleft,s1,,roll\nright,s3,2,roll\nleft,s99,,\n")
+    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
+    assert main([*arguments, "--exclude", str(tmp_path / "roll.csv"), "--average-sessions"]) == 0
+    facts = report(tmp_path / "out")
+    names = [
+        "ours",
+        "ours, without 2 excluded",
+        "ours, averaged over sessions",
+        "ours, without 2 excluded, averaged over sessions",
+    ]
+    assert list(facts["systems"]) == names
+    counted = [tuple(facts["systems"][name]["comparisons"].values()) for name in names]
+    # one finger goes (6 and 2 x 6 x 19), of another the captures of session 2 (3 and 3 x 18)
+    assert counted == [(120, 2280), (111, 2280 - 228 - 54), (20, 380), (19, 342)]
+    assert facts["eer"] == facts["systems"]["ours"]["eer"] and facts["differences"] == []
+    notes = " ".join(facts["notes"])
+    assert "2 entries of the list of exclusions left out 291 of 2400" in notes
+    assert "1 entries of the list are in no comparison of ours: s99/left" in notes
+    assert "2 entries were listed for 'roll'" in notes
+    assert facts["systems"][names[2]]["session_pairs"] == []
+    assert facts["systems"][names[2]]["eer"]["value"] <= facts["eer"]["value"]
+
+
+def test_fingers_of_a_list_need_their_subject_only_where_it_matters(
+    folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    (tmp_path / "roll.csv").write_text("finger\nleft\n")
+    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
+    assert main([*arguments, "--exclude", str(tmp_path / "roll.csv")]) == 2
+    assert "several subjects have a finger 'left'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("label,score\n1,0.5\n0,nan\n", "line 3"),
+        ("label,score\n1,0.5\n0,0.5,3\n", "line 3"),
+        ("label,score\n1,0.5\n3,0.5\n", "line 3"),
+        ("label,score\n1,0.5\n1,0.5\n", "no impostor (label 0)"),
+        ("label,score\n0,0.5\n0,0.4\n", "no genuine (label 1)"),
+        ("label,score\n1,\n0,0.4\n", "all 1 are failures to acquire"),
+        ("label,score,score\n1,2,3\n", "two columns 'score'"),
+        ("label\n1\n", "no column 'score'"),
+        ("", "is empty"),
+        ("hello", "column names"),
+        ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: the comparison is an impostor's"),
+        ("label,score,finger_a,finger_b\n0,2,x,y\n1,1,x,y\n", "line 3: the comparison is genuine (label 1)"),
+        ("label,score,system\n1,2,a\n0,1,a\n1,1,b\n", "b holds no impostor"),
+    ],
+)
+def test_bad_files_give_one_sentence(tmp_path: Path, capsys: Captured, text: str, words: str) -> None:
+    path, out = tmp_path / "bad.csv", tmp_path / "out"
+    path.write_text(text)
+    assert main(["evaluate", "--scores", str(path), "--out", str(out), *QUICK]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1 and words in said.err and str(path) in said.err
+    assert not out.exists() and sorted(tmp_path.iterdir()) == [path]
+
+
+def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    hand, out = str(folder / "hand.csv"), str(tmp_path / "out")
+    requests = {
+        "does not exist": ["--scores", str(tmp_path / "none.csv"), "--out", out],
+        "named twice": ["--scores", hand, hand, "--out", out],
+        "replicates": ["--scores", hand, "--out", out, "--replicates", "3"],
+        "finger_a and finger_b": ["--scores", hand, "--out", out, "--exclude", str(tmp_path / "list.csv")],
+        "sessions are needed": ["--scores", hand, "--out", out, "--average-sessions"],
+        "is not an earlier evaluation": ["--scores", hand, "--out", str(tmp_path)],
+    }
+    (tmp_path / "list.csv").write_text("finger\nx\n")
+    for words, request in requests.items():
+        assert main(["evaluate", *request]) == 2, words
+        said = capsys.readouterr()
+        assert words in said.err and said.err.count("\n") == 1
+    assert main(["evaluate", "--out", out]) == 2
+    capsys.readouterr()
+    assert not (tmp_path / "out").exists()
+
+
+def test_scores_without_spread(tmp_path: Path) -> None:
+    (tmp_path / "same.csv").write_text("label,score\n1,5\n1,5\n0,5\n0,5\n")
+    out = tmp_path / "out"
+    assert main(["evaluate", "--scores", str(tmp_path / "same.csv"), "--out", str(out), *QUICK]) == 0
+    facts = report(out)
+    assert facts["eer"]["value"] == 0.5 and facts["systems"]["same"]["d_prime"] is None
+    assert facts["gar_at_far"]["0.01"]["value"] == 0.0
+    assert facts["systems"]["same"]["operating_points"]["0.01"]["threshold"] is None

@@ -1,0 +1,91 @@
+"""``splitknit evaluate --fuse``: one system more."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.cli.main import main
+from splitknit_match.evaluation.protocol import comparisons
+
+
+def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:
+    """Twelve subjects, two fingers each, two sessions; errors by `seed`, every fiftieth score missing."""
+    rng = np.random.default_rng(seed)
+    finger, session = np.tile(np.arange(24), 2), np.repeat([1, 2], 24)
+    pairs = comparisons(finger, session)
+    names = ["finger_a", "finger_b", "session_a", "session_b"] + (["subject_a", "subject_b"] if subjects else [])
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["label", "score", *(names if ids else [])])
+        for k, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
+            score = f"{2.0 * pairs.genuine[k] + rng.normal():.4f}" if (k + seed) % 50 else ""
+            who = [finger[a], finger[b], session[a], session[b]] + (
+                [finger[a] // 2, finger[b] // 2] if subjects else []
+            )
+            rows.writerow([int(pairs.genuine[k]), score, *(who if ids else [])])
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    code = main(["evaluate", "--replicates", "20", *map(str, arguments)])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+@pytest.mark.parametrize("method", ["linear", "trained", "minmax", "llr"])
+def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) -> None:
+    files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
+    code, out, _ = run(capsys, "--scores", *files, "--fuse", method, "--out", tmp_path / "report", "--json")
+    assert code == 0
+    facts = json.loads(out)
+    name = f"fused, {method}"
+    eers = {system: one["eer"]["value"] for system, one in facts["systems"].items()}
+    assert list(eers) == ["s1", "s2", name]
+    if method != "llr":  # densities of 24 genuine scores are rough
+        assert eers[name] < min(eers["s1"], eers["s2"])
+    assert facts["fusion"]["models"] == 15
+    assert facts["fusion"]["dealt_by"] == "subject"
+    assert facts["fusion"]["missing"] == {"s1": 11, "s2": 11}
+    assert facts["system"] == "s1"  # the first stays the first
+    assert {(one["first"], one["second"]) for one in facts["differences"]} >= {("s1", name), ("s2", name)}
+    assert any("saw nothing of the folds" in note for note in facts["notes"])
+    assert name in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_files_of_several_traits(tmp_path: Path, capsys) -> None:
+    files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
+    code, out, _ = run(capsys, "--fuse", *files, "--out", tmp_path / "report", "--json")
+    assert code == 0
+    facts = json.loads(out)
+    fused = [f"fused, {method}" for method in ("minmax", "linear", "llr")]
+    assert list(facts["systems"]) == ["s1", "s2", *fused]
+    assert list(facts["fusions"]) == ["minmax", "linear", "llr"]
+    assert {one["bootstrap"]["method"] for one in facts["systems"].values()} == {"subject"}
+
+
+def test_fingers_alone_are_said_to_be_less(tmp_path: Path, capsys) -> None:
+    files = [write(tmp_path / f"s{k}.csv", k, subjects=False) for k in (1, 2)]
+    code, out, _ = run(capsys, "--scores", *files, "--fuse", "linear", "--out", tmp_path / "report")
+    assert code == 0
+    assert "Subjects are not named" in out
+
+
+CASES = {"one": "two systems at least", "nameless": "subject_a", "both": "in place of --scores", "none": "--gallery"}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_cannot_be_fused_is_one_sentence(tmp_path: Path, capsys, case: str) -> None:
+    files = [write(tmp_path / "s1.csv", 1, ids=case != "nameless")]
+    if case == "nameless":
+        files.append(write(tmp_path / "s2.csv", 2, ids=False))
+    given = ["--scores", *files, "--fuse", *(files if case == "both" else ["trained"])]
+    code, _, err = run(capsys, *([] if case == "none" else given), "--out", tmp_path / "report")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert CASES[case] in err
+    assert not (tmp_path / "report").exists()

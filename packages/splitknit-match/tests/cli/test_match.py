@@ -1,0 +1,227 @@
+"""``splitknit match``: what comes in, what is printed, what is refused."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perfect_results import write_impressions
+from splitknit.cli.main import main
+from splitknit.io.npz import write_npz
+from splitknit.io.prints import write_print_png
+from splitknit_match.cli.match import one_in
+from splitknit_match.matching.methods import FmrBasis
+from splitknit_simulator.finger.finger import FingerPose
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
+    turned = FingerPose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)
+    return write_impressions(tmp_path_factory.mktemp("match"), 0.15, 721, turned)
+
+
+def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert main(["match", *map(str, arguments), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return json.loads(printed.out)
+
+
+def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
+    same = facts_of(capsys, results / "a", results / "again")
+    other = facts_of(capsys, results / "a", results / "other")
+    assert same["similarity"] > 0.7 > 0.5 > other["similarity"]  # noqa: PLR0133
+    assert same["compared"]
+    assert same["overlap_mm2"] > 200
+    assert abs(same["alignment"]["rotation_deg"]) < 3  # both were brought upright
+    assert {"a", "b", "method", "fmr", "correlation"} <= set(same)
+
+
+def test_templates_stand_for_results(results: Path, tmp_path: Path, capsys) -> None:
+    direct = facts_of(capsys, results / "a", results / "again", "--template", tmp_path / "a.skt")
+    assert direct["template"]["bytes"] == (tmp_path / "a.skt").stat().st_size < 20_000
+    stored = facts_of(capsys, tmp_path / "a.skt", results / "again")
+    assert stored["similarity"] == direct["similarity"]
+    alone = facts_of(capsys, results / "a" / "height.npz", "--template", tmp_path / "b.skt")
+    assert "similarity" not in alone
+    assert (tmp_path / "a.skt").read_bytes() == (tmp_path / "b.skt").read_bytes()
+
+
+def test_prints_match_their_surfaces(results: Path, capsys) -> None:
+    """A print is mirrored and lies flat; a surface is neither."""
+    same = facts_of(capsys, results / "a", results / "again" / "print.png")
+    both = facts_of(capsys, results / "a" / "print.png", results / "again" / "print.png")
+    other = facts_of(capsys, results / "a", results / "other" / "print.png")
+    assert same["b"]["kind"] == "print"
+    assert same["similarity"] > other["similarity"] + 0.2
+    assert both["similarity"] > 0.6
+
+
+def test_the_thesis_method(results: Path, capsys) -> None:
+    arguments = ("--method", "thesis", "--set", "thesis.gate=0.5")
+    same = facts_of(capsys, results / "a", results / "again", *arguments)
+    other = facts_of(capsys, results / "a", results / "other", *arguments)
+    assert same["similarity"] > other["similarity"]
+    assert 0.5 < same["overlap"] < 1
+    assert set(same["dissimilarity"]) == {"normals", "relief"}
+    gated = facts_of(capsys, results / "a", results / "other", "--method", "thesis", "--set", "thesis.gate=1")
+    assert not gated["compared"]
+
+
+def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
+    found = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
+    assert found["a"]["kind"] == "capture"
+    assert found["similarity"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), str(results / "again"), "--template", str(tmp_path / "t.skt")]) == 0
+    words = capsys.readouterr().out
+    assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method ridge).")
+    basis = "11,175 impostor comparisons, true surfaces of 150 simulated fingers"
+    assert f"Estimated false match rate: below 1 in 11,000 (measured on {basis})." in words
+    assert "score" not in words.lower()  # whose scale nobody knows
+    assert "overlap" in words
+    assert "turned by" in words
+    assert "version 1" in words
+    assert main(["match", str(results / "a"), str(results / "other"), "--method", "thesis"]) == 0
+    said = capsys.readouterr().out
+    assert "intersection over union" in said and said.startswith("Undecided")
+
+
+def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
+    """One scale for people, by every method; the method's own score where it is asked for."""
+    same, other = ([str(results / "a"), str(results / name)] for name in ("again", "other"))
+    found, stranger = facts_of(capsys, *same), facts_of(capsys, *other)
+    assert found["decision"]["match"] and not stranger["decision"]["match"]
+    assert found["decision"]["fmr"] == 1e-4 and stranger["fmr"] > 1e-3
+    assert stranger["similarity"] < found["decision"]["threshold"] < found["similarity"]
+    assert found["fmr_basis"]["impostors"] == 11175 and found["fmr_missing"] is None
+    assert facts_of(capsys, *other, "--fmr", "0.9")["decision"]["match"] == (stranger["fmr"] <= 0.9)
+    assert main(["match", *other, "--raw"]) == 0
+    words = capsys.readouterr().out
+    assert words.startswith("No match, decided at")
+    threshold = found["decision"]["threshold"]
+    assert f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from {threshold:.4f} on." in words
+    assert main(["match", *same, "--fmr", "1e-9"]) == 2
+    assert "none below 8.9e-07 can be stated" in capsys.readouterr().err
+    smaller = facts_of(capsys, *same, "--fmr", "1e-5")["decision"]
+    assert smaller["threshold"] > threshold and "expected_fmr" not in found["decision"]
+    assert 0 < smaller["expected_fmr"] < smaller["fmr"] == 1e-5
+    assert main(["match", *same, "--fmr", "1e-5"]) == 0
+    assert "1 in 100,000 (beyond what was measured: extrapolated; expected is 1 in 1," in capsys.readouterr().out
+    assert facts_of(capsys, *same, "--set", "ridge.patches.search_mm=0.5")["decision"] is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [(1e-4, "1 in 10,000"), (0.0359, "1 in 27"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
+)
+def test_rates_in_words(rate: float, words: str) -> None:
+    assert one_in(rate, FmrBasis(249, "fingers", 0.004) if words.startswith("below") else None) == words
+
+
+def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> None:
+    """By their pictures, and by the minutiae that ``print`` has counted."""
+    counts = []
+    for name in ("a", "again"):
+        assert main(["print", str(results / name), "--out", str(tmp_path / name), "--json"]) == 0
+        counts.append(json.loads(capsys.readouterr().out)["minutiae"]["count"])
+    found = facts_of(capsys, tmp_path / "a", tmp_path / "again")
+    assert (found["a"]["kind"], found["b"]["kind"]) == ("print", "print")
+    assert found["decision"]["match"]
+    if importlib.util.find_spec("nbis"):
+        found = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
+        assert [found[side]["minutiae"] for side in ("a", "b")] == counts
+        record = facts_of(capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso")
+        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], found["similarity"])
+        # a print from a file has as many minutiae as 'print' finds in it
+        picture = str(results / "a" / "print.png")
+        assert main(["print", picture, "--out", str(tmp_path / "file"), "--json"]) == 0
+        count = json.loads(capsys.readouterr().out)["minutiae"]["count"]
+        assert facts_of(capsys, picture, picture, "--method", "minutiae")["a"]["minutiae"] == count
+
+
+@pytest.mark.parametrize("content", [b"", b"SKTMPL\r\n and then my notes"])
+def test_a_file_that_is_no_template_is_not_replaced(results: Path, tmp_path: Path, capsys, content: bytes) -> None:
+    (tmp_path / "notes.txt").write_bytes(content)
+    assert main(["match", str(results / "a"), "--template", str(tmp_path / "notes.txt")]) == 2
+    assert "exists and is not a template" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_bytes() == content
+    (tmp_path / "failed.skt").touch()  # a failure to acquire
+    for _ in range(2):
+        facts_of(capsys, results / "a", "--template", tmp_path / "failed.skt")
+
+
+def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "none.skt").write_bytes(b"")
+    found = facts_of(capsys, tmp_path / "none.skt", results / "a")
+    assert found["similarity"] == -1.0
+    assert not found["compared"]
+    assert not found["a"]["acquired"]
+    assert main(["match", str(tmp_path / "none.skt"), str(results / "a")]) == 0
+    assert "failure to acquire" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["NOWHERE", "a"], "there is no"),
+        (["a"], "second finger"),
+        (["EMPTY", "a"], "neither a result"),
+        (["TEXT", "a"], "prints and minutiae are read"),
+        (["BROKEN", "a"], "cannot be read"),
+        (["PARTIAL", "a"], "holds no 'ridge_mm'"),
+        (["COARSE", "a"], "pixels per inch"),
+        (["a", "a/print.png", "--method", "thesis"], "compares surfaces"),
+        (["a", "again", "--set", "ridge.patches.patch_mm=-2"], "patch_mm"),
+        (["a", "again", "--set", "ridge.speed=1"], "speed"),
+        (["a", "again", "--fmr", "nan"], "--fmr must lie between 0 and 1"),
+        (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
+    ],
+)
+def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, arguments, words: str) -> None:
+    (tmp_path / "EMPTY").mkdir()
+    (tmp_path / "TEXT").write_text("hello")
+    (tmp_path / "BROKEN").mkdir()
+    (tmp_path / "BROKEN" / "height.npz").write_bytes(b"PK but not really")
+    (tmp_path / "PARTIAL").mkdir()
+    write_npz(tmp_path / "PARTIAL" / "height.npz", {"mask": np.ones((3, 3), np.bool_)})
+    write_print_png(tmp_path / "COARSE.png", np.full((90, 90), 200, np.uint8), 100.0)
+    names = {"COARSE": tmp_path / "COARSE.png", "NOWHERE": tmp_path / "NOWHERE"}
+    names |= {name: tmp_path / name for name in ("EMPTY", "TEXT", "BROKEN", "PARTIAL")}
+    before = sorted(path.name for path in tmp_path.iterdir())
+    full = [
+        str(names.get(word, results / word)) if (results / word.split("/")[0]).exists() or word in names else word
+        for word in arguments
+    ]
+    assert main(["match", *full]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 0
+    assert main(["match", str(tmp_path / "t.skt"), str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 2
+    assert "one of the inputs" in capsys.readouterr().err
+
+
+def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
+    from splitknit_match.matching.methods import false_match_rate
+
+    low, high = false_match_rate(0.15), false_match_rate(0.8)
+    assert low is not None
+    assert high is not None
+    assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133
+    same = facts_of(capsys, results / "a", results / "again")
+    assert same["fmr"] == false_match_rate(same["similarity"])
+    # with other settings scores mean something else
+    other = facts_of(capsys, results / "a", results / "again", "--set", "ridge.patches.search_mm=0.5")
+    assert other["fmr"] is None

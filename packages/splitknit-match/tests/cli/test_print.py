@@ -1,0 +1,291 @@
+"""``splitknit print``: the four methods, their files, what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from perfect_results import write_perfect
+from splitknit.cli.main import main
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.prints import read_print_png
+from splitknit.model import default_rig
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A perfect reconstruction of a whorl, turned a little, with the places of its true minutiae."""
+    camera = default_rig(0.22).camera
+    seen = finger_surface(draw_finger(741, "whorl"), FingerPose(insertion_mm=27.0, yaw_rad=0.12), camera)
+    more = {"minutiae_px": seen.landmarks["minutiae_px"]}
+    return write_perfect(tmp_path_factory.mktemp("print") / "result", seen, camera, more=more)
+
+
+def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert main(["print", *map(str, arguments), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return json.loads(printed.out)
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["print", *map(str, arguments)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = printed.err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.mark.parametrize(("method", "surface"), [("relief", "plane"), ("unroll", "free"), ("curvature", "plane")])
+def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str, surface: str) -> None:
+    out = tmp_path / "out"
+    facts = facts_of(capsys, result, "--method", method, "--out", out)
+    wanted = {"print.png", "enhanced.png", "binary.png", "thinned.png", "map.npz", "report.json"}
+    if facts["minutiae"]["written"]:
+        wanted |= {"minutiae.iso", "minutiae3d.json"}
+    if surface != "plane":
+        wanted |= {"distortion.png"}
+    assert set(facts["files"]) == wanted == {path.name for path in out.iterdir()} - {".splitknit"}
+    assert facts["surface"] == surface
+    assert facts == {**json.loads((out / "report.json").read_text()), "out": str(out)}
+    for name in ("print.png", "enhanced.png", "binary.png", "thinned.png"):
+        file = read_print_png(out / name)
+        assert file.resolution_ppi == pytest.approx(500, abs=0.02)
+        assert list(file.image.shape) == facts["size"]
+        assert "splitknit" in file.text["Software"]
+    thinned, binary = (read_print_png(out / name).image for name in ("thinned.png", "binary.png"))
+    assert set(np.unique(binary)) == {0, 255}
+    assert (binary[thinned == 0] == 0).all()
+    assert 0.35 < facts["ridge_period_mm"]["median"] < 0.6
+
+
+@pytest.mark.parametrize("way", ["print", "phase"])
+def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys, way: str) -> None:
+    """The stored map takes the true minutiae to the print; most of what is found lies on one of them."""
+    if way == "print":
+        pytest.importorskip("nbis")
+    from scipy.spatial import cKDTree
+
+    from splitknit_match.prints.make import make_print
+    from splitknit_match.prints.sources import read_source
+    from splitknit_match.records.minutiae3d import read_minutiae3d
+    from splitknit_match.records.minutiae_files import read_minutiae_record
+
+    out = tmp_path / "out"
+    facts = facts_of(capsys, result, "--set", f"minutiae={way}", "--out", out)
+    view = read_minutiae_record(out / "minutiae.iso").views[0]
+    assert set(view.type.tolist()) == {1, 2}
+    assert view.size == tuple(facts["size"])
+    found = np.stack([view.x_px, view.y_px], axis=1).astype(float)
+    made = make_print(read_source(result, photo=False, surface=True), "unroll")
+    true = made.map.print_from_input(read_npz(result / "height.npz")["minutiae_px"])
+    inside = cv2.erode((made.weight > 0.5).astype(np.uint8), np.ones((41, 41))) > 0
+    true, found = (
+        points[[bool(np.isfinite(p).all() and inside[round(p[1]), round(p[0])]) for p in points]]
+        for points in (true, found)
+    )
+    assert len(true) > 30
+    assert (cKDTree(found).query(true)[0] < 5).mean() > 0.7
+    assert (cKDTree(true).query(found)[0] < 5).mean() > 0.7
+    mirrored = [made.image.shape[1] - 1, 0] + true * [-1, 1]
+    assert (cKDTree(found).query(mirrored)[0] < 5).mean() < 0.4
+    space = read_minutiae3d(out / "minutiae3d.json")
+    assert space.count == facts["minutiae"]["in_space"] > 20
+    arrays = read_npz(result / "height.npz")
+    assert (
+        float(np.nanmin(arrays["height_mm"])) <= space.z_mm.min() <= space.z_mm.max() <= np.nanmax(arrays["height_mm"])
+    )
+    assert space.y_mm.max() - space.y_mm.min() > 10  # along the finger
+    # the print is mirrored: what is at its left lies at the finger's right
+    places = np.stack([view.x_px, view.y_px], axis=1).astype(float)
+    known = np.isfinite(made.map.input_from_print(places)).all(axis=1)
+    if known.sum() == space.count:
+        assert np.corrcoef(places[known, 0], space.x_mm)[0, 1] < -0.95
+
+
+def test_pores_are_refused_where_pixels_are_too_large(result: Path, tmp_path: Path, capsys) -> None:
+    assert "pores need pixels of at most 34 um, but these have 60" in refusal(
+        capsys, result, "--pores", "--out", tmp_path / "out"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -> None:
+    coarse = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "a")
+    fine = facts_of(capsys, result, "--method", "relief", "--ppi", 1000, "--out", tmp_path / "b")
+    assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(1000, abs=0.02)
+    assert np.allclose(np.array(fine["size"]) / 2, coarse["size"], atol=1)
+    assert fine["ridge_period_mm"]["median"] == pytest.approx(coarse["ridge_period_mm"]["median"], rel=0.02)
+    tube = facts_of(capsys, result, "--surface", "tube", "--set", "enhance=stft", "--out", tmp_path / "c")
+    assert tube["surface"] == "tube"
+    assert tube["enhanced"] == "stft"
+    wide = facts_of(capsys, result, "--method", "curvature", "--surface", "cylinder", "--out", tmp_path / "d")
+    assert wide["size"][1] > coarse["size"][1]
+    assert "distortion" in wide
+
+
+def test_same_input_same_bytes(result: Path, tmp_path: Path, capsys) -> None:
+    for name in ("a", "b"):
+        facts_of(capsys, result, "--out", tmp_path / name)
+    for path in (tmp_path / "a").iterdir():
+        if path.name != "report.json":
+            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.slow
+def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> None:
+    """Its kernels without AVX-512, which most processors run, round sums by how threads share them."""
+    for threads in "12":
+        out = tmp_path / threads
+        subprocess.run(
+            [sys.executable, "-m", "splitknit.cli.main", "print", result, "--method", "unroll", "--out", out],
+            env={**os.environ, "OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": threads},
+            check=True,
+        )
+    for name in ("print.png", "enhanced.png"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
+
+
+def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
+    facts = facts_of(capsys, twin_folder, "--method", "photo", "--out", tmp_path / "photo")
+    assert facts["source"]["kind"] == "capture"
+    assert facts["surface"] == "plane"
+    assert facts["ridge_area_mm2"] > 150
+    assert "minutiae3d.json" not in facts["files"]
+
+
+def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
+    """Ridges are dark in it where they are high in the truth."""
+    from splitknit.finger.ridges import ink
+    from splitknit_match.prints.make import make_print
+    from splitknit_match.prints.print_map import resample
+    from splitknit_match.prints.sources import read_source
+
+    source = read_source(twin_folder, photo=True, surface=False)
+    made = make_print(source, "photo")
+    truth = np.load(twin_folder / "truth.npz")
+    relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
+    known = source.mask & np.isfinite(relief)
+    true = ink(*resample(np.where(known, relief, np.float32(0)), known, source.pitch_mm, made.map))
+    middle = tuple(slice(n // 2 - 90, n // 2 + 90) for n in true.shape)
+    assert np.corrcoef(made.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
+
+
+def test_without_the_finder_of_minutiae(result: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "nbis", None)
+    from splitknit_match.matching import minutiae
+
+    minutiae._extractor.cache_clear()
+    words = ("--method", "relief", "--set", "minutiae=print")
+    facts = facts_of(capsys, result, *words, "--out", tmp_path / "out")
+    assert not facts["minutiae"]["written"]
+    assert "pip install" in facts["minutiae"]["missing"]
+    assert (tmp_path / "out" / "enhanced.png").is_file()
+    assert not (tmp_path / "out" / "minutiae.iso").exists()
+    assert "minutiae=phase" in facts["minutiae"]["missing"]
+    without = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "phase")
+    assert without["minutiae"]["written"] and without["minutiae"]["count"] > 30
+    assert (tmp_path / "phase" / "minutiae.iso").is_file()
+
+
+def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert "there is no" in refusal(capsys, tmp_path / "nothing", "--out", out)
+    (tmp_path / "empty").mkdir()
+    assert "neither a capture" in refusal(capsys, tmp_path / "empty", "--out", out)
+    assert "no photograph" in refusal(capsys, result, "--method", "photo", "--out", out)
+    assert "--method relief" in refusal(capsys, result, "--method", "unroll", "--surface", "plane", "--out", out)
+    assert "unroll.kind" in refusal(capsys, result, "--set", "unroll.kind=apple", "--out", out)
+    arrays = read_npz(result / "height.npz")
+
+    def changed(name: str, **others: object) -> Path:
+        folder = tmp_path / name
+        folder.mkdir()
+        write_npz(folder / "height.npz", {**arrays, **others})
+        return folder
+
+    assert "no scale" in refusal(capsys, changed("scale", pitch_mm=np.float64(0.0)), "--out", out)
+    without = {name: value for name, value in arrays.items() if name != "pitch_mm"}
+    (tmp_path / "without").mkdir()
+    write_npz(tmp_path / "without" / "height.npz", without)
+    assert "no scale" in refusal(capsys, tmp_path / "without", "--out", out)
+    flat = changed("flat", ridge_mm=np.zeros_like(arrays["ridge_mm"]))
+    for method in ("relief", "unroll"):
+        assert "no ridges" in refusal(capsys, flat, "--method", method, "--out", out)
+    assert "another shape" in refusal(capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out)
+    assert "mask is empty" in refusal(capsys, changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out)
+    (tmp_path / "scale" / "height.npz").write_bytes(b"PK nonsense")
+    refusal(capsys, tmp_path / "scale", "--out", out)
+    assert not out.exists()
+
+
+def test_an_earlier_result_is_not_overwritten(result: Path, capsys) -> None:
+    assert "name another folder" in refusal(capsys, result, "--out", result)
+    assert (result / "height.npz").is_file()
+
+
+def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:
+    """A good finger is called good; a shallow one scores less, and a sentence says what to do."""
+    good = facts_of(capsys, result, "--out", tmp_path / "good")["quality"]
+    assert good["ours"] > 70
+    assert not any("moisten" in words for words in good["advice"])
+    assert 0.35 < good["figures"]["period_mm"] < 0.6
+    arrays = read_npz(result / "height.npz")
+    shallow = tmp_path / "shallow_result"
+    shallow.mkdir()
+    write_npz(shallow / "height.npz", {**arrays, "ridge_mm": np.float32(0.3) * arrays["ridge_mm"]})
+    assert main(["print", str(shallow), "--out", str(tmp_path / "shallow"), "--ppi", "1000"]) == 0
+    words = capsys.readouterr().out.splitlines()
+    facts = json.loads((tmp_path / "shallow" / "report.json").read_text())
+    weak = facts["quality"]
+    assert weak["ours"] < good["ours"] - 5
+    assert weak["figures"]["ridge_height_um"] == pytest.approx(0.3 * good["figures"]["ridge_height_um"], rel=0.1)
+    assert 1 <= len(weak["advice"]) <= 3
+    assert any("moisten the finger" in sentence for sentence in weak["advice"])
+    assert set(weak["advice"]) <= set(words)
+    assert f"Quality: {weak['ours']:.0f} of 100" in " ".join(words)
+    if facts["minutiae"]["written"]:
+        from splitknit_match.records.minutiae_files import read_minutiae_record
+
+        assert read_minutiae_record(tmp_path / "shallow" / "minutiae.iso").views[0].finger_quality == round(
+            weak["ours"]
+        )
+        assert 0 <= weak["nfiq2"]["print"] <= 100
+
+
+def test_advice_is_chosen_by_the_worst_figure() -> None:
+    from dataclasses import replace
+
+    from splitknit_match.prints.folder import advice
+    from splitknit_match.prints.print_quality import PrintQuality, QualityFigures, score_of
+
+    good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
+
+    def said(**changes: float) -> tuple[str, ...]:
+        figures = replace(good, **changes)
+        return advice(PrintQuality(*score_of(figures)[:1], figures, score_of(figures)[1]))
+
+    assert said() == ()
+    wanted = {
+        "moisten": {"ridge_height_um": 15.0}, "clean finger and lens": {"ridge_share": 0.4},
+        "wipe the finger": {"gap_share": 0.3}, "directions": {"coherence": 0.6}, "distances": {"plausible_share": 0.6},
+        "focus the camera": {"sharpness": 0.04, "ridge_height_um": 40.0}, "push the finger": {"ridge_length_mm": 9.0},
+        "turn its pad": {"centre_offset_mm": 6.0},
+    }  # fmt: skip
+    for words, changes in wanted.items():
+        assert len(said(**changes)) == 1
+        assert words in said(**changes)[0], words
+    assert said(sharpness=0.04) == ()  # high ridges: the finger's own
+    many = said(ridge_length_mm=7.0, ridge_area_mm2=40.0, ridge_height_um=10.0, gap_share=0.25, centre_offset_mm=5.0)
+    assert len(many) == 3
+    assert "push" in many[0]
+    assert "moisten" in many[1]

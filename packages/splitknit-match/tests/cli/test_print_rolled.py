@@ -1,0 +1,106 @@
+"""``splitknit print --method rolled``: its files and facts, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rolled_scene as scene
+from splitknit.cli.main import main
+from splitknit.io.capture import write_capture
+from splitknit.model import Capture
+from splitknit_match.cli.print import _words
+from splitknit_match.records.minutiae3d import read_minutiae3d
+from written_files import read_ply
+
+QUICK = [
+    "--set", "rolled.pitch_mm=0.07", "--set", "rolled.search.across_mm=[0.6,0.06]",
+    "--set", "rolled.search.along_mm=[0.06,0.06]", "--set", "rolled.search.candidates=3",
+]  # fmt: skip
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["print", *map(str, arguments)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = printed.err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
+    return scene.capture(("right",))
+
+
+@pytest.mark.slow
+def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
+    capture, masks = drawn
+    write_capture(capture, tmp_path / "capture")
+    views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
+    monkeypatch.setattr("splitknit_match.rolled.views.find_mirror_views", lambda *_: views)
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), *QUICK, "--json"]
+    assert main(["print", *arguments]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["surface"] == "free"
+    assert {"print.png", "rolled.ply", "report.json", "distortion.png"} <= set(facts["files"])
+    rolled = facts["rolled"]
+    assert rolled["views"] == ["front", "right"]
+    assert rolled["warnings"] == ["the left view is cut off."]
+    assert "Please note: the left view is cut off." in _words(facts)
+    assert 150 < rolled["coverage_deg"]["median"] < 200
+    assert len(rolled["coverage_deg"]["rows"]) == len(rolled["coverage_deg"]["rows_mm"])
+    assert rolled["seams"]["right"]["step_rms_um"] < 10
+    assert rolled["seams"]["right"]["views_correlate"] > 0.6
+    assert sum(rolled["share_of_views"].values()) == pytest.approx(1.0, abs=0.01)
+    # the skin's true size: the width of the print is the length around the finger
+    around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)
+    assert facts["size"][1] * 25.4 / 500 == pytest.approx(around, rel=0.15)
+    mesh = read_ply(out / "rolled.ply")
+    assert len(mesh.vertices_mm) == rolled["mesh_points"]
+    # the side of +x is there, that of -x is not, and the mesh turns its outside outwards
+    assert mesh.vertices_mm[:, 0].max() > 7.5
+    corners = mesh.vertices_mm[mesh.faces].astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outwards = (normal * (corners.mean(axis=1) * [1, 0, 1])).sum(axis=1) > 0
+    assert outwards.mean() > 0.99
+    if facts["minutiae"]["written"] and facts["minutiae"]["count"]:
+        assert facts["minutiae"]["in_space"] > 0
+        record = read_minutiae3d(out / "minutiae3d.json")
+        assert np.abs(np.asarray(record.x_mm)).max() < scene.A + 0.5
+
+
+def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> None:
+    capture, _ = drawn
+    bare = replace(capture, rig=replace(capture.rig, mirrors=()))
+    write_capture(bare, tmp_path / "bare")
+    out = tmp_path / "out"
+    said = refusal(capsys, tmp_path / "bare", "--method", "rolled", "--out", out)
+    assert "no mirrors beside the finger" in said
+    assert not out.exists()
+
+
+def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path: Path, capsys) -> None:
+    said = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
+    assert "not a capture folder" in said
+    said = refusal(capsys, tmp_path, "--method", "rolled", "--surface", "tube", "--out", tmp_path / "out")
+    assert "free or arc, not on the tube" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
+    made = ["simulate", "--out", str(tmp_path / "capture"), "--seed", "105", "--scale", "0.6", "--no-nir"]
+    assert main([*made, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0
+    capsys.readouterr()
+    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(tmp_path / "out"), "--json"]
+    assert main(["print", *arguments]) == 0
+    rolled = json.loads(capsys.readouterr().out)["rolled"]
+    assert rolled["coverage_deg"]["median"] > 160
+    assert set(rolled["views"]) == {"front", "left", "right"}
+    assert all(seam["step_rms_um"] < 10 for seam in rolled["seams"].values())

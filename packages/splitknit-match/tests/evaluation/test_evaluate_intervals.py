@@ -1,0 +1,322 @@
+"""Intervals: replicates agree with the rates themselves, clusters hang together, and the truth is covered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.special import betainc, ndtr
+
+from splitknit.errors import BadInput
+from splitknit_match.evaluation.intervals import (
+    BootstrapSettings,
+    _cell_weights,
+    _cluster_units,
+    _figures_of,
+    _Layout,
+    _make_cells,
+    _plain_units,
+    bootstrap,
+    differences,
+)
+from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
+from splitknit_match.evaluation.rates import auc, d_prime, equal_error, error_bound, gar_at_far
+from splitknit_match.evaluation.scores import Ids, Scores, ids_of
+
+LAYOUT = _Layout((0.5, 0.1, 0.01), (0.03, 0.3))
+FEW = BootstrapSettings(replicates=100, curve_points=5)
+scores_1d = st.lists(
+    st.one_of(st.integers(-5, 5).map(float), st.floats(-3, 3).map(lambda s: round(s, 6)), st.just(float("nan"))),
+    min_size=1,
+    max_size=15,
+)
+sides = st.tuples(scores_1d, scores_1d).filter(lambda both: not any(np.isnan(side).all() for side in both))
+
+
+def expected(genuine: np.ndarray, impostor: np.ndarray) -> list[float]:
+    """The row of figures from the scores themselves."""
+    distance = d_prime(genuine, impostor)
+    return [
+        equal_error(genuine, impostor).value,
+        *(gar_at_far(genuine, impostor, far).gar for far in LAYOUT.targets),
+        equal_error(genuine, impostor, counting="made").value,
+        *(gar_at_far(genuine, impostor, far, counting="made").gar for far in LAYOUT.targets),
+        auc(genuine, impostor),
+        float("nan") if distance is None else distance,
+        *(gar_at_far(genuine, impostor, far).gar for far in LAYOUT.curve),
+    ]
+
+
+def plain_scores(genuine: np.ndarray, impostor: np.ndarray, name: str = "scores") -> Scores:
+    label = np.repeat([True, False], [genuine.size, impostor.size])
+    return Scores(label, np.concatenate([genuine, impostor]), name=name)
+
+
+def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 0.8) -> Scores:
+    """Scores with an effect of each finger, of 3 + spread q_a and spread (q_a + q_b) / 2, noise of one."""
+    generator = np.random.default_rng(seed)
+    finger, session = np.tile(np.arange(fingers), sessions), np.repeat(np.arange(sessions), fingers)
+    pairs = comparisons(finger, session)
+    effect = spread * generator.normal(size=fingers)
+    a, b = effect[finger[pairs.a]], effect[finger[pairs.b]]
+    score = np.where(pairs.genuine, 3 + a, (a + b) / 2) + generator.normal(size=pairs.a.size)
+    return scores_of_comparisons(pairs, score, finger, session, finger // 3)
+
+
+@given(sides, st.integers(0, 1000))
+def test_a_replicate_has_the_figures_of_its_scores(both: tuple[list[float], list[float]], seed: int) -> None:
+    genuine, impostor = map(np.array, both)
+    cells = _make_cells(genuine, impostor)
+    generator = np.random.default_rng(seed)
+    times = [np.ones(side.size, dtype=np.int64) for side in (genuine, impostor)]
+    if seed:
+        times = [generator.integers(0, 3, side.size) for side in (genuine, impostor)]
+    weights = [
+        np.bincount(cell, weights=number, minlength=cells.count + 1)
+        for cell, number in zip((cells.genuine, cells.impostor), times, strict=True)
+    ]
+    row = _figures_of(cells, weights[0], weights[1], LAYOUT)
+    drawn = [np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)]
+    if any(np.isnan(side).all() for side in drawn):  # an empty side too
+        assert np.isnan(row).all()
+        return
+    np.testing.assert_allclose(row, expected(*drawn), rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("limit", [60, 600])
+def test_few_cells_are_good_enough(limit: int) -> None:
+    generator = np.random.default_rng(1)
+    genuine, impostor = generator.normal(2, 1, 15), generator.normal(0, 1, 5000)
+    cells = _make_cells(genuine, impostor, limit)
+    assert cells.count <= limit
+    weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
+    row = dict(zip(LAYOUT.names, _figures_of(cells, *weights, LAYOUT), strict=True))
+    truth = dict(zip(LAYOUT.names, expected(genuine, impostor), strict=True))
+    for name in LAYOUT.names:  # all genuine scores are cells of their own: only the crossing's place is rough
+        assert row[name] == pytest.approx(truth[name], abs=2e-4 if name.startswith("eer") else 1e-3), name
+    assert cells.crowded.any()
+
+
+def test_a_crossing_among_many_impostors_is_not_biased() -> None:
+    genuine, impostor = np.array([-5.0, -4.0, 0.0, 9.0]), np.linspace(-1, 1, 4001)  # FRR is 1/2 from -4 to 0
+    cells = _make_cells(genuine, impostor + 0.01, 12)
+    weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
+    assert _figures_of(cells, *weights, LAYOUT)[0] == pytest.approx(
+        equal_error(genuine, impostor + 0.01).value, abs=1e-3
+    )
+
+
+def test_the_highest_impostors_are_cells_of_their_own() -> None:
+    impostor = np.arange(100_000.0)
+    cells = _make_cells(np.array([5.0, 99_990.0]), impostor, 1200)
+    top = cells.impostor[-100:]
+    assert np.unique(top).size == 100 and not cells.crowded[top].any()
+
+
+def test_cells_fall_and_failures_come_last() -> None:
+    cells = _make_cells(np.array([3.0, np.nan, 1.0]), np.array([1.0, 2.0, np.nan]))
+    assert cells.genuine.tolist() == [0, 3, 2] and cells.impostor.tolist() == [2, 1, 3]
+    assert not cells.crowded.any()
+
+
+def test_clusters_weigh_as_often_as_they_are_drawn() -> None:
+    ids = ids_of(["a", "b", "c", "a", "a", "b"], ["a", "b", "c", "b", "c", "c"])
+    label = np.array([True, True, True, False, False, False])
+    score = np.array([9.0, 8.0, 7.0, 3.0, 2.0, 1.0])
+    units = _cluster_units(label, ids)
+    assert units.clusters == 3
+    cells = _make_cells(score[label], score[~label])
+    batches = list(_cell_weights(units, [cells], 200, 0))
+    genuine = np.concatenate([one[0][0] for one in batches], axis=1)
+    impostor = np.concatenate([one[0][1] for one in batches], axis=1)
+    a, b, c = genuine[:3]
+    np.testing.assert_array_equal(a + b + c, 3)
+    np.testing.assert_array_equal(impostor[3:6], [a * b, a * c, b * c])
+    assert (a.mean(), a.var()) == (pytest.approx(1, abs=0.15), pytest.approx(2 / 3, abs=0.2))
+
+
+def test_fingers_of_one_subject_come_along_together() -> None:
+    label = np.array([True, True, False, False])
+    subject = Ids(np.array([[0, 0], [1, 1], [0, 0], [0, 1]]), ("s", "t"))
+    units = _cluster_units(label, subject)
+    drawn = units.draw(np.random.default_rng(0), 50)
+    by_unit = drawn[1][units.impostor]
+    np.testing.assert_array_equal(by_unit[0], drawn[0][0])
+    np.testing.assert_array_equal(by_unit[1], drawn[0][0] * drawn[0][1])
+
+
+def test_plain_draws_are_as_many_as_there_are() -> None:
+    genuine, impostor = np.repeat([1.0, 2.0], 50), np.arange(30.0)
+    cells = _make_cells(genuine, impostor)
+    for units in (
+        _plain_units(cells.genuine, cells.impostor, cells.count + 1),
+        _plain_units(np.arange(100), np.arange(30)),
+    ):
+        for batch in _cell_weights(units, [cells], 70, 3):
+            assert (batch[0][0].sum(axis=0) == 100).all() and (batch[0][1].sum(axis=0) == 30).all()
+
+
+def test_the_seed_is_all_that_differs() -> None:
+    scores = population(0)
+    for method in ("plain", "finger", "subject"):
+        first, again = bootstrap(scores, method, FEW), bootstrap(scores, method, FEW)
+        assert first.figures == again.figures
+        np.testing.assert_array_equal(first.curve_low, again.curve_low)
+        other = bootstrap(scores, method, replace(FEW, seed=1))
+        assert other.figures["eer"] != first.figures["eer"]
+        assert other.figures["eer"].value == first.figures["eer"].value
+        for figure in first.figures.values():
+            assert figure.low <= figure.value <= figure.high
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_clusters_give_wider_intervals_where_fingers_differ(seed: int) -> None:
+    scores = population(seed, sessions=4, spread=1.5)
+    widths = {}
+    for method in ("plain", "finger"):
+        found = bootstrap(scores, method, FEW).figures
+        widths[method] = [found[name].high - found[name].low for name in ("eer", "gar@0.01", "auc", "d_prime")]
+    assert (np.array(widths["finger"]) > np.array(widths["plain"])).all()
+    assert widths["finger"][-1] > 1.25 * widths["plain"][-1]
+
+
+def test_clusters_change_little_where_fingers_do_not_differ() -> None:
+    scores = population(4, fingers=60, spread=0.0)
+    widths = [np.ptp([one.low, one.high]) for one in (bootstrap(scores, m, FEW).figures["auc"] for m in _BOTH)]
+    assert 0.6 < widths[1] / widths[0] < 1.6
+
+
+_BOTH = ("plain", "finger")
+
+
+def test_plain_intervals_cover() -> None:
+    generator = np.random.default_rng(11)
+    truth = {"eer": ndtr(-1.0), "auc": ndtr(np.sqrt(2.0)), "d_prime": 2.0, "gar@0.1": ndtr(2 - 1.2815515655446004)}
+    settings = BootstrapSettings(replicates=100, targets=(0.1,), curve_points=0)
+    hits = dict.fromkeys(truth, 0)
+    for trial in range(100):
+        scores = plain_scores(generator.normal(2, 1, 150), generator.normal(0, 1, 300))
+        found = bootstrap(scores, "plain", replace(settings, seed=trial)).figures
+        for name, value in truth.items():
+            hits[name] += found[name].low <= value <= found[name].high
+    assert min(hits.values()) >= 87, hits
+    assert max(hits.values()) < 100
+
+
+@pytest.mark.slow
+def test_clustered_intervals_cover_and_plain_ones_do_not() -> None:
+    spread = 1.5
+    wide, narrow = np.sqrt(1 + spread**2), np.sqrt(1 + spread**2 / 2)
+    threshold = brentq(lambda t: ndtr((t - 3) / wide) - ndtr(-t / narrow), 0, 3)
+    truth = ndtr(-threshold / narrow)
+    settings = BootstrapSettings(replicates=100, targets=(0.1,), curve_points=0)
+    hits = dict.fromkeys(_BOTH, 0)
+    for trial in range(60):
+        scores = population(1000 + trial, fingers=40, sessions=4, spread=spread)
+        for method in _BOTH:
+            found = bootstrap(scores, method, replace(settings, seed=trial)).figures["eer"]
+            hits[method] += found.low <= truth <= found.high
+    assert hits["finger"] >= 52, hits
+    assert hits["plain"] <= 50, hits
+
+
+def test_no_error_is_not_certainty() -> None:
+    generator = np.random.default_rng(0)
+    scores = plain_scores(generator.normal(50, 1, 60), generator.normal(0, 1, 300))
+    found = bootstrap(scores, "plain", FEW).figures
+    assert (found["eer"].value, found["eer"].low, found["eer"].high) == (0.0, 0.0, 0.05)
+    assert (found["gar@0.01"].value, found["gar@0.01"].low, found["gar@0.01"].high) == (1.0, 0.95, 1.0)
+    turned = plain_scores(generator.normal(-50, 1, 60), generator.normal(0, 1, 300))
+    found = bootstrap(turned, "plain", FEW).figures
+    assert (found["gar@0.01"].low, found["gar@0.01"].high) == (0.0, 0.05)
+    by_finger = population(1, fingers=30, spread=0.0)
+    easy = Scores(by_finger.label, by_finger.score + 50 * by_finger.label, finger=by_finger.finger)
+    assert bootstrap(easy, "finger", FEW).figures["eer"].high == pytest.approx(0.1)  # 30 fingers, not 90 pairs
+
+
+def test_few_errors_are_no_certainty_either() -> None:
+    generator = np.random.default_rng(3)
+    genuine = np.append(generator.normal(50, 1, 59), -50.0)
+    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures["gar@0.01"]
+    assert found.value == pytest.approx(59 / 60)
+    assert betainc(2, 59, 1 - found.low) == pytest.approx(0.95)  # one error of 60, Clopper and Pearson
+    assert error_bound(0.0, 300) == 0.01 and error_bound(1.0, 5) == 1.0
+    assert error_bound(1e-12, 300) == pytest.approx(0.01, rel=0.01)  # it starts at the rule of three
+    many = plain_scores(np.append(generator.normal(50, 1, 300), np.full(100, -50.0)), generator.normal(0, 1, 300))
+    found = bootstrap(many, "plain", FEW).figures["gar@0.01"]
+    assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 * 0.75 / 400), rel=0.3)
+
+
+def test_failures_are_no_few_errors_of_the_matcher() -> None:
+    generator = np.random.default_rng(4)
+    genuine = np.append(generator.normal(50, 1, 40), np.full(20, np.nan))
+    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures
+    assert (found["eer_made"].low, found["eer_made"].high) == (0.0, 3 / 40)
+    assert found["gar@0.01_made"].low == pytest.approx(1 - 3 / 40)
+    assert found["gar@0.01"].value == pytest.approx(2 / 3) and found["gar@0.01"].high < 0.85
+
+
+def test_failures_widen_nothing_but_count() -> None:
+    scores = population(2)
+    score = scores.score.copy()
+    score[np.flatnonzero(scores.label)[:9]] = np.nan
+    found = bootstrap(replace(scores, score=score), "finger", FEW).figures
+    assert found["gar@0.01"].value == pytest.approx(found["gar@0.01_made"].value * 0.9)
+    assert found["gar@0.01"].high <= found["gar@0.01_made"].high
+
+
+@pytest.mark.parametrize("method", ["plain", "finger", "subject"])
+def test_differences_of_like_systems(method: str) -> None:
+    first = population(3)
+    noise = np.random.default_rng(9).normal(size=first.score.size)
+    second = replace(first, score=first.score + 0.3 * noise, name="noisier")
+    none = differences(first, first, method, FEW)
+    assert all((one.value, one.low, one.high) == (0, 0, 0) for one in none.values())
+    found = differences(first, second, method, FEW)
+    single = bootstrap(first, method, FEW).figures
+    for name in ("eer", "auc", "d_prime"):
+        assert found[name].low <= found[name].value <= found[name].high
+        assert found[name].high - found[name].low < single[name].high - single[name].low
+    back = differences(second, first, method, FEW)
+    assert back["eer"].value == -found["eer"].value
+    assert (back["eer"].low, back["eer"].high) == pytest.approx((-found["eer"].high, -found["eer"].low))
+    assert found["auc"].value > 0
+    much = replace(first, score=first.score + 2 * noise, name="much noisier")
+    assert differences(first, much, method, FEW)["auc"].low > 0  # beyond chance
+
+
+def test_progress_is_told() -> None:
+    told: list[float] = []
+    bootstrap(population(0), "finger", FEW, told.append)
+    assert told[-1] == 1.0 and told == sorted(told) and len(told) > 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"replicates": 5}, "replicates"),
+        ({"seed": -1}, "seed"),
+        ({"targets": (0.0,)}, "targets"),
+        ({"curve_points": -1}, "curve_points"),
+    ],
+)
+def test_bad_settings(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        BootstrapSettings(**settings)  # type: ignore[arg-type]
+
+
+def test_bad_requests() -> None:
+    scores = plain_scores(np.array([2.0, 3.0]), np.array([0.0, 1.0]))
+    with pytest.raises(BadInput, match="columns finger_a and finger_b"):
+        bootstrap(scores, "finger", FEW)
+    with pytest.raises(BadInput, match="draws by"):
+        bootstrap(scores, "hand", FEW)
+    with pytest.raises(BadInput, match="same pairs"):
+        differences(scores, plain_scores(np.array([2.0]), np.array([0.0, 1.0])), "plain", FEW)
+    two = Scores(np.array([True, True, False]), np.arange(3.0), finger=ids_of(["a", "b", "a"], ["a", "b", "b"]))
+    with pytest.raises(BadInput, match="three of them"):
+        bootstrap(two, "finger", FEW)

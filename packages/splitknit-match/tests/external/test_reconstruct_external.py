@@ -1,0 +1,261 @@
+"""Pictures of others through the whole pipeline, with every preset: figures, and files through the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.cli.main import main
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import write_capture
+from splitknit.io.light_list import read_named_lights
+from splitknit.io.plain import PhotographOptions, capture_from_plain_images
+from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
+from splitknit.pipeline import reconstruct
+from splitknit.report.result import FILES
+from splitknit.steps import Memory
+
+pytestmark = pytest.mark.external
+
+PRESETS = ("metric", "snk", "pr", "ea")
+
+
+def needed(path: Path) -> Path:
+    if not path.exists():
+        pytest.skip(f"{path} is absent")
+    return path
+
+
+@pytest.fixture(scope="module")
+def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
+    """DiLiGenT's bear and its scanned normals."""
+    with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
+        images, lights, mask, normals = (data[name] for name in ("images", "lights", "mask", "normals"))
+    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
+    count = len(leds)
+    band = Band("white", images[..., None], tuple((k,) for k in range(count)), np.ones(count), np.zeros(count))
+    rig = Rig(Camera(4.0, (images.shape[1], images.shape[2])), leds)
+    return Capture(rig, {"white": band}, material="opaque", mask=mask.astype(bool)), normals
+
+
+@pytest.fixture(scope="module")
+def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
+    """The grey ball, and the heights in mm of the sphere that its outline gives."""
+    folder = needed(data_dir / "psm_spheres")
+    images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
+    lights = read_named_lights(folder / "lights.txt")[0]
+    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(mask=folder / "gray" / "gray.mask.png"))
+    assert capture.mask is not None
+    rows, columns = np.nonzero(capture.mask)
+    radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
+    i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
+    x, y = (j - (columns.min() + columns.max()) / 2) / radius, (i - (rows.min() + rows.max()) / 2) / radius
+    sphere = np.where(np.hypot(x, y) < 0.95, np.sqrt(np.clip(1 - x * x - y * y, 0, None)), np.nan)
+    return capture, sphere * radius / 5.0
+
+
+@pytest.fixture(scope="module")
+def phalange(data_dir: Path) -> Capture:
+    """The sculpted phalange, at a scale that makes it 16 mm wide."""
+    folder = needed(data_dir / "blender_finger" / "phalange")
+    images = [folder / f"light_{k:02d}.png" for k in range(12)]
+    lights = read_named_lights(folder / "lights.txt")[0]
+    return capture_from_plain_images(images, lights, 40.0, PhotographOptions(mask=folder / "mask.png", background=71))
+
+
+@pytest.fixture(scope="module")
+def memory_of_phalange(phalange: Capture) -> Memory:
+    return Memory(phalange)
+
+
+@pytest.fixture(scope="module")
+def memory_of_ball(ball: tuple[Capture, np.ndarray]) -> Memory:
+    return Memory(ball[0])
+
+
+def sound(result: Reconstruction, mask: BoolArray) -> None:
+    np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
+    for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
+        np.testing.assert_array_equal(np.isfinite(field), mask)
+    np.testing.assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
+    assert not result.normals[~mask].any()
+
+
+def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
+    return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
+
+
+LINEAR = {"enhance.cells.grey": "linear"}
+"""Equalise linear light; the thesis's images were equalised in their sRGB code, which bends shapes twice as much."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("preset", "changes", "limit_deg"),
+    [("metric", {}, 6.0), ("snk", {}, 9.6), ("ea", {}, 9.6), ("pr", LINEAR, 12.8), ("pr", {}, 19.6)],
+)
+def test_normals_of_the_bear(
+    bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
+) -> None:
+    """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo."""
+    capture, truth = bear
+    assert capture.mask is not None
+    result = reconstruct(capture, preset, changes)
+    sound(result, capture.mask)
+    error = angle_deg(result.normals, truth, capture.mask)
+    assert error < limit_deg
+    if preset == "metric":
+        white = capture.bands["white"]
+        stack = linear_stack(white, capture.encoding)
+        normals, _ = robust(stack, capture.rig.select(white.leds).light_vectors(), capture.mask)
+        assert error < angle_deg(normals, truth, capture.mask) + 0.5
+
+
+def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, np.ndarray]) -> None:
+    """Integration costs `ea` some of what its photometric stereo found; both are kept."""
+    capture, truth = bear
+    assert capture.mask is not None
+    result = reconstruct(capture, "ea")
+    assert result.normals_measured is not None
+    white = capture.bands["white"]
+    lights = capture.rig.select(white.leds).light_vectors()
+    plain, _ = lambertian(linear_stack(white, capture.encoding), lights, capture.mask)
+    np.testing.assert_allclose(result.normals_measured[capture.mask], plain[capture.mask], atol=1e-6)
+    measured = angle_deg(result.normals_measured, truth, capture.mask)
+    assert measured < 8.95 and measured + 0.2 < angle_deg(result.normals, truth, capture.mask)
+    assert not result.normals_measured[~capture.mask].any()
+    assert result.facts["yaw_deg"] == 0.0 and result.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "limit"),
+    [("metric", {}, 0.04), ("snk", {}, 0.03), ("ea", {}, 0.03), ("pr", LINEAR, 0.05), ("pr", {}, 0.105)],
+)
+def test_heights_of_the_ball(
+    ball: tuple[Capture, np.ndarray], memory_of_ball: Memory, preset: str, changes: dict[str, str], limit: float
+) -> None:
+    """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
+    capture, sphere = ball
+    assert capture.mask is not None
+    result = reconstruct(capture, preset, changes, memory=memory_of_ball)
+    sound(result, capture.mask)
+    error = (result.height_mm - sphere)[np.isfinite(sphere)]
+    assert error.std() < limit * np.nanmax(sphere)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, memory_of_phalange: Memory, preset: str) -> None:
+    assert phalange.mask is not None
+    result = reconstruct(phalange, preset, memory=memory_of_phalange)
+    sound(result, phalange.mask)
+    middle = result.ridge_mm[250:450, 500:700]
+    window = np.outer(np.hanning(200), np.hanning(200))
+    power = np.abs(np.fft.fft2((middle - middle.mean()) * window)) ** 2
+    cycles = np.hypot(np.fft.fftfreq(200)[:, None], np.fft.fftfreq(200)[None, :])  # per pixel
+    ridges = (cycles > 1 / 60) & (cycles < 1 / 4)
+    period_mm = float(power[ridges].sum() / (power * cycles)[ridges].sum()) * result.pitch_mm
+    assert 0.35 < period_mm < 0.55
+    low, high = np.percentile(result.ridge_mm[phalange.mask], [5, 95])
+    assert 0.04 < high - low < 0.4  # sculpted deep
+    across = result.shape_mm[350]
+    inside = np.flatnonzero(np.isfinite(across))
+    flanks = across[inside[[20, -21]]]
+    assert (flanks < np.nanmax(across) - 2.0).all()  # round: high in the middle
+    assert inside[0] + 0.25 * inside.size < np.nanargmax(across) < inside[-1] - 0.25 * inside.size
+    along = result.shape_mm[20:, inside[inside.size // 2]]
+    assert np.ptp(along[np.isfinite(along)]) < 8.0
+
+
+@pytest.mark.slow
+def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Path, capsys) -> None:
+    """Through files and the command line: the same finger, and all results."""
+    assert phalange.mask is not None
+    given = phalange.mask
+    write_capture(phalange, tmp_path / "capture")
+    document = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    del document["mask"]
+    (tmp_path / "capture" / "capture.json").write_text(json.dumps(document))
+    out = tmp_path / "result"
+    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert {path.name for path in out.iterdir()} >= {*FILES, "surface.ply"} - {
+        "print.png",
+        "phalange.ply",
+    }  # an opaque thing is no finger
+    assert facts["facts"]["separation"] == "none (opaque material)"
+    with np.load(out / "height.npz") as arrays:
+        mask = arrays["mask"]
+        assert (mask & given).sum() > 0.94 * (mask | given).sum()
+        assert np.isfinite(arrays["height_mm"][mask]).all()
+    # its lamps stand in one plane, 3 units high: their light falls by the square of the distance, by 11 %
+    assert ["may differ in brightness, by 11 %" in one for one in facts["warnings"]] == [True]
+    assert not (out / "print.png").exists()
+    assert main(["print", str(out), "--method", "relief", "--out", str(tmp_path / "print")]) == 0
+    prints = cv2.imread(str(tmp_path / "print" / "print.png"), cv2.IMREAD_GRAYSCALE)
+    assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
+
+
+@pytest.mark.slow
+def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
+    """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast shadows."""
+    folder = needed(data_dir / "elastomer")
+    names = [f"image{k:02d}.png" for k in range(7, 13)]
+    pressed, flat = (
+        np.stack([cv2.imread(str(folder / part / name), cv2.IMREAD_GRAYSCALE) for name in names]).astype(np.float32)
+        for part in ("BGA-001", "Flat-001")
+    )
+    ratio = pressed / np.maximum(flat, 1)
+    outlines = re.findall(r"x: ([\d.]+)\s+y: ([\d.]+)", (folder / "BGA-001" / "scan.yaml").read_text("utf-8"))
+    centres, pitch_mm, radius_mm = np.array(outlines, dtype=float), 0.00340346, 0.2475
+    radius = radius_mm / pitch_mm
+
+    def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Pixels (n,) within 0.6 of the radius, and the ball's normals (3, n) there."""
+        rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
+        u, v = (columns - x) / radius, (y - rows) / radius
+        part = u * u + v * v < 0.36
+        return (rows[part], columns[part]), np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])[:, part]
+
+    left = [cap(x, y) for x, y in centres if 60 < x < 900 and 60 < y < len(ratio[0]) - 60]
+    truth = np.concatenate([normals.T for _, normals in left])
+    light = np.concatenate([ratio[:, *part].T for part, _ in left])
+    *vectors, ambient = np.linalg.lstsq(np.c_[truth, np.ones(len(truth))], light, rcond=None)[0]
+    lights = np.array(vectors).T
+    crop = np.s_[500:1400, 1000:1900]
+    strength = np.linalg.norm(lights, axis=1)
+    images = ((ratio - ambient[:, None, None]) / strength[:, None, None])[:, *crop] * 12000
+    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in lights / strength[:, None])
+    band = Band(
+        "white",
+        np.clip(images, 0, 65535).astype(np.uint16)[..., None],
+        tuple((k,) for k in range(6)),
+        np.ones(6),
+        np.zeros(6),
+    )
+    capture = Capture(
+        Rig(Camera(1 / pitch_mm, images.shape[1:]), leds),
+        {"white": band},
+        material="opaque",
+        mask=np.ones(images.shape[1:], bool),
+    )
+    error = {}
+    for preset in ("metric", "ea"):
+        height = np.full(ratio.shape[1:], np.nan)
+        height[crop] = reconstruct(capture, preset).height_mm * 1000
+        rms = []
+        for x, y in centres:
+            if not (1060 < x < 1840 and 560 < y < 1340):
+                continue
+            part, normals = cap(x, y)
+            rms.append((height[part] - normals[2] * radius_mm * 1000).std())
+        error[preset] = float(np.sqrt(np.mean(np.square(rms))))
+        assert len(rms) == 6
+    assert error["metric"] < min(1.6, error["ea"])

@@ -1,0 +1,131 @@
+"""The index of minutiae: it finds what comparing all by minutiae finds, in whatever steps it was made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit_match
+from splitknit_match.gallery.enrol import templates_hash
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.minutia_index import MinutiaIndex
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.minutia_pairs import pair_minutiae
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.template import Template, pack, print_size, unpack
+
+from test_open_gallery import PPI, press  # isort: skip
+
+CAPTURES = 300
+
+
+def seen(seed: int, turned: float = 0.0, shift: tuple[float, float] = (0.0, 0.0), again: int | None = None) -> bytes:
+    """Template of random minutiae; of another press of the same finger, turned and shifted by pixels of 500 ppi."""
+    rng = np.random.default_rng(seed)
+    valid = np.ones((170, 170), dtype=bool)
+    size = print_size(Template(np.zeros(valid.shape, np.uint8), valid, 0.1))
+    place = rng.uniform(-150, 150, (40, 2)) @ np.array([1, 1j])
+    turn = rng.uniform(0, 2 * np.pi, 40)
+    if again is not None:
+        rng = np.random.default_rng(again)
+        kept = rng.random(40) > 0.25
+        place, turn = place[kept] + rng.normal(0, 2, (kept.sum(), 2)) @ np.array([1, 1j]), turn[kept]
+        place, turn = place * np.exp(1j * turned) + complex(*shift), turn - turned + rng.normal(0, 0.1, kept.sum())
+    x, y = np.rint(place.real + size[1] / 2).astype(np.int32), np.rint(place.imag + size[0] / 2).astype(np.int32)
+    inside = (x >= 0) & (x < size[1]) & (y >= 0) & (y < size[0])
+    kinds = np.zeros(inside.sum(), np.uint8)
+    minutiae = Minutiae(x[inside], y[inside], turn[inside] % (2 * np.pi), kinds, kinds + np.uint8(80), size)
+    return pack(Template(np.zeros(valid.shape, np.uint8), valid, 0.1, minutiae))
+
+
+def cylinders(payload: bytes):
+    return Prepared(unpack(payload)).cylinders
+
+
+@pytest.fixture(scope="module")
+def gallery() -> dict[int, bytes]:
+    return {10 * k: seen(k) for k in range(CAPTURES)}
+
+
+def test_it_finds_what_comparing_all_finds(gallery) -> None:
+    index = MinutiaIndex(gallery, Path("g.skg"))
+    assert len(index) == CAPTURES and not index.others
+    for k in range(0, CAPTURES, 25):
+        probe = cylinders(seen(k, 0.3 * k, (12.0, -9.0), again=k + 1))
+        assert index.nearest(probe, 5)[0] == 10 * k
+    # the reference, which compares with each
+    probe = cylinders(seen(7, 1.0, (5.0, 5.0), again=1))
+    support = {row: max((one.support for one in pair_minutiae(probe, cylinders(gallery[row]))), default=0.0)
+               for row in list(gallery)[:60]}  # fmt: skip
+    assert max(support, key=support.__getitem__) == index.nearest(probe, 1)[0] == 70
+
+
+def test_steps_make_no_difference(gallery) -> None:
+    rows = list(gallery)
+    first = MinutiaIndex({row: gallery[row] for row in rows[:200]}, Path("g.skg"))
+    changed = {row: gallery[row] for row in rows[50:]} | {rows[60]: seen(5000), 9999: b""}
+    same = set(rows[50:200]) - {rows[60]}
+    stepwise = MinutiaIndex(changed, Path("g.skg"), first, same)
+    whole = MinutiaIndex(changed, Path("g.skg"))
+    assert set(stepwise.rows.tolist()) == set(whole.rows.tolist()) == set(rows[50:])
+    for k in (20, 60, 130, 250):
+        probe = cylinders(seen(k, 0.5, again=3))
+        assert stepwise.nearest(probe, 20) == whole.nearest(probe, 20)
+    assert stepwise.nearest(cylinders(seen(5000, 2.0, again=8)), 1) == [rows[60]]
+
+
+def test_few_minutiae_are_compared_always(gallery) -> None:
+    bare = unpack(gallery[0])
+    index = MinutiaIndex({1: pack(Template(bare.level, bare.valid, 0.1)), 2: gallery[10]}, Path("g.skg"))
+    assert index.others == [1] and index.rows.tolist() == [2]
+    empty = MinutiaIndex({}, Path("g.skg"))
+    assert len(empty) == 0 and empty.nearest(cylinders(gallery[0]), 5) == []
+
+
+def test_a_search_ends_with_the_first_match(tmp_path: Path, monkeypatch) -> None:
+    file = tmp_path / "g.skg"
+    for number, name in enumerate(("ann", "bob", "cid"), start=1):
+        splitknit_match.enroll(file, press(number), name, "right_index", resolution_ppi=PPI, duplicates="allow")
+    monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
+    probe = splitknit_match.make_template(press(3, 9, 12.0), resolution_ppi=PPI).payload
+    found = splitknit_match.identify(file, probe)
+    every = splitknit_match.identify(file, probe, search="exhaustive")
+    assert (found.searched.method, found.searched.captures, found.searched.compared) == ("minutiae", 3, 1)
+    assert every.searched.compared == 3 and "first that matched" in found.searched.note
+    assert found.candidates[0] == every.candidates[0] and found.decision == every.decision
+    nobody = splitknit_match.make_template(press(9), resolution_ppi=PPI).payload
+    assert splitknit_match.identify(file, nobody).searched.compared == 3
+
+
+def test_an_absent_finger_is_compared_with_few(gallery, tmp_path: Path, monkeypatch) -> None:
+    """By default with an eighth of the list; the exhaustive search, the reference, finds the same who is there."""
+    monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
+    monkeypatch.setattr("splitknit_match.gallery.identify.LIST", 16)
+    with Gallery.create(tmp_path / "g.skg", templates_hash(MatchingSettings())) as made:
+        made.add(NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
+    with splitknit_match.OpenGallery.open(tmp_path / "g.skg") as opened:
+        absent = opened.identify(seen(4000))
+        assert absent.answer != "match" and absent.searched.compared == 2
+        assert "about 1 in 100 matches is lost" in absent.searched.note
+        assert opened.identify(seen(4000), search="minutiae").searched.compared == 16
+        found = [opened.identify(seen(7, 0.4, again=2), search=how) for how in ("auto", "exhaustive")]
+    assert found[1].searched.compared == 20
+    assert {one.candidates[0].person for one in found} == {"P7"}
+    assert found[0].candidates[0].similarity == found[1].candidates[0].similarity
+
+
+def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
+    sides = [
+        unpack(splitknit_match.make_template(press(1, *how), resolution_ppi=PPI).payload) for how in ((), (9, 12.0))
+    ]
+    expected = fused_match(*sides).similarity
+    monkeypatch.setattr("splitknit_match.matching.fusion.starts_by_ridges", None)
+    assert fused_match(*sides).similarity == expected
+    monkeypatch.setattr("splitknit_match.matching.fusion._SURE", 1000.0)
+    with pytest.raises(TypeError):
+        fused_match(*sides)

@@ -1,0 +1,159 @@
+"""Python without files: arrays, templates as bytes, a gallery that stays open, one finger under two names."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit_match
+from splitknit.errors import BadInput
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.key import Key
+from splitknit_match.matching.inputs import print_template
+from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
+
+PPI = 500.0
+
+
+def press(seed: int, shift: int = 0, noise: float = 0.0) -> np.ndarray:
+    """A print of a simulated finger, moved by some pixels."""
+    master = master_print("left_loop", seed, MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0))
+    image = np.pad(ink_print(master), 20, constant_values=255).astype(np.float32)
+    image = np.roll(image, shift, axis=1) + noise * np.random.default_rng(seed).standard_normal(image.shape)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def prints() -> dict[str, np.ndarray]:
+    return {"ann": press(1), "ann again": press(1, 9, 12.0), "bob": press(2), "bob again": press(2, -7, 12.0)}
+
+
+def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
+    from splitknit.io.prints import write_print_png
+
+    write_print_png(tmp_path / "a.png", prints["ann"])
+    write_print_png(tmp_path / "b.png", prints["ann again"])
+    of_files = splitknit_match.match(tmp_path / "a.png", tmp_path / "b.png")
+    of_arrays = splitknit_match.match(prints["ann"], prints["ann again"], resolution_ppi=PPI)
+    assert of_arrays.similarity == of_files.similarity
+    assert of_arrays.decision is not None and of_arrays.decision.match
+    made = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
+    assert made.payload and made.template is None and made.a.acquired
+    assert (
+        splitknit_match.match(made.payload, prints["ann again"], resolution_ppi=PPI).similarity == of_files.similarity
+    )
+    splitknit_match.make_template(prints["ann"], tmp_path / "a.skt", resolution_ppi=PPI)
+    assert splitknit_match.match(tmp_path / "a.skt", tmp_path / "b.png").similarity == of_files.similarity
+
+
+@pytest.mark.parametrize(
+    ("finger", "ppi", "words"),
+    [
+        (np.zeros((90, 90), np.uint8), None, "does not state its resolution; give it: `resolution_ppi`"),
+        (np.zeros((90, 90), np.uint8), 72.0, "between 200 and 5080"),
+        (np.zeros((90, 90), np.uint8), float("nan"), "between 200 and 5080"),
+        (np.zeros((90, 90)), PPI, r"must be \(H, W\) uint8"),
+        (np.zeros((90, 90, 3), np.uint8), PPI, r"must be \(H, W\) uint8"),
+        (b"no template", None, "contradicts itself|no packed"),
+        (7, None, "a finger is a path"),
+    ],
+)
+def test_what_is_no_finger_is_refused(finger, ppi, words: str, tmp_path: Path) -> None:
+    for call in (
+        lambda: splitknit_match.match(finger, finger, resolution_ppi=ppi),
+        lambda: splitknit_match.make_template(finger, resolution_ppi=ppi),
+        lambda: splitknit_match.enroll(tmp_path / "g.skg", finger, "Ann", "right_index", resolution_ppi=ppi),
+    ):
+        with pytest.raises(BadInput, match=words):
+            call()
+    assert not (tmp_path / "g.skg").exists()
+
+
+@pytest.mark.parametrize("key", [None, Key(bytes(range(32)), raw=True)], ids=["plain", "encrypted"])
+def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypatch) -> None:
+    if key is not None:  # by the index of minutiae, brought up to date
+        monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 0)
+    file = tmp_path / "people.skg"
+    with splitknit_match.OpenGallery.open(file, key) as gallery:
+        assert len(gallery) == 0
+        for name in ("ann", "bob"):
+            done = gallery.enroll(prints[name], name, "right_index", resolution_ppi=PPI)
+            assert done.alike == ()
+        found = gallery.identify(prints["ann again"], resolution_ppi=PPI)
+        assert found.candidates[0].person == "ann" and found.decision.match
+        fresh = splitknit_match.identify(file, prints["ann again"], key, resolution_ppi=PPI)
+        assert [one.similarity for one in fresh.candidates] == [one.similarity for one in found.candidates]
+        assert not gallery.identify(prints["ann again"], resolution_ppi=PPI, person="bob").decision.match
+        # what another program changes is seen with the next call
+        splitknit_match.enroll(file, press(3), "zoe", "left_thumb", key=key, resolution_ppi=PPI)
+        assert len(gallery) == 3
+        assert gallery.identify(press(3, 5), resolution_ppi=PPI).candidates[0].person == "zoe"
+        with Gallery.open(file, key) as other:
+            other.remove([one.row for one in other.entries("ann")])
+        assert "ann" not in [one.person for one in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates]
+
+
+def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
+    with splitknit_match.OpenGallery.open(tmp_path / "g.skg") as gallery:
+        for name in ("ann", "bob"):
+            gallery.enroll(prints[name], name, "right_index", resolution_ppi=PPI)
+        probe = splitknit_match.make_template(prints["bob again"], resolution_ppi=PPI).payload
+        expected = [(one.person, one.similarity) for one in gallery.identify(probe).candidates]
+        found: list[object] = []
+
+        def ask() -> None:
+            found.append([(one.person, one.similarity) for one in gallery.identify(probe).candidates])
+
+        threads = [threading.Thread(target=ask) for _ in range(4)]
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+        assert found == [expected] * 4
+        if hasattr(os, "fork"):
+            child = os.fork()
+            if child == 0:
+                same = [(one.person, one.similarity) for one in gallery.identify(probe).candidates] == expected
+                os._exit(0 if same else 1)
+            assert os.waitpid(child, 0)[1] == 0
+        assert [(one.person, one.similarity) for one in gallery.identify(probe).candidates] == expected
+
+
+def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
+    file = tmp_path / "g.skg"
+    splitknit_match.enroll(file, prints["ann"], "ann", "right_index", resolution_ppi=PPI)
+    with pytest.raises(BadInput, match="matches right index of another person, 'ann'"):
+        splitknit_match.enroll(file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI, duplicates="refuse")
+    assert len(splitknit_match.OpenGallery.open(file)) == 1
+    told = splitknit_match.enroll(file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI)
+    assert [one.person for one in told.alike] == ["ann"]
+    quiet = splitknit_match.enroll(file, press(1, 3), "ivy", "left_thumb", resolution_ppi=PPI, duplicates="allow")
+    assert quiet.alike == () and quiet.content.captures == 3
+    same = splitknit_match.enroll(file, press(1, -3), "ivy", "left_thumb", resolution_ppi=PPI)
+    assert {one.person for one in same.alike} == {"ann", "eve"}
+    with pytest.raises(BadInput, match="refuse, warn or allow"):
+        splitknit_match.enroll(file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe")
+
+
+def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("splitknit_match.gallery.identify.LIST", 1)
+    file = tmp_path / "g.skg"
+    for name in ("ann", "bob"):
+        splitknit_match.enroll(file, prints[name], name, "right_index", resolution_ppi=PPI)
+    probe = prints["bob again"]
+    found = splitknit_match.identify(file, probe, resolution_ppi=PPI, search="minutiae")
+    assert (found.searched.method, found.searched.captures, found.searched.compared) == ("minutiae", 2, 1)
+    assert found.candidates[0].person == "bob"
+    assert "compared, those whose minutiae agree best" in found.searched.note
+    assert splitknit_match.identify(file, probe, resolution_ppi=PPI).searched.method == "exhaustive"
+
+
+def test_templates_of_arrays_are_those_of_files(prints) -> None:
+    from splitknit_match.matching.template import pack
+
+    made = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
+    assert made.payload == pack(print_template(prints["ann"]))

@@ -1,0 +1,159 @@
+"""The service over HTTP: its acts, its refusals, its audit file, a client made from its OpenAPI document."""
+
+from __future__ import annotations
+
+import base64
+import json
+import random
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.io.prints import encode_print_png
+
+pytest.importorskip("starlette")
+httpx = pytest.importorskip("httpx")
+
+from splitknit_match.gallery.serve import ACTS, make_app, openapi  # noqa: E402
+from splitknit_match.gallery.warm import OpenGallery  # noqa: E402
+
+from test_open_gallery import press  # noqa: E402  isort: skip
+
+TOKEN = "a-token-of-many-letters"
+
+
+def sent(image: np.ndarray) -> str:
+    return base64.b64encode(encode_print_png(image, 500.0)).decode()
+
+
+@pytest.fixture
+def service(tmp_path: Path):
+    """The application on a port of this machine, called by a client of another library."""
+    import uvicorn
+
+    with OpenGallery.open(tmp_path / "people.skg") as gallery, socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        app = make_app(gallery, TOKEN, tmp_path / "audit", max_body=2_000_000)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="critical"))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
+        thread.start()
+        base = f"http://127.0.0.1:{place.getsockname()[1]}"
+        with httpx.Client(base_url=base, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60) as client:
+            for _ in range(100):
+                if server.started:
+                    break
+                time.sleep(0.05)
+            yield client
+        server.should_exit = True
+        thread.join()
+
+
+def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: Path) -> None:
+    document = service.get("/openapi.json").json()
+    assert document == openapi()
+
+    class Client:
+        """One method for each operation, with the fields that the document has."""
+
+    def method(path: str, schema: dict):
+        def call(**fields):
+            assert set(schema["required"]) <= set(fields) <= set(schema["properties"])
+            return service.post(path, json=fields)
+
+        return staticmethod(call)
+
+    for path, operations in document["paths"].items():
+        operation = operations["post"]
+        schema = operation["requestBody"]["content"]["application/json"]["schema"]
+        setattr(Client, operation["operationId"], method(path, schema))
+    for name, seed in (("ann", 1), ("bob", 2)):
+        made = Client.enroll(person=name, finger="right_index", print=sent(press(seed)))
+        assert made.status_code == 200, made.text
+        assert made.json()["enrolled"][0]["acquired"] and made.json()["alike"] == []
+    again = Client.enroll(person="eve", finger="left_thumb", print=sent(press(1, 5, 9.0)), duplicates="refuse")
+    assert again.status_code == 400 and "another person, 'ann'" in again.json()["error"]
+    found = Client.identify(print=sent(press(1, 9, 12.0)), top=1).json()
+    assert found["candidates"][0]["person"] == "ann" and found["decision"]["match"]
+    quality = Client.quality(print=sent(press(2, 4))).json()
+    assert 0 < quality["quality"] <= 100 and quality["acquired"]
+    assert Client.verify(person="bob", template=quality["template"]).json()["decision"]["match"]
+    assert not Client.verify(person="ann", template=quality["template"]).json()["decision"]["match"]
+    lines = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()][1:]
+    assert [line["act"] for line in lines] == ["enroll"] * 3 + ["identify", "quality", "verify", "verify"]
+    assert (lines[3]["match"], lines[3]["found"], lines[2]["status"]) == (True, "ann", 400)
+    assert set().union(*lines) <= {"time", "act", "status", "ms", "person", "match", "found"}
+    assert (tmp_path / "audit").stat().st_mode & 0o077 == 0
+
+
+def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
+    good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
+    assert service.post("/enroll", json=good, headers={"Authorization": "Bearer wrong"}).status_code == 401
+    assert service.post("/enroll", json=good, headers={"Authorization": ""}).status_code == 401
+    assert service.post("/identify", content=b"x" * 2_100_000).status_code == 413
+    assert service.get("/identify").status_code == 405
+    assert service.post("/nothing", json={}).status_code == 404
+    for body, words in (
+        (b"{", "no JSON"),
+        (b"[" * 100_000, "no JSON"),
+        (b"\xff\xfe", "no JSON"),
+        (b"[]", "must be a JSON object"),
+        (b'{"print": 3, "person": "A", "finger": "right_index"}', "must be a text"),
+        (b'{"finger": "right_index", "print": ""}', "'person' is missing"),
+        (json.dumps({**good, "other": 1}).encode(), "no field of enroll"),
+        (json.dumps({**good, "template": "AA=="}).encode(), "either 'print' or 'template'"),
+        (json.dumps({**good, "print": "*"}).encode(), "must be base64"),
+        (json.dumps({**good, "print": "AAAA"}).encode(), "of another kind"),
+        (json.dumps({**good, "finger": "nose"}).encode(), "is no finger"),
+        (json.dumps({**good, "person": ""}).encode(), "person"),
+        (json.dumps({**good, "resolution_ppi": 1e300}).encode(), "from 200 to 5080"),
+    ):
+        answer = service.post("/enroll", content=body)
+        assert answer.status_code == 400, (body[:60], answer.text)
+        assert words in answer.json()["error"], answer.text
+    assert not (tmp_path / "people.skg").exists()
+
+
+@pytest.mark.slow
+def test_broken_requests_do_not_end_it(service) -> None:
+    rng = random.Random(4)
+    good = json.dumps({"print": sent(press(2))[:4000]}).encode()
+    for k in range(120):
+        body = bytearray(good)
+        for _ in range(1 + k % 5):
+            body[rng.randrange(len(body))] = rng.randrange(256)
+        answer = service.post(f"/{rng.choice(list(ACTS))}", content=bytes(body[: rng.randrange(len(body))]))
+        assert answer.status_code == 400 and set(answer.json()) == {"error"}
+    assert service.get("/openapi.json").status_code == 200
+
+
+def test_faults_say_nothing(service, monkeypatch) -> None:
+    def broken(*_):
+        raise RuntimeError("secret")
+
+    monkeypatch.setattr("splitknit_match.gallery.serve._done", broken)
+    answer = service.post("/quality", json={"print": sent(press(1))})
+    assert (answer.status_code, answer.json()) == (500, {"error": "internal error"})
+
+
+def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
+    def refused(*words: str) -> str:
+        run = [sys.executable, "-m", "splitknit", "serve", "--gallery", str(tmp_path / "g.skg"), *words]
+        done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 2 and done.stderr.count("\n") == 1
+        return done.stderr
+
+    assert "is not this machine alone" in refused("--host", "0.0.0.0")
+    assert "give the token" in refused()
+    (tmp_path / "token").write_text("short\n")
+    assert "16 ASCII characters" in refused("--token-file", str(tmp_path / "token"))
+    with pytest.raises(BadInput, match="16 ASCII characters"):
+        make_app(OpenGallery(tmp_path / "g.skg"), "short")
+    with pytest.raises(BadInput, match=r"audit file .* cannot be written"):
+        make_app(OpenGallery(tmp_path / "g.skg"), TOKEN, tmp_path / "none" / "audit")

@@ -1,0 +1,142 @@
+"""Finger image records, byte by byte: written as ISO/IEC 19794-4:2005 has it, read in three layouts."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from fmr_samples import FIR_2011
+from splitknit.errors import BadInput
+from splitknit.io.prints import PrintFile
+from splitknit_match.records.finger_image import decode_finger_images, encode_finger_images
+
+SMALL = np.arange(120, dtype=np.uint8).reshape(12, 10)
+TYPED = bytes.fromhex(
+    "46495200 30313000 0000000000a6 0000 001e 01 01 01f4 01f4 01f4 01f4 08 00 0000"
+    "00000086 02 01 01 fe 09 000a 000c 00"
+) + bytes(range(120))  # fmt: skip
+"""One image of a right index, contactless, 500 ppi, not compressed: typed by the tables."""
+
+
+def item(image=SMALL, ppi: float = 500.0, finger: str = "right_index", impression: str = "contactless") -> PrintFile:
+    return PrintFile(image, ppi, {}, finger, impression)
+
+
+def test_bytes_are_those_of_the_tables() -> None:
+    assert encode_finger_images([item()]) == TYPED
+
+
+@pytest.mark.parametrize("compression", ["none", "png", "wsq"])
+def test_images_come_back(compression: str) -> None:
+    if compression == "wsq":
+        pytest.importorskip("_wsq")
+    rows, columns = np.mgrid[:140, :120]
+    image = (127 + 90 * np.sin(0.7 * np.hypot(rows, columns))).astype(np.uint8)
+    given = [item(image), item(image[::-1].copy(), finger="left_thumb", impression="live_rolled"), item(image.T.copy())]
+    found = decode_finger_images(encode_finger_images(given, compression))
+    for a, b in zip(given, found, strict=True):
+        assert (b.finger, b.impression, b.resolution_ppi, b.image.shape) == (a.finger, a.impression, 500, a.image.shape)
+        assert np.abs(b.image.astype(int) - a.image).mean() < (4 if compression == "wsq" else 1e-9)
+
+
+def test_2011_states_the_quality_and_nobody_certified(monkeypatch) -> None:
+    typed = bytes.fromhex(
+        "46495200 30323000 000000b6 0001 00 01"
+        "000000a6 ffffffffffffffffff 00 0000 0000 01 3f 0123 0001"
+        "02 00 01 01f4 01f4 01f4 01f4 08 00 18 000a 000c 00000078"
+    ) + bytes(range(120))  # fmt: skip
+    assert encode_finger_images([item()], edition=2011, qualities=[63], owner=0x0123) == typed
+    (found,) = decode_finger_images(typed)
+    assert (found.finger, found.impression, found.resolution_ppi) == ("right_index", "contactless", 500)
+    np.testing.assert_array_equal(found.image, SMALL)
+    several = [item(), item(finger="left_thumb", impression="contactless_rolled"), item()]
+    back = decode_finger_images(encode_finger_images(several, "png", edition=2011))
+    assert [(one.finger, one.impression) for one in back] == [(one.finger, one.impression) for one in several]
+
+
+def test_the_layouts_of_others_are_read() -> None:
+    """ANSI/INCITS 381-2004 has four bytes more; 2011 is a sample that another package wrote."""
+    ansi = TYPED[:8] + (0xAA).to_bytes(6, "big") + b"\1\3\0\1" + TYPED[14:]
+    (found,) = decode_finger_images(ansi)
+    assert (found.finger, found.impression, found.resolution_ppi) == ("right_index", "contactless", 500)
+    np.testing.assert_array_equal(found.image, SMALL)
+    (found,) = decode_finger_images(FIR_2011)
+    assert (found.finger, found.impression, found.resolution_ppi) == ("right_index", "live_plain", 500)
+    np.testing.assert_array_equal(found.image, 2 * SMALL)
+
+
+def test_pixels_per_cm_are_read() -> None:
+    metric = bytearray(TYPED)
+    metric[19] = 2
+    for place in (20, 22, 24, 26):
+        metric[place : place + 2] = struct.pack(">H", 394)
+    assert decode_finger_images(bytes(metric))[0].resolution_ppi == 1000
+
+
+@pytest.mark.parametrize("sample", [TYPED, FIR_2011], ids=["2005", "2011"])
+def test_cuts_are_refused(sample: bytes) -> None:
+    for length in range(len(sample)):
+        with pytest.raises(BadInput) as refused:
+            decode_finger_images(sample[:length], "x.fir")
+        assert "\n" not in str(refused.value)
+        assert "x.fir" in str(refused.value)
+    with pytest.raises(BadInput, match="bytes"):
+        decode_finger_images(sample + b"\0", "x.fir")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (29, b"\4", "JPEG 2000"),
+        (28, b"\x10", "16 bits a pixel"),
+        (19, b"\0", "no resolution"),
+        (24, b"\1\0", "square pixels"),
+        (41, b"\xff\xff\xff\xff", "more than the 64000000"),
+        (41, b"\0\0", "no pixels"),
+        (43, b"\0\x0d", "holds 120 pixels, but its record states 13 x 10"),
+        (36, b"\x0d", "finger position"),  # four fingers at once
+        (32, b"\0\0\0\5", "do not add up"),
+        (4, b"040", "unknown version"),
+        (0, b"FAR", "no finger image record"),
+    ],
+)
+def test_what_does_not_fit_is_named(place: int, value: bytes, words: str) -> None:
+    data = TYPED[:place] + value + TYPED[place + len(value) :]
+    with pytest.raises(BadInput, match=words):
+        decode_finger_images(data, "x.fir")
+
+
+def test_a_small_file_costs_little() -> None:
+    """A PNG of 20,000 x 20,000 pixels in a record that states so, and in one that states 10 x 12."""
+    import tracemalloc
+
+    import cv2
+
+    bomb = cv2.imencode(".png", np.zeros((8000, 8000), np.uint8))[1].tobytes()
+    for rows, columns in ((12, 10), (60000, 60000)):
+        head = struct.pack(">IBBBBBHHB", 14 + len(bomb), 2, 1, 1, 254, 0, columns, rows, 0)
+        start = TYPED[:8] + (46 + len(bomb)).to_bytes(6, "big") + TYPED[14:29] + b"\5\0\0"
+        tracemalloc.start()
+        with pytest.raises(BadInput, match="pixels"):
+            decode_finger_images(start + head + bomb, "x.fir")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 2_000_000
+
+
+@pytest.mark.parametrize(
+    ("prints", "compression", "words"),
+    [
+        ([], "none", "1 to 255 images"),
+        ([item(ppi=300)], "none", "500 ppi, or all of them 1000"),
+        ([item(), item(ppi=1000)], "none", "500 ppi, or all of them 1000"),
+        ([item()], "jpeg", "is no compression"),
+        ([item(SMALL.astype(float))], "none", "uint8"),
+        ([item(finger="ring")], "none", "'ring' has no code"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(prints: list[PrintFile], compression: str, words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        encode_finger_images(prints, compression)

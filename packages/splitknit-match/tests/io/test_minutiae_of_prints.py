@@ -1,0 +1,56 @@
+"""From a print to a record: minutiae as mindtct finds them, in the frame that the standards ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.records.fmr_bytes import ANSI_2004
+from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
+from splitknit_match.records.minutiae_record import FingerView, MinutiaeRecord
+
+pytest.importorskip("nbis")
+
+
+def view_of(found: Minutiae) -> FingerView:
+    return FingerView(
+        found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=60
+    )
+
+
+def test_an_ending_points_along_its_ridge() -> None:
+    """Upright ridges, one more below row 150 than above it: down is 270 deg, 192 of 256 and 135 of 180 steps."""
+    rows, columns = np.mgrid[:300, :280].astype(float)
+    phase = 2 * np.pi * columns / 9 + np.arctan2(columns - 140, rows - 150)
+    print_image = np.round(127 + 100 * np.cos(phase)).astype(np.uint8)
+    found = extract(print_image)
+    inner = (np.abs(found.x_px - 140) < 100) & (np.abs(found.y_px - 150) < 100)
+    record = MinutiaeRecord((view_of(found.taken(inner)),))
+    data = encode_minutiae_record(record)
+    assert data[27] == 1
+    x, y = int.from_bytes(data[28:30], "big") & 0x3FFF, int.from_bytes(data[30:32], "big")
+    assert abs(x - 140) <= 4
+    assert abs(y - 150) <= 4
+    assert data[32] == 192
+    assert encode_minutiae_record(record, ANSI_2004)[34] == 135
+
+
+def test_minutiae_come_back_as_they_were() -> None:
+    random = np.random.default_rng(1)
+    count, steps = 60, 2 * np.pi / 32  # mindtct's directions
+    found = Minutiae(
+        random.integers(0, 350, count).astype(np.int32),
+        random.integers(0, 500, count).astype(np.int32),
+        random.integers(0, 32, count) * steps,
+        random.integers(0, 3, count).astype(np.uint8),
+        random.integers(0, 101, count).astype(np.uint8),
+        (500, 350),
+    )
+    view = decode_minutiae_record(encode_minutiae_record(MinutiaeRecord((view_of(found),)))).views[0]
+    again = Minutiae(view.x_px, view.y_px, view.direction_rad, view.type, view.quality, view.size)
+    for name in ("x_px", "y_px", "type", "quality"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    np.testing.assert_allclose(again.direction_rad, found.direction_rad, atol=1e-12)
+    assert again.size == found.size

@@ -1,0 +1,125 @@
+"""Prints of 500 and 1000 ppi as PNG and TIFF: pixels and resolution, also as other programs see them."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from splitknit.errors import BadInput
+from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
+from splitknit_match.records.print_formats import read_prints
+
+IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
+
+
+def read(path: Path) -> PrintFile:
+    (found,) = read_prints(path)
+    assert isinstance(found, PrintFile)
+    return found
+
+
+def write_tiff(path: Path, *print_and_facts) -> None:
+    path.write_bytes(encode_print_tiff(*print_and_facts))
+
+
+@pytest.mark.parametrize("ppi", [500, 1000])
+def test_png_states_its_resolution(tmp_path: Path, ppi: int) -> None:
+    write_print_png(tmp_path / "a.png", IMAGE, ppi)
+    for found in (read_print_png(tmp_path / "a.png"), read(tmp_path / "a.png")):
+        np.testing.assert_array_equal(found.image, IMAGE)
+        assert found.resolution_ppi == pytest.approx(ppi, abs=0.02)
+
+
+@pytest.mark.parametrize("ppi", [500, 1000, 787.4])
+def test_tiff_states_its_resolution(tmp_path: Path, ppi: float) -> None:
+    write_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
+    found = read(tmp_path / "a.tiff")
+    np.testing.assert_array_equal(found.image, IMAGE)
+    assert found.resolution_ppi == pytest.approx(ppi, rel=1e-6)
+    assert found.text == {"software": "splitknit", "note": "Größe"}
+    write_tiff(tmp_path / "b.tiff", IMAGE, ppi, {"note": "Größe", "software": "splitknit"})
+    assert (tmp_path / "b.tiff").read_bytes() == (tmp_path / "a.tiff").read_bytes()
+
+
+def test_other_programs_see_it(tmp_path: Path) -> None:
+    pillow = pytest.importorskip("PIL.Image")
+    write_tiff(tmp_path / "a.tiff", IMAGE, 1000)
+    write_print_png(tmp_path / "a.png", IMAGE, 1000)
+    for name in ("a.tiff", "a.png"):
+        with pillow.open(tmp_path / name) as image:
+            assert image.mode == "L"
+            assert float(image.info["dpi"][0]) == pytest.approx(1000, abs=0.02)
+            np.testing.assert_array_equal(np.asarray(image), IMAGE)
+
+
+def test_tiffs_of_others_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "a.tiff"
+    tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(200, 200), resolutionunit=3)
+    assert read(file).resolution_ppi == pytest.approx(508)
+    tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, description="a print")
+    assert (read(file).resolution_ppi, read(file).text) == (None, {})
+    tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(500, 400), resolutionunit=2)
+    assert (read(file).resolution_ppi, read(file).image.shape) == (500, (round(IMAGE.shape[0] * 1.25), IMAGE.shape[1]))
+    tifffile.imwrite(file, np.stack([IMAGE] * 3, axis=-1), photometric="rgb", metadata=None)
+    np.testing.assert_array_equal(read(file).image, IMAGE)
+    tifffile.imwrite(file, np.stack([IMAGE, IMAGE, IMAGE // 2], axis=-1), photometric="rgb", metadata=None)
+    with pytest.raises(BadInput, match="not an 8-bit grey image"):
+        read(file)
+
+
+@pytest.mark.parametrize(("image", "ppi", "words"), [(IMAGE / 2, 500, "uint8"), (IMAGE, 5, "between 10 and 100000")])
+def test_other_images_are_refused(tmp_path: Path, image, ppi: float, words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        write_tiff(tmp_path / "a.tiff", image, ppi)
+    assert not (tmp_path / "a.tiff").exists()
+
+
+def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
+    write_tiff(tmp_path / "a.tiff", IMAGE)
+    sound = (tmp_path / "a.tiff").read_bytes()
+    random = np.random.default_rng(5)
+    for trial in range(120):
+        data = bytearray(sound)
+        if trial < 40:
+            data = data[: random.integers(0, len(data))]
+        else:
+            for _ in range(3):
+                data[random.integers(0, 300)] ^= random.integers(1, 256)
+        (tmp_path / "b.tiff").write_bytes(bytes(data))
+        try:
+            found = read(tmp_path / "b.tiff")
+        except BadInput as error:
+            assert "\n" not in str(error)
+        else:
+            assert found.image.dtype == np.uint8
+
+
+@pytest.mark.parametrize(
+    ("tag", "entry", "resolution"),
+    [
+        (282, struct.pack("<HII", 5, 1, 1 << 31), None),  # a fraction beyond the file
+        (282, struct.pack("<HIf", 11, 1, 500.0), 0),  # of another type: not known
+        (282, struct.pack("<HII", 5, 0, 0), None),
+        (270, struct.pack("<HII", 2, 4, 0xFFFFFFFF), 500),  # a text that is no text
+        (296, struct.pack("<HII", 3, 1, 9), 0),  # no unit
+    ],
+)
+def test_odd_tags_of_a_print_are_no_crash(tmp_path: Path, tag: int, entry: bytes, resolution: int | None) -> None:
+    """`resolution` is 0 where none is known, None where the file is refused."""
+    path = tmp_path / "a.tiff"
+    write_tiff(path, IMAGE, 500, {"note": "x"})
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[0].tags[tag].offset
+    data = path.read_bytes()
+    path.write_bytes(data[: place + 2] + entry + data[place + 12 :])
+    if resolution is None:
+        with pytest.raises(BadInput, match="tags are damaged"):
+            read(path)
+    else:
+        found = read(path)
+        assert (found.resolution_ppi or 0) == pytest.approx(resolution)
+        np.testing.assert_array_equal(found.image, IMAGE)

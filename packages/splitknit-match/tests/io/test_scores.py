@@ -1,0 +1,145 @@
+"""Score files: what is read, and one sentence with the line for what is not."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from splitknit.errors import BadInput
+from splitknit_match.evaluation.score_files import read_exclusions, read_scores
+
+
+def write(folder: Path, text: str | bytes) -> Path:
+    path = folder / "scores.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_label_and_score_are_enough(tmp_path: Path) -> None:
+    path = write(tmp_path, "label,score\n1,0.5\n0,-1e-3\n1,\n0, 7 \n")
+    found = read_scores(path)
+    assert found.label.tolist() == [True, False, True, False]
+    np.testing.assert_array_equal(found.score, [0.5, -1e-3, np.nan, 7.0])
+    assert found.line.tolist() == [2, 3, 4, 5]
+    assert found.ids == {} and found.system is None and found.ignored == ()
+    assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
+    file = tmp_path / "scores.csv"
+    file.write_text("label,score,finger_a,finger_b\n1,0.5,'=a,'tis\n0,-0.5,@b,b\n")
+    found = read_scores(file)
+    assert set(found.ids["finger"][1]) == {"=a", "'tis", "@b", "b"}
+
+
+def test_everything_there_is(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        "\ufeffsystem, score ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n"
+        '"ours, new",1.5,1.0,10,10,s,s,1,2,9\r\n'
+        "\r\n"
+        'ours,"0.5",0,9,10,s,t,1,10,8\r\n',
+    )
+    found = read_scores(path)
+    assert found.line.tolist() == [2, 4]
+    codes, names = found.ids["finger"]
+    assert names == ("9", "10") and codes.tolist() == [[1, 1], [0, 1]]  # numbers in the order of numbers
+    assert found.ids["session"][1] == ("1", "2", "10")
+    assert found.ids["subject"][0].tolist() == [[0, 0], [0, 1]]
+    assert found.system is not None
+    assert [found.system[1][k] for k in found.system[0]] == ["ours, new", "ours"]
+    assert found.ignored == ("time",)
+
+
+def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Path) -> None:
+    path = write(tmp_path, 'label,score,note\n1,2,"a\nb"\n0,1,c\n0,x,d\n')
+    with pytest.raises(BadInput, match="line 5: a score is a finite number"):
+        read_scores(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("label,score\n1,1e308\n0,-1e308\n", "line 2: a score is a finite number"),
+        ("", "is empty"),
+        ("  \n\n", "is empty"),
+        (b"\xef\xbb\xbf", "is empty"),
+        (b"\xef\xbb\xbf\n\n", "is empty"),
+        ("label,score\n", "holds no comparison"),
+        ("label,value\n1,2\n", "line 1: there is no column 'score'"),
+        ("score,truth\n1,2\n", "line 1: there is no column 'label'"),
+        ("\n\nscore,truth\n1,2\n", "line 3: there is no column 'label'"),
+        ("1,0.5\n0,0.2\n", "line 1: a line of column names"),
+        ("label;score\n1;0.5\n", "line 1: a line of column names apart by commas"),
+        ("label,score,score\n1,2,3\n", "line 1: there are two columns 'score'"),
+        ("label,score,a,a\n1,2,3,4\n", "line 1: there are two columns 'a'"),
+        ("label,score\n1,2\n0\n", "line 3: 2 fields are expected, .* but there are 1"),
+        ("label,score\n1,2\n0,1,5\n", "line 3: 2 fields are expected, .* but there are 3"),
+        ("label,score\n1,2\n2,1\n", "line 3: a label is 1 .* but it is '2'"),
+        ("label,score\n-1,2\n", "line 2: a label"),
+        ("label,score\n,2\n", "line 2: a label"),
+        ("label,score\ngenuine,2\n", "line 2: a label .* 'genuine'"),
+        ("label,score\n0.5,2\n", "line 2: a label"),
+        ("label,score\n1,2\n0,nan\n", "line 3: a score .* 'nan'"),
+        ("label,score\n1,2\n0,NaN\n", "line 3: a score"),
+        ("label,score\n1,inf\n", "line 2: a score"),
+        ("label,score\n1,-Infinity\n", "line 2: a score"),
+        ("label,score\n1,1e999\n", "line 2: a score"),
+        ("label,score\n1,1_000\n", "line 2: a score .* '1_000'"),
+        ('label,score\n1,"0,5"\n', "line 2: a score .* '0,5'"),
+        ("label,score\n1,none\n", "line 2: a score"),
+        ("label,score,finger_a\n1,2,3\n", "line 1: there is a column 'finger_a' alone"),
+        ("label,score,session_b\n1,2,3\n", "line 1: there is a column 'session_b' alone"),
+        ("label,score,finger_a,finger_b\n1,2,3,3\n0,1,,3\n", "line 3: finger_a is blank"),
+        ("label,score,system\n1,2,\n", "line 2: system is blank"),
+        ('label,score\n1,"2\n', "is not a CSV file: line 2"),
+        (b"\x89PNG\r\n\x1a\n\xff\xff", "is not a CSV file: line 1 is not text"),
+        (b"label,score\n1,2\n0,\xff\n", "is not a CSV file: line 3 is not text"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str | bytes, words: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(BadInput, match=words) as caught:
+        read_scores(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="does not exist"):
+        read_scores(tmp_path / "none.csv")
+    with pytest.raises(BadInput, match="not a file"):
+        read_scores(tmp_path)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.one_of(st.binary(max_size=60), st.text('label,score10\n"x.\r\x00', max_size=60).map(str.encode)))
+def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
+    for content in (data, b"label,score\n" + data):
+        try:
+            found = read_scores(write(tmp_path, content))
+        except BadInput as error:
+            assert "\n" not in str(error)
+        else:
+            assert found.label.shape == found.score.shape == found.line.shape
+            assert not np.isinf(found.score).any()
+
+
+def test_lists_of_exclusions(tmp_path: Path) -> None:
+    path = write(tmp_path, "finger,why,reason,session\n3, x , roll of 12 deg ,2\n4,,,\n")
+    entries, sha256 = read_exclusions(path)
+    assert entries == [
+        {"finger": "3", "session": "2", "reason": "roll of 12 deg"},
+        {"finger": "4", "session": "", "reason": ""},
+    ]
+    assert len(sha256) == 64
+    for text, words in (("name\nx\n", "column names"), ("finger,subject\n,s\n", "line 2: the finger is blank")):
+        with pytest.raises(BadInput, match=words):
+            read_exclusions(write(tmp_path, text))
+    with pytest.raises(BadInput, match="no column 'finger'"):
+        read_exclusions(write(tmp_path, "label\nx\n"))

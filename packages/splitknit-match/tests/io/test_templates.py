@@ -1,0 +1,90 @@
+"""Template files: whole, damaged, old, empty."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitknit.errors import BadInput
+from splitknit_match.records.templates import (
+    HEADER_BYTES,
+    MAGIC,
+    _decode_template,
+    encode_template,
+    read_template,
+    write_template,
+)
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "new" / "a.skt"
+    write_template(file, b"ridges" * 100, 3)
+    assert file.stat().st_size == HEADER_BYTES + 600
+    assert read_template(file, 3) == b"ridges" * 100
+
+
+def test_a_failure_to_acquire_is_a_file_of_no_bytes(tmp_path: Path) -> None:
+    file = tmp_path / "none.skt"
+    write_template(file, b"", 1)
+    assert file.stat().st_size == 0
+    assert read_template(file, 1) == b""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: b"\x89PNG" + data[4:], "not a template"),
+        (lambda data: data.replace(b"\r\n", b"\n", 1), "not a template"),
+        (lambda data: data[:20], "within its header"),
+        (lambda data: data[:-1], "the header states 6"),
+        (lambda data: data + b"x", "holds 7 bytes"),
+        (lambda data: data[:-1] + b"x", "damaged"),
+        (lambda data: data[:8] + b"\x02" + data[9:], "version 2, but this program reads version 1"),
+        (lambda data: data[:10] + b"\x01" + data[11:], "damaged header"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, change, words: str) -> None:
+    file = tmp_path / "bad.skt"
+    file.write_bytes(change(encode_template(b"ridges", 1)))
+    with pytest.raises(BadInput, match=words) as refused:
+        read_template(file, 1)
+    assert "bad.skt" in str(refused.value)
+
+
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="does not exist"):
+        read_template(tmp_path / "none.skt", 1)
+    with pytest.raises(BadInput, match="is not a file"):
+        read_template(tmp_path, 1)
+    with pytest.raises(BadInput, match="version"):
+        encode_template(b"x", 70_000)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(data=st.binary(max_size=80))
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    with contextlib.suppress(BadInput):
+        assert _decode_template(data, 1) == b""
+        assert data == b""
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(payload=st.binary(min_size=1, max_size=50), place=st.integers(0, 10_000), change=st.integers(1, 255))
+def test_every_changed_byte_is_noticed(payload: bytes, place: int, change: int) -> None:
+    data = bytearray(encode_template(payload, 1))
+    assert _decode_template(bytes(data), 1) == payload
+    data[place % len(data)] ^= change
+    with pytest.raises(BadInput):
+        _decode_template(bytes(data), 1)
+
+
+def test_header_of_nothing_is_refused() -> None:
+    import hashlib
+
+    empty = MAGIC + b"\x01\0\0\0\0\0\0\0" + hashlib.sha256(b"").digest()
+    with pytest.raises(BadInput, match="no content"):
+        _decode_template(empty, 1)

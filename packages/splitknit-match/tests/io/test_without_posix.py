@@ -1,0 +1,77 @@
+"""What Windows lacks (locks, owners, folders that open, opening below a folder) is not needed to read and write."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.io import atomic
+from splitknit.viewer.catalogue import read_below
+from splitknit_match.batch.execution import peak_memory_mb
+
+
+@pytest.fixture(autouse=True)
+def windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Windows answers, once pytest has made its folder."""
+    opened, replaced, streams = os.open, Path.replace, []
+
+    def no_folders(path: Any, *flags: Any, **more: Any) -> int:
+        if os.path.isdir(path):  # noqa: PTH112
+            raise PermissionError(13, "Permission denied")
+        return opened(path, *flags, **more)
+
+    def fdopen(*given: Any, **named: Any) -> io.IOBase:
+        streams.append(io.open(*given, **named))  # noqa: SIM115, UP020
+        return streams[-1]
+
+    def closed_only(path: Path, target: Path) -> Path:
+        assert all(stream.closed for stream in streams), "an open file is renamed"
+        return replaced(path, target)
+
+    monkeypatch.setattr(os, "open", no_folders)
+    monkeypatch.setattr(os, "fdopen", fdopen)
+    monkeypatch.setattr(shutil, "_use_fd_functions", False)
+    monkeypatch.setattr(Path, "replace", closed_only)
+    monkeypatch.setattr(os, "supports_dir_fd", set())
+    monkeypatch.delattr(os, "getuid")
+    monkeypatch.setattr(atomic, "_WINDOWS", True)
+    for module in ("fcntl", "resource"):
+        monkeypatch.setitem(sys.modules, module, None)
+
+
+def test_files_and_folders_are_written_and_replaced(tmp_path: Path) -> None:
+    left = tmp_path / ".out.0123456789ab.tmp"
+    left.write_text("may be another program's: nothing shows whether it is at work")
+    for text in ("one", "two"):
+        with atomic.atomic_folder(tmp_path / "out") as folder:
+            (folder / "a").write_text(text)
+        with atomic.atomic_file(tmp_path / "file") as stream:
+            stream.write(text.encode())
+        assert (tmp_path / "out" / "a").read_text() == (tmp_path / "file").read_text() == text
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "file", left.name}
+
+
+def test_a_batch_holds_nothing_and_measures_no_memory(tmp_path: Path) -> None:
+    with (tmp_path / "lock").open("wb") as one, (tmp_path / "lock").open("wb") as two:
+        atomic.hold(one, "busy")
+        atomic.hold(two, "busy")
+    assert peak_memory_mb() == 0.0
+
+
+def test_the_viewer_reads_files_and_follows_no_links(tmp_path: Path) -> None:
+    (tmp_path / "result" / "sub").mkdir(parents=True)
+    (tmp_path / "secret").write_text("secret")
+    (tmp_path / "result" / "sub" / "a").write_text("a")
+    assert read_below(tmp_path / "result", "sub/a") == b"a"
+    (tmp_path / "result" / "link").symlink_to(tmp_path / "secret")
+    (tmp_path / "result" / "way").symlink_to(tmp_path / "result" / "sub")
+    for name in ("link", "way/a", "sub", "none", "../secret"):
+        with pytest.raises(BadInput):
+            read_below(tmp_path / "result", name)

@@ -1,0 +1,56 @@
+"""Where a print is cut off, every ridge ends: those ends are not the finger's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.finger.ridges import relief_print
+from splitknit_match.matching.minutiae import EDGE_MM, _edge_distance, _inside_by, extract
+from splitknit_match.matching.minutiae_record import Minutiae
+
+STEP_MM = 25.4 / 500
+
+
+def test_distance_on_a_print_of_straight_ridges() -> None:
+    """Valleys are no outline, the image's border is one, and a thin line beside the print is not part of it."""
+    rows, _ = np.mgrid[:300, :240]
+    ridges = np.where((rows // 5) % 2 == 0, 40, 255).astype(np.uint8)
+    printed = np.full((300, 240), 255, np.uint8)
+    printed[:, 60:180] = ridges[:, 60:180]
+    printed[100:103, :40] = 0
+    distance = _edge_distance(printed)
+    assert distance[150, 120] == pytest.approx(60 * STEP_MM, abs=2.5 * STEP_MM)
+    assert distance[150, 70] == pytest.approx(10.5 * STEP_MM, abs=2.5 * STEP_MM)
+    assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)  # the finger goes on above
+    assert distance[101, 20] == 0
+    assert not _edge_distance(np.full((100, 90), 255, np.uint8)).any()
+    assert _edge_distance(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
+
+
+def test_only_what_lies_inside_is_kept() -> None:
+    values = np.arange(4)
+    minutiae = Minutiae(
+        values.astype(np.int32), values.astype(np.int32)[::-1].copy(), values * 0.5, np.ones(4, np.uint8),
+        (values * 10).astype(np.uint8), (4, 4),
+    )  # fmt: skip
+    distance = np.zeros((4, 4), np.float32)
+    distance[2, 1], distance[0, 3] = 0.8, 0.79
+    kept = _inside_by(minutiae, distance, 0.8)
+    assert kept.x_px.tolist() == [1] and kept.y_px.tolist() == [2] and kept.quality.tolist() == [10]
+    assert kept.size == minutiae.size
+
+
+def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
+    """A relief of parallel ridges inside a round outline: the ends at the outline are found, and left out."""
+    pytest.importorskip("nbis")
+    rows, columns = np.mgrid[:400, :400]
+    turned = np.cos(0.3) * rows + np.sin(0.3) * columns
+    relief = (0.03 * np.sin(2 * np.pi * turned / 9.0)).astype(np.float32)
+    away = np.hypot(rows - 200, columns - 200)
+    fading = np.clip((190 - away) / 14, 0, 1).astype(np.float32)  # at grazing view a relief is lost
+    printed = relief_print(relief * fading, away < 190, 20.0, np.eye(3), (400, 400))
+    every, kept = extract(printed, edge_mm=0.0), extract(printed)
+    assert every.count > 15
+    assert kept.count == 0
+    assert np.all(_edge_distance(printed)[every.y_px, every.x_px] < EDGE_MM)

@@ -1,0 +1,60 @@
+"""Scores and calibrations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splitknit.errors import BadInput
+from splitknit_match.matching.score import calibrate_scores, dissimilarity
+
+
+def test_the_thesis_score_by_hand() -> None:
+    assert dissimilarity(0.95, [1.0, 2.0, 3.0]) == pytest.approx(np.exp(-(0.95**4) / 6.0))
+    assert dissimilarity(1.0, [0.0]) == 0.0
+
+
+@given(ratio=st.floats(0.9, 1.0), near=st.floats(0.0, 100.0), further=st.floats(0.001, 100.0))
+def test_higher_means_less_similar(ratio: float, near: float, further: float) -> None:
+    assert 0.0 <= dissimilarity(ratio, [near]) <= dissimilarity(ratio, [near + further]) <= 1.0
+
+
+def test_bad_distances_are_refused() -> None:
+    for ratio, distance in ((0.0, 1.0), (1.1, 1.0), (0.95, -1.0), (0.95, np.nan)):
+        with pytest.raises(BadInput):
+            dissimilarity(ratio, [distance])
+
+
+def test_false_match_rates_are_never_too_low() -> None:
+    scores = np.random.default_rng(5).normal(size=5000)
+    table = calibrate_scores(scores)
+    for threshold in np.linspace(-5, 5, 301):
+        counted = (np.count_nonzero(scores >= threshold) + 1) / 5001
+        assert table(threshold) >= counted - 1e-12
+        if counted > 0.01:
+            assert table(threshold) < 1.5 * counted  # entries are close enough
+    assert table(100.0) == pytest.approx(1 / 5001)
+    assert table(-100.0) == 1.0
+    assert np.all(np.diff(table.fmr) < 0)
+    assert np.all(np.diff(table.similarity) > 0)
+
+
+def test_few_or_broken_scores_are_refused() -> None:
+    with pytest.raises(BadInput, match="at least 100"):
+        calibrate_scores(np.zeros(99))
+    with pytest.raises(BadInput, match="NaN"):
+        calibrate_scores(np.full(200, np.nan))
+
+
+def test_extrapolated_rates_are_upper_limits() -> None:
+    """Of scores with the tail that is assumed: the true rate beyond the threshold seldom exceeds what is stated."""
+    rng, stated = np.random.default_rng(0), 1e-5
+    tables = [calibrate_scores(rng.exponential(0.3, 5000)) for _ in range(200)]
+    found = [table.beyond(stated) for table in tables]
+    true = np.exp(-np.array([similarity for similarity, _ in found]) / 0.3)
+    assert np.mean(true > stated) < 0.05
+    assert all(expected < stated for _, expected in found)
+    nearer = tables[0].beyond(1e-4)
+    assert nearer[0] < found[0][0] and nearer[1] > found[0][1]

@@ -1,0 +1,225 @@
+"""The thesis's matcher: alignment, gate, score, and the other features."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
+from splitknit_match.matching import thesis
+from splitknit_match.matching.features import gabor_features, hog_features, lbp_features, shape_context_features
+from splitknit_match.matching.thesis import (
+    FingerImages,
+    ThesisSettings,
+    align_masks,
+    finger_features,
+    finger_images,
+    overlaps,
+    thesis_match,
+    to_box,
+)
+
+FEATURES = ("lbp", "hog", "gabor", "shape_context")
+
+
+def ellipse(rows: int, columns: int) -> np.ndarray:
+    y, x = np.mgrid[0:rows, 0:columns]
+    return ((x - (columns - 1) / 2) / (columns / 2)) ** 2 + ((y - (rows - 1)) / rows) ** 2 < 1
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(right=st.integers(-30, 30), rows=st.integers(60, 160), columns=st.integers(60, 120))
+def test_lateral_search_finds_the_shift(right: int, rows: int, columns: int) -> None:
+    """A query that is the database's finger with empty columns on one side."""
+    mask = ellipse(rows, columns)
+    query = np.pad(mask, ((0, 0), (max(0, -right), max(0, right))))
+    assert align_masks(mask, query) == (-max(0, -right), 1.0)
+
+
+def test_overlap_by_hand() -> None:
+    a, b = np.ones((4, 6), np.bool_), np.ones((4, 6), np.bool_)
+    assert overlaps(a, b, range(-7, 8)).tolist() == [0, 0, 4, 8, 12, 16, 20, 24, 20, 16, 12, 8, 4, 0, 0]
+    assert align_masks(a, b[:2])[1] == pytest.approx(12 / 24)
+    with pytest.raises(BadInput, match="empty"):
+        align_masks(a, np.zeros((3, 3), np.bool_))
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 1000), density=st.sampled_from([0.1, 0.9, 0.99]))
+def test_overlaps_are_those_of_counting(seed: int, density: float) -> None:
+    """Rows with no pixel, one run, or several."""
+    rng = np.random.default_rng(seed)
+    a, b = (rng.random((rng.integers(2, 9), rng.integers(2, 12))) < density for _ in "ab")
+    rows, wide = min(len(a), len(b)), 40
+    counted = []
+    for shift in range(-14, 15):
+        left, right = np.zeros((2, rows, 2 * wide), np.bool_)
+        left[:, wide : wide + a.shape[1]] = a[:rows]
+        right[:, wide + shift : wide + shift + b.shape[1]] = b[:rows]
+        counted.append(int((left & right).sum()))
+    assert overlaps(a, b, range(-14, 15)).tolist() == counted
+
+
+def test_the_gate_keeps_unlike_outlines_apart() -> None:
+    wide, slim = pictured(ellipse(120, 100)), pictured(ellipse(120, 70))
+    found = thesis_match(wide, slim)
+    assert not found.compared
+    assert found.ratio < 0.9
+    assert found.dissimilarity["normals"] == pytest.approx(np.exp(2 - found.ratio))
+    assert found.similarity == pytest.approx(1 - np.exp(2 - found.ratio))
+    assert found.distances == {}
+    assert thesis_match(wide, slim, ThesisSettings(gate=0.0)).compared
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_same_fingers_are_more_similar(impressions, feature: str) -> None:
+    """Poses that differ little: that is what this matcher can take."""
+    chosen = ThesisSettings(gate=0.0, feature=feature)
+    fingers = [impressions[k].images() for k in (0, 3, 6)]
+    for k, one in zip((0, 3, 6), fingers, strict=True):
+        again = finger_images(
+            np.roll(impressions[k].normals, 2, axis=1), np.roll(impressions[k].ridge_mm, 2, axis=1),
+            np.roll(impressions[k].mask, 2, axis=1), impressions[k].pitch_mm,
+        )  # fmt: skip
+        same = thesis_match(one, again, chosen).similarity
+        others = [thesis_match(other, again, chosen).similarity for other in fingers if other is not one]
+        assert same > max(others)
+
+
+def test_equal_fingers_give_one_and_known_features_change_nothing(impressions) -> None:
+    one, other = impressions[0].images(), impressions[3].images()
+    found = thesis_match(one, one)
+    assert found.similarity == 1.0
+    assert set(found.distances.values()) == {0.0}
+    chosen = ThesisSettings(gate=0.0)
+    known = thesis_match(replace(one, channels={}), other, chosen, finger_features(one, chosen))
+    assert thesis_match(one, other, chosen) == known
+
+
+@pytest.mark.parametrize(("known", "channels"), [(False, 8), (True, 4)])
+def test_a_comparison_describes_no_channel_twice(
+    impressions, monkeypatch: pytest.MonkeyPatch, known: bool, channels: int
+) -> None:
+    one, other = impressions[0].images(), impressions[3].images()
+    chosen = ThesisSettings(gate=0.0)
+    features = finger_features(one, chosen) if known else None
+    calls = []
+    monkeypatch.setattr(thesis, "lbp_features", lambda *given: calls.append(1) or lbp_features(*given))
+    thesis_match(one, other, chosen, features)
+    assert len(calls) == channels
+
+
+def test_the_score_is_that_of_the_distances(impressions) -> None:
+    found = thesis_match(impressions[0].images(), impressions[3].images(), ThesisSettings(gate=0.0))
+    total = sum(found.distances[name] for name in ("normal_x", "normal_y", "normal_z"))
+    assert found.dissimilarity["normals"] == pytest.approx(np.exp(-(found.ratio**4) / total))
+    assert found.dissimilarity["relief"] == pytest.approx(np.exp(-(found.ratio**4) / found.distances["relief"]))
+    assert found.similarity == pytest.approx(1 - np.mean(list(found.dissimilarity.values())))
+
+
+def test_upright_images_turn_their_normals() -> None:
+    """A tilted plane, turned by 90 deg: what pointed right points up, as the picture does."""
+    normals = np.zeros((30, 40, 3), np.float32)
+    normals[:] = (0.6, 0.0, 0.8)
+    mask = np.zeros((30, 40), np.bool_)
+    mask[10:20, 12:26] = True
+    relief = np.zeros((30, 40), np.float32)
+    turn = rotation_about((19.5, 14.5), -np.pi / 2)  # upright content is the input turned counter-clockwise
+    found = finger_images(normals, relief, mask, 0.1, turn, upright_size=(60, 60))
+    assert found.mask.shape == pytest.approx((14, 10), abs=1)
+    middle = tuple(float(found.channels[f"normal_{axis}"][7, 5]) for axis in "xyz")
+    assert middle == pytest.approx((0.0, 0.6, 0.8), abs=1e-5)
+
+
+def test_boxes_are_made_equal_in_size() -> None:
+    ramp = np.broadcast_to(np.arange(20, dtype=np.float32), (10, 20))
+    assert to_box(ramp, (10, 20)) is ramp
+    wide = to_box(ramp, (15, 40))
+    assert wide.shape == (15, 40)
+    assert wide[7, 20] == pytest.approx(9.75, abs=0.01)
+
+
+def test_hog_knows_the_direction_of_stripes() -> None:
+    stripes = np.sin(np.arange(128) * 0.4).astype(np.float32)[None, :] * np.ones((128, 1), np.float32)
+    upright, across = hog_features(stripes, 75.7), hog_features(np.ascontiguousarray(stripes.T), 75.7)
+    assert upright.shape == (4 * 9,)
+    assert np.linalg.norm(upright - across) > 0.9
+    assert np.linalg.norm(upright - hog_features(3 * stripes + 1, 75.7)) < 1e-4
+    # gradients lie along the columns: directions near 0 and 180 deg, the first and the last bin
+    assert set(np.argsort(upright[:9])[-2:]) == {0, 8}
+
+
+def test_hog_agrees_with_scikit_image() -> None:
+    """It shares a gradient between two directions, which that one does not."""
+    feature = pytest.importorskip("skimage.feature")
+    y, x = np.mgrid[:384, :320]
+    rings = np.sin(0.2 * np.hypot(x - 100, y - 150)).astype(np.float32)
+    theirs = feature.hog(rings, 9, (64, 64), (2, 2), block_norm="L2-Hys")
+    assert np.corrcoef(hog_features(rings, 75.7), theirs)[0, 1] > 0.97
+
+
+def test_gabor_magnitudes_are_those_of_all_pixels() -> None:
+    """They are taken at as few points as the filters need."""
+    image = cv2.GaussianBlur(np.random.default_rng(3).standard_normal((384, 320)).astype(np.float32), (0, 0), 5.0)
+    smaller = cv2.resize(image, (107, 128), interpolation=cv2.INTER_AREA)  # eight pixels of the shortest period
+    v, u = np.fft.fftfreq(160)[:, None], np.fft.fftfreq(144)[None, :]
+    spectrum = np.fft.fft2(smaller, s=(160, 144))
+    parts = []
+    for wave, turn in itertools.product((1 / 8, 1 / 11, 1 / 15), np.pi * np.arange(6) / 6):
+        away = (u - wave * np.cos(turn)) ** 2 + (v - wave * np.sin(turn)) ** 2
+        answer = np.abs(np.fft.ifft2(spectrum * np.exp(-away / (2 * (wave / np.pi) ** 2))))[:128, :107]
+        parts.append(cv2.resize(answer, (5, 6), interpolation=cv2.INTER_AREA))
+    cells = np.stack(parts, axis=-1)
+    cells /= np.linalg.norm(cells, axis=-1, keepdims=True)
+    difference = gabor_features(image, 75.7).reshape(6, 5, 18) - cells
+    assert np.abs(difference).max() < 0.08
+    assert np.abs(difference).mean() < 0.01
+
+
+def test_gabor_knows_direction_and_period() -> None:
+    def stripes(period: float, turn: float) -> np.ndarray:
+        y, x = np.mgrid[0:192, 0:192]
+        return np.sin(2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn))).astype(np.float32)
+
+    for place, period in enumerate((24.0, 33.0, 45.0)):
+        for k in (0, 2):
+            cells = gabor_features(stripes(period, np.pi * k / 6), 75.7).reshape(9, 3, 6)
+            assert np.unravel_index(int(cells[4].argmax()), (3, 6)) == (place, k)
+
+
+def test_shape_contexts_see_where_flanks_lie() -> None:
+    image = np.zeros((192, 192), np.float32)
+    image[:, 130:] = 1.0  # one flank, to the right of the middle cell's middle
+    cells = shape_context_features(image, 75.7).reshape(3, 3, 5, 12)
+    middle = cells[1, 1]
+    assert middle.sum() == pytest.approx(1.0, abs=1e-5)
+    right = middle[:, [0, 1, 2, 9, 10, 11]].sum()
+    assert right > 0.9
+
+
+def test_sizes_and_settings_are_checked(impressions) -> None:
+    small = np.zeros((20, 20), np.float32)
+    for feature in (hog_features, gabor_features, shape_context_features):
+        with pytest.raises(BadInput, match="smaller than a cell"):
+            feature(small, 75.7)
+    for change in ({"gate": 2}, {"feature": "sift"}, {"attributes": ("colour",)}, {"attributes": ()}):
+        with pytest.raises(BadInput):
+            ThesisSettings(**change)
+    one = impressions[0].images()
+    with pytest.raises(BadInput, match="px/mm"):
+        thesis_match(one, FingerImages(one.channels, one.mask, 75.7))
+    with pytest.raises(BadInput, match="no channel"):
+        thesis_match(one, one, ThesisSettings(attributes=("shape_normals",)))
+
+
+def pictured(mask: np.ndarray) -> FingerImages:
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(*mask.shape, 3)).astype(np.float32)
+    return finger_images(normals, normals[..., 0], mask, 0.05)

@@ -1,0 +1,76 @@
+"""The matcher of the thesis author's program, beside the slowest way to write it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from splitknit.errors import BadInput
+from splitknit_match.matching.thesis import NORMALS, FingerImages
+from splitknit_match.matching.thesis_code import NEIGHBOURS, code_match, code_side, pattern_labels
+
+
+def finger(seed: int, px_per_mm: float = 75.7, columns: int = 100) -> FingerImages:
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:130, 0:columns]
+    mask = ((x - columns / 2) / (columns / 2)) ** 2 + ((y - 129) / 129) ** 2 < 1
+    names = ("relief", *NORMALS, *(f"shape_{name}" for name in NORMALS))
+    channels = {name: np.where(mask, rng.standard_normal(mask.shape), 0).astype(np.float32) for name in names}
+    return FingerImages(channels, mask, px_per_mm)
+
+
+@pytest.mark.parametrize("neighbours", sorted(set(NEIGHBOURS.values())))
+def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
+    image = np.random.default_rng(0).standard_normal((9, 11)).astype(np.float32)
+    labels = pattern_labels(image, neighbours)
+    known: dict[tuple[bool, ...], int] = {}
+    for row in range(9):
+        for column in range(11):
+            angle = 2 * np.pi * np.arange(neighbours) / neighbours
+            places = np.stack([row - np.sin(angle), column + np.cos(angle)])
+            around = map_coordinates(image.astype(float), places, order=1, mode="nearest")
+            if np.min(np.abs(around - image[row, column])) < 1e-5:
+                continue
+            bits = around > image[row, column]
+            if np.count_nonzero(bits != np.roll(bits, 1)) > 2:
+                assert labels[row, column] == neighbours * (neighbours - 1) + 2
+            else:
+                assert known.setdefault(tuple(bits), labels[row, column]) == labels[row, column]
+    assert len(set(known.values())) == len(known)
+    assert pattern_labels(np.zeros((3, 3), np.float32), neighbours).max() == neighbours * (neighbours - 1) + 1
+
+
+def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
+    a, b = code_side(finger(1)), code_side(finger(2))
+    same = code_match(a, a)
+    assert same.similarity == 1.0 and same.ratio == 1.0 and same.shift_px == 0
+    found = code_match(a, b)
+    distance = 0.0
+    for row in range(4):
+        for column in range(3):
+            cut = slice(32 * row, 32 * row + 32), slice(32 * column, 32 * column + 32)
+            first, second = (np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b))
+            distance += np.abs(first - second).sum()
+    assert found.scores["relief"] == pytest.approx(1 - distance / (4 * 3 * 213))
+    assert found.similarity == pytest.approx(np.mean(list(found.scores.values())))
+
+
+def test_a_finger_that_lies_elsewhere_in_its_picture_is_found() -> None:
+    image = finger(3)
+    wider = {name: np.pad(channel, ((0, 0), (0, 25))) for name, channel in image.channels.items()}
+    cut = FingerImages(wider, np.pad(image.mask, ((0, 0), (0, 25))), image.px_per_mm)
+    found = code_match(code_side(image), code_side(cut))
+    assert found.shift_px == 0 and found.ratio == 1.0
+    assert found.similarity == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    side = code_side(finger(1))
+    with pytest.raises(BadInput, match="different scales"):
+        code_match(side, code_side(finger(1, px_per_mm=30)))
+    with pytest.raises(BadInput, match="smaller than a cell"):
+        code_match(code_side(finger(1, columns=20)), side)
+    plain = FingerImages({"relief": finger(1).channels["relief"]}, finger(1).mask, 75.7)
+    with pytest.raises(BadInput, match="no channel"):
+        code_match(code_side(plain), side)

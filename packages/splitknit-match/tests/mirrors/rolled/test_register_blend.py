@@ -1,0 +1,188 @@
+"""Ridges of two views brought together, and blended."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.mirrors.reflection import Plane, Sight
+from splitknit.model import Camera
+from splitknit_match.prints.rolled import _coverage_deg
+from splitknit_match.rolled.blend import STEEPEST_DEG, BlendSettings, blend, seam_lines, seam_steps
+from splitknit_match.rolled.chart import Chart, surface_normals
+from splitknit_match.rolled.finger import _view_weight
+from splitknit_match.rolled.register import RidgeSearchSettings, ViewRidges, _shifts_by, align, ridges_of, search
+from splitknit_match.rolled.work import _angles, _lengths
+
+CAMERA = Camera(12.0, (420, 900))
+LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
+PLANE = Plane(np.array([20.0, 0.0, -8.0]), LEAN)
+FRONT, RIGHT = Sight("front", CAMERA), Sight("right", CAMERA, PLANE)
+
+
+def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+    """Noise of one ridge period (6 px), whose directions wander."""
+    noise = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+    return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
+
+
+def test_the_ridge_band_has_no_mean() -> None:
+    relief = ridges((80, 80)) + 5.0
+    band = ridges_of(relief, np.ones(relief.shape, bool), 0.1)
+    assert abs(float(band.mean())) < 0.02
+    assert np.corrcoef(band.ravel(), relief.ravel())[0, 1] > 0.95
+
+
+def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
+    chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1), 7.0)
+    return chart, np.full(chart.shape, radius)
+
+
+def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
+    """Ridges of front and mirror on a chart of radius 7, of a finger that bulges by `more` between front and side."""
+    fine = np.linspace(0.0, np.pi / 2, 4001)
+    radius = 7.0 + more * np.sin(2 * fine) ** 2
+    angle = np.clip(chart.angle_rad, 0.0, np.pi / 2)
+    in_front = np.interp(7.0 * np.sin(angle), radius * np.sin(fine), fine)
+    in_mirror = np.interp(-7.0 * np.cos(angle), -radius * np.cos(fine), fine)
+    texture = ridges((chart.shape[0], 600), texture_seed)
+    column, row = np.meshgrid(np.arange(chart.shape[1]), np.arange(chart.shape[0], dtype=np.float32))
+    views = []
+    for seen in (in_front, in_mirror):
+        place = (seen * 7.0 / 0.1)[column].astype(np.float32)
+        views.append(cv2.remap(texture, place, row, cv2.INTER_CUBIC))
+    degrees = np.rad2deg(chart.angle_rad)
+    both = np.broadcast_to((degrees > 18) & (degrees < 72), chart.shape)
+    return views[0] * both, views[1] * both, both, np.interp(angle, fine, radius) - 7.0
+
+
+@pytest.mark.parametrize("more", [0.3, -0.25])
+def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
+    chart, radius = cylinder(7.0)
+    first, second, both, truth = bulged(chart, more)
+    before = np.corrcoef(first[both], second[both])[0, 1]
+    assert before < 0.3  # ridges are shifted by more than a period
+    ranges = RidgeSearchSettings(across_mm=(1.0, 0.05), along_mm=(0.05, 0.05), deviations=(0.2, 0.06, 0.1))
+    found = search(chart, radius, ViewRidges(FRONT, first, both), ViewRidges(RIGHT, second, both), ranges)
+    assert found.correlation > 0.8
+    middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
+    left = found.radius_mm[70, middle] - truth[middle]
+    # surface and mirror trade against each other: what both move by is what counts
+    assert np.abs(left + found.pose[2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
+    other = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
+    nothing = search(chart, radius, ViewRidges(FRONT, first, both), other, ranges)
+    assert not nothing.radius_mm.any()
+
+
+def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
+    chart, radius = cylinder(7.0)
+    first, second, both, truth = bulged(chart, 0.04)
+    # a left mirror's ridges lie where they should: what bends the right side must leave that side alone
+    left = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
+    there = np.ascontiguousarray(both[:, ::-1])
+    calm = ridges(chart.shape, 11) * there
+    done = align(
+        chart,
+        radius,
+        ViewRidges(FRONT, first + calm, both),
+        (ViewRidges(RIGHT, second, both), ViewRidges(left, calm, there)),
+        pose_free=False,
+    )
+    assert done.after[0] > max(0.95, done.before[0] + 0.05)
+    assert done.after[1] > 0.99
+    assert np.allclose(done.poses, 0.0, atol=1e-6)
+    assert np.abs(done.radius_mm[:, there[70]]).max() < 0.005
+    middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
+    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
+    # with one mirror the side that it does not show stays as it is
+    alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),), pose_free=False)
+    assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
+    # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror alone
+    lower = np.roll(second, 1, axis=0) * both
+    turned = align(
+        chart,
+        radius + truth,
+        ViewRidges(FRONT, first + calm, both),
+        (ViewRidges(left, calm, there), ViewRidges(RIGHT, lower, both)),
+    )
+    assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
+    few = np.zeros_like(both)
+    assert (
+        align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, few),)).radius_mm.max() == 0.0
+    )
+
+
+def test_ridges_move_as_surface_and_mirror_do() -> None:
+    chart, radius = cylinder(7.0)
+    points = chart.points(radius)
+    _, rays = chart.rays()
+    at = np.array([70]), np.array([np.abs(chart.angle_rad - np.pi / 4).argmin()])
+    steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
+    front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
+    mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
+    column_mm = np.linalg.norm(steps[0])
+    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side, the mirror's back
+    assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
+    assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
+    assert not no_pose.any()
+    assert abs(by_pose[0, 0, 2] * column_mm) == pytest.approx(2.0, abs=0.03)
+
+
+def test_views_fade_into_each_other() -> None:
+    chart, radius = cylinder(7.0)
+    points = chart.points(radius)
+    normals = surface_normals(points)
+    settings = BlendSettings()
+    known = np.ones(chart.shape, dtype=bool)
+    deviation = np.full(chart.shape, 0.004, np.float32)
+    weights = np.stack(
+        [_view_weight(sight.cosine(normals, points), known, deviation, 0.1, settings) for sight in (FRONT, RIGHT)]
+    )
+    degrees = np.rad2deg(chart.angle_rad)
+    assert not weights[0][:, np.abs(degrees) > STEEPEST_DEG].any()
+    assert not weights[1][:, degrees < 90 - STEEPEST_DEG].any()
+    values = np.stack([np.zeros(chart.shape), np.ones(chart.shape)]).astype(np.float32)
+    made = blend(values, np.stack([deviation] * 2), weights)
+    assert np.allclose(made.fractions.sum(axis=0)[made.known], 1.0, atol=1e-5)
+    rising = made.relief_mm[70, (degrees > 18) & (degrees < 72)]
+    assert (np.diff(rising) > -1e-6).all()
+    assert np.abs(np.diff(rising)).max() < 0.2  # no jump between neighbours 0.1 mm apart
+    assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
+    line = seam_lines(made.fractions, 0, 1)
+    assert np.abs(degrees[np.flatnonzero(line[70])] - 45).max() < 2
+    hard = np.where(made.fractions[0] > made.fractions[1], 0.0, 1.0)
+    assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
+    assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
+    # from -72 deg of the front to the chart's end, less what fades out
+    around = _coverage_deg(chart, made.known, normals)
+    assert np.median(around) == pytest.approx(72 + 100, abs=12)
+
+
+def test_what_is_as_uncertain_as_ridges_are_deep_is_not_shown() -> None:
+    known = np.ones((60, 60), dtype=bool)
+    deviation = np.full((60, 60), 0.010, np.float32)
+    deviation[:, 30:] = 0.060
+    weight = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1))
+    assert (weight[:, :20] > 0).all()
+    assert not weight[:, 40:].any()
+    spared = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1, most_deviation_um=100.0))
+    assert (spared[:, 40:] > 0).all()
+
+
+def test_settings_are_checked() -> None:
+    for wrong in (
+        {"fade_mm": 0.0},
+        {"most_deviation_um": -1.0},
+    ):
+        with pytest.raises(BadInput, match=r"rolled\.blend"):
+            BlendSettings(**wrong)
+    for wrong in (
+        {"across_mm": (-1.0, 0.1)},
+        {"along_mm": (0.1, 0.0)},
+        {"deviations": (0.0, 0.1, 0.1)},
+        {"candidates": 0},
+    ):
+        with pytest.raises(BadInput, match=r"rolled\.search"):
+            RidgeSearchSettings(**wrong)

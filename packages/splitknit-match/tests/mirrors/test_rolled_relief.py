@@ -1,0 +1,37 @@
+"""Ridges of a view of skin: a camera too coarse for the network is read on a grid twice as fine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.finger.locate import FingerSettings
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit_match.rolled.blend import RolledSettings
+from splitknit_match.rolled.register import ridges_of
+from splitknit_match.rolled.views import find_mirror_views
+from splitknit_match.rolled.work import ReliefSettings, Work
+from splitknit_simulator.rigs import MirrorSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
+
+
+@pytest.mark.slow
+def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() -> None:
+    capture, truth = simulate_capture(
+        11, None, TwinSettings(scale=0.35, mirrors=MirrorSettings(names=("left",), nir=False))
+    )
+    px_per_mm = capture.rig.camera.px_per_mm
+    assert px_per_mm < 17  # the network has learned 25 and more
+    views = find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
+    work = Work(capture, views, ReliefSettings(), RolledSettings())
+    work.find_ridges()
+    for name, prefix, least in (("front", "", 0.75), ("left", "view_left_", 0.6)):
+        view = work.reliefs[name]
+        assert view.how == "network"
+        shown = view.window
+        true = truth["relief_um" if name == "front" else f"{prefix}relief_um"][shown] * np.float32(1e-3)
+        known = np.isfinite(view.relief_mm) & truth[f"{prefix}mask"][shown] & (view.trust > 0.95)
+        seen, there = (ridges_of(np.nan_to_num(f), known, 1 / px_per_mm) for f in (view.relief_mm, true))
+        assert np.corrcoef(seen[known], there[known])[0, 1] > least
+        assert seen[known].std() > 0.5 * there[known].std()

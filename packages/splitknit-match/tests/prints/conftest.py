@@ -1,0 +1,3 @@
+"""Fixtures of the folder."""
+
+from prints_fixtures import *

@@ -1,0 +1,127 @@
+"""Directions, frequencies, enhancement, thinning."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit_match.prints.enhance import as_print, gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit_match.prints.ridge_field import ridge_field
+
+ENHANCERS = (gabor_enhance, stft_enhance)
+
+
+def _waves(period: float, angle_deg: float, size: int = 300) -> tuple[np.ndarray, np.ndarray]:
+    """Phase of ridges that run at an angle counter-clockwise from the right, and the print, ridges dark."""
+    row, column = np.mgrid[0:size, 0:size].astype(float)
+    angle = np.deg2rad(angle_deg)
+    phase = 2 * np.pi * (column * np.sin(angle) + row * np.cos(angle)) / period
+    return phase, np.round(127.5 - 110 * np.tanh(1.5 * np.cos(phase))).astype(np.uint8)
+
+
+def _rings(size: int = 300, period: float = 9.0) -> tuple[np.ndarray, np.ndarray]:
+    row, column = np.mgrid[0:size, 0:size].astype(float)
+    phase = 2 * np.pi * np.hypot(row - 150.3, column - 149.1) / period
+    return phase, np.round(127.5 - 100 * np.cos(phase)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("period", "angle"), [(6, 30), (8.5, 120), (9.7, 77), (11, 0), (11, 90)])
+def test_direction_and_period_of_waves(period: float, angle: float) -> None:
+    field = ridge_field(_waves(period, angle)[1])
+    inner = (slice(10, -10),) * 2
+    assert field.mask[inner].all()
+    assert np.median(field.frequency_px[inner]) * period == pytest.approx(1.0, abs=0.003)
+    off = 0.5 * np.angle(np.exp(2j * (field.orientation_rad[inner] - np.deg2rad(angle))))
+    assert np.abs(off).max() < np.deg2rad(0.5)
+    twice = ridge_field(np.kron(_waves(period, angle, 150)[1], np.ones((2, 2), np.uint8)), 1000.0)
+    assert np.median(twice.period_mm(1000.0)[8:-8, 8:-8]) == pytest.approx(period * 25.4 / 500, rel=0.01)
+
+
+@pytest.mark.parametrize("enhance", ENHANCERS)
+def test_ridges_are_found_under_noise(enhance) -> None:
+    phase, image = _rings()
+    rng = np.random.default_rng(5)
+    noisy = np.clip(image + 90 * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
+    enhanced = enhance(noisy)
+    row, column = np.mgrid[0:300, 0:300]
+    ring = (np.hypot(row - 150, column - 149) > 45) & (np.hypot(row - 150, column - 149) < 130)
+    assert enhanced.mask[ring].all()
+    assert np.corrcoef(enhanced.wave[ring], -np.cos(phase)[ring])[0, 1] > 0.93
+    assert np.corrcoef(noisy[ring], -np.cos(phase)[ring])[0, 1] < 0.75
+    assert np.corrcoef(enhanced.image[ring], image[ring])[0, 1] > 0.9  # dark stays dark
+
+
+def test_it_is_what_a_filter_for_every_pixel_gives() -> None:
+    """The slow way: at every pixel a Gabor filter with the direction and frequency that hold there."""
+    _, image = _rings(size=300, period=8.0)
+    enhanced = gabor_enhance(image)
+    field = enhanced.field
+    padded = np.pad(image.astype(float), 12, mode="reflect")
+    offset = np.arange(-12, 13)
+    fast, slow = [], []
+    for row in range(60, 250, 23):
+        for column in range(60, 250, 19):
+            i, j = row // field.step_px, column // field.step_px
+            frequency, angle = field.frequency_px[i, j], np.arctan2(-(row - 150.3), column - 149.1)  # across rings
+            x, y = np.meshgrid(offset, -offset)
+            envelope = np.exp(-0.5 * (x**2 + y**2) * (frequency / 0.5) ** 2)
+            wave = np.cos(2 * np.pi * frequency * (x * np.cos(angle) + y * np.sin(angle)))
+            kernel = envelope * (wave - (envelope * wave).sum() / envelope.sum())
+            slow.append((padded[row : row + 25, column : column + 25] * kernel).sum())
+            fast.append(enhanced.wave[row, column])
+    assert np.corrcoef(fast, slow)[0, 1] > 0.985
+
+
+@pytest.mark.parametrize("enhance", ENHANCERS)
+def test_nothing_is_printed_beside_the_finger(enhance) -> None:
+    _, image = _waves(9, 20)
+    inside = np.zeros(image.shape, bool)
+    inside[60:240, 60:240] = True
+    assert (enhance(image, inside=inside).image[:50] == 255).all()
+    paper = np.where(inside, image, 255).astype(np.uint8)
+    found = enhance(paper)
+    assert (found.image[:40] == 255).all()
+    assert found.mask[80:220, 80:220].all()
+
+
+@pytest.mark.parametrize("enhance", [*ENHANCERS, ridge_field])
+def test_no_ridges_are_refused(enhance) -> None:
+    with pytest.raises(BadInput, match="no ridges"):
+        enhance(np.full((200, 200), 255, np.uint8))
+    with pytest.raises(BadInput, match="uint8"):
+        enhance(np.zeros((200, 200), np.float32))
+    with pytest.raises(BadInput, match="2 mm"):
+        enhance(np.zeros((20, 200), np.uint8))
+
+
+def _pieces(shape: np.ndarray) -> int:
+    return cv2.connectedComponents(shape.astype(np.uint8), connectivity=8)[0]
+
+
+def test_lines_are_thin_and_hang_together() -> None:
+    rng = np.random.default_rng(8)
+    smooth = cv2.GaussianBlur(rng.standard_normal((160, 160)).astype(np.float32), (0, 0), 4)
+    for shape in (smooth > 0, _rings()[1] < 128, _waves(9, 30)[1] < 128):
+        lines = thin(shape)
+        assert not (lines & ~shape).any()
+        assert _pieces(lines) == _pieces(shape)
+        block = lines[1:, 1:] & lines[:-1, 1:] & lines[1:, :-1] & lines[:-1, :-1]
+        assert block.mean() < 1e-4  # one pixel wide
+        assert np.array_equal(thin(lines), lines)
+    assert thin(np.ones((9, 30), bool)).sum(axis=0).max() == 1
+
+
+def test_thinned_ridges_run_in_the_middle() -> None:
+    phase, image = _waves(9, 35)
+    ridges = ridge_mask(gabor_enhance(image))
+    lines = thin(ridges)[30:-30, 30:-30]
+    assert np.cos(phase)[30:-30, 30:-30][lines].min() > 0.3
+    assert set(np.unique(as_print(ridges))) == {0, 255}
+    assert 0.35 < ridges[30:-30, 30:-30].mean() < 0.65
+
+
+def test_only_booleans_are_thinned() -> None:
+    with pytest.raises(BadInput, match="boolean"):
+        thin(np.zeros((4, 4), np.uint8))  # type: ignore[arg-type]

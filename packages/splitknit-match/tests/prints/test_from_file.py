@@ -1,0 +1,205 @@
+"""Prints from files of any format and resolution, brought to 500 ppi; their minutiae are those that were drawn."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from fmr_samples import three_minutiae
+from spiral_prints import PLACES, spiral_print
+from splitknit.errors import BadInput
+from splitknit.io.prints import PrintFile
+from splitknit_match.prints.from_file import (
+    _ridge_period_px,
+    minutiae_of,
+    pressed_print,
+    print_at_500_ppi,
+    print_minutiae,
+    read_one_finger,
+    read_print_file,
+)
+from splitknit_match.prints.make import enhance, minutiae_by_phase
+from splitknit_match.records.minutiae_record import pixels_per_cm
+
+
+def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:
+    """As Pillow writes it; grey."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, kind, **({} if ppi is None else {"dpi": (ppi, ppi)}), **more)
+    return stream.getvalue()
+
+
+def found_in(image: NDArray[np.uint8]) -> tuple[int, int]:
+    """How many of the drawn minutiae are found within 0.25 mm, and how many others."""
+    made = pressed_print(PrintFile(image, 500.0, {}))
+    found = minutiae_by_phase(made, enhance(made, 500.0), 500.0)
+    apart = np.hypot(found.x_px[:, None] - PLACES[:, 0], found.y_px[:, None] - PLACES[:, 1])
+    return int((apart.min(axis=0) < 5).sum()), int((apart.min(axis=1) >= 5).sum())
+
+
+Data = Callable[[], bytes]
+EXIF = Image.Exif()
+EXIF[282] = EXIF[283] = 600.0
+EXIF[296] = 2
+
+
+def coloured(*seeds: int) -> np.ndarray:
+    return np.stack([spiral_print(seed=seed) for seed in seeds], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("scale", "data"),
+    [
+        (1.0, lambda: saved(spiral_print(), "PNG", 500)),
+        (2.0, lambda: saved(spiral_print(scale=2.0), "PNG", 1000)),
+        (0.6, lambda: saved(spiral_print(scale=0.6), "TIFF", 300)),
+        (1.2, lambda: saved(spiral_print(scale=1.2), "JPEG", 600, quality=90)),
+        (1.2, lambda: saved(spiral_print(scale=1.2), "JPEG", None, quality=90, exif=EXIF)),
+        (1.6, lambda: saved(spiral_print(scale=1.6), "BMP", 800)),
+        (1.0, lambda: saved(coloured(1, 1, 1), "PNG", 500)),
+        (1.0, lambda: saved(coloured(1, 1, 1), "JPEG", 500, quality=80)),
+        (1.0, lambda: saved(spiral_print().astype(np.uint16) * 257, "PNG", 500)),
+    ],
+    ids=["png", "png 1000", "tiff 300", "jpeg 600", "exif 600", "bmp 800", "rgb", "rgb jpeg", "16 bits"],
+)
+def test_every_format_and_resolution_gives_the_same_print(tmp_path: Path, scale: float, data: Data) -> None:
+    file = tmp_path / "scan.of.a.print"  # the bytes show the format
+    file.write_bytes(data())
+    (stored,) = read_print_file(file)
+    assert isinstance(stored, PrintFile)
+    assert stored.resolution_ppi == pytest.approx(500 * scale, rel=1e-3)
+    one = print_at_500_ppi(stored)
+    assert one.image.shape == (500, 380)
+    known, others = found_in(one.image)
+    assert known >= len(PLACES) - 1
+    assert others <= 3
+
+
+@pytest.mark.parametrize(("scale", "low", "high"), [(0.6, 210, 410), (1.0, 350, 680), (2.0, 700, 1370)])
+def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: float, low: int, high: int) -> None:
+    file = tmp_path / "scan.png"
+    file.write_bytes(saved(spiral_print(scale=scale), "PNG", None))
+    with pytest.raises(BadInput, match=r"does not state its resolution; .* fits (\d+) to (\d+) pixels") as refused:
+        read_one_finger(file)
+    assert "\n" not in str(refused.value) and "`input_ppi` 500" in str(refused.value)
+    said = [int(one) for one in re.findall(r"fits (\d+) to (\d+)", str(refused.value))[0]]
+    np.testing.assert_allclose(said, [low, high], rtol=0.08)
+    one = read_one_finger(file, 500 * scale)
+    assert isinstance(one, PrintFile)
+    assert print_at_500_ppi(one).image.shape == (500, 380)
+
+
+def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
+    narrow = cv2.resize(spiral_print(), (285, 500), interpolation=cv2.INTER_AREA)  # 375 ppi along the columns
+    for kind in ("PNG", "TIFF", "JPEG", "BMP"):
+        stream = io.BytesIO()
+        Image.fromarray(narrow).save(stream, kind, dpi=(375, 500), **({"quality": 95} if kind == "JPEG" else {}))
+        (tmp_path / "scan").write_bytes(stream.getvalue())
+        one = read_one_finger(tmp_path / "scan")
+        assert isinstance(one, PrintFile) and one.image.shape == (500, 380), kind
+        assert one.resolution_ppi == pytest.approx(500, rel=1e-3) and "375 by 500 ppi were made square" in one.note
+        known, others = found_in(one.image)
+        assert known >= len(PLACES) - 1 and others <= 3
+
+
+def paper(*places: tuple[int, int], size: tuple[int, int] = (1400, 1500)) -> NDArray[np.uint8]:
+    """A white page with a print of 380 x 500 pixels at each place."""
+    page = np.full(size, 255, dtype=np.uint8)
+    for row, column in places:
+        page[row : row + 500, column : column + 380] = spiral_print()
+    return page
+
+
+def test_a_page_is_cut_to_its_prints(tmp_path: Path) -> None:
+    file = tmp_path / "page.png"
+    file.write_bytes(saved(paper((600, 900)), "PNG", 500))
+    one = read_one_finger(file)
+    assert isinstance(one, PrintFile) and one.image.size < 2.2 * spiral_print().size
+    assert "cut out of a picture of 1500 x 1400 pixels" in one.note
+    alone = print_minutiae(spiral_print())
+    assert abs(print_minutiae(one.image).count - alone.count) <= 2 and alone.count >= len(PLACES) - 1
+    file.write_bytes(saved(paper((100, 100), (800, 1000)), "PNG", 500))
+    assert len(read_print_file(file)) == 2
+    with pytest.raises(BadInput, match="holds 2 prints"):
+        read_one_finger(file)
+    file.write_bytes(saved(np.pad(spiral_print(), 60, constant_values=255), "PNG", 500))  # no page
+    assert read_one_finger(file).note == ""
+
+
+def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
+    file = tmp_path / "scan.png"
+    down, right = np.mgrid[-1:1:500j, -1:1:380j]
+    touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)  # it fades out, as where a finger touches less
+    image = np.pad(np.round(255 - (255.0 - spiral_print()) * touching).astype(np.uint8), 60, constant_values=255)
+    file.write_bytes(saved(255 - image, "PNG", 500))
+    one = read_one_finger(file)
+    assert isinstance(one, PrintFile) and "were white and have been turned dark" in one.note
+    np.testing.assert_array_equal(one.image, image)
+
+
+def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> None:
+    file = tmp_path / "scan.png"
+    for ppi in (250, 1000):
+        file.write_bytes(saved(spiral_print(), "PNG", ppi))
+        assert f"at {ppi} ppi its ridges are" in read_one_finger(file).note
+
+
+def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:
+    file = tmp_path / "scan.jpg"
+    file.write_bytes(saved(spiral_print(), "JPEG", 72))
+    with pytest.raises(BadInput, match=r"states 72 ppi, too few for ridges; .* `input_ppi` 500"):
+        read_one_finger(file)
+    file.write_bytes(saved(np.full((200, 200), 255, np.uint8), "PNG", None))
+    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `input_ppi` 500"):
+        read_one_finger(file)
+    file.write_bytes(saved(spiral_print(), "PNG", 9000))
+    with pytest.raises(BadInput, match="more than 5080"):
+        read_one_finger(file)
+    with pytest.raises(BadInput, match="200 to 5080"):
+        read_one_finger(file, 100)
+
+
+def test_pictures_without_ridges_have_no_period() -> None:
+    random = np.random.default_rng(1)
+    noise = random.integers(0, 256, (400, 400)).astype(np.uint8)
+    for picture in (noise, np.full((300, 300), 9, np.uint8), np.repeat(np.repeat(noise[:20, :20], 20, 0), 20, 1)):
+        assert _ridge_period_px(picture) is None
+    assert _ridge_period_px(spiral_print()[200:250]) is None  # too small to tell
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (lambda: b"", "is empty"),
+        (lambda: b"hello", "of another kind"),
+        (lambda: b"%PDF-1.4 and more", "prints and minutiae are read from PNG"),
+        (lambda: saved(coloured(1, 2, 1), "PNG", 500), "colour image"),
+        (lambda: saved(spiral_print(), "PNG", 500)[:-40], "damaged|truncated"),
+        (lambda: saved(spiral_print(), "BMP", 500)[:-4000], "truncated"),
+    ],
+    ids=["empty", "text", "pdf", "colour", "cut png", "cut bmp"],
+)
+def test_other_files_are_refused_in_one_sentence(tmp_path: Path, data: Data, words: str) -> None:
+    file = tmp_path / "scan.png"
+    file.write_bytes(data())
+    with pytest.raises(BadInput, match=words) as refused:
+        read_one_finger(file)
+    assert str(refused.value).count("\n") == 0
+
+
+def test_minutiae_of_records_lie_on_the_grid_of_500_ppi() -> None:
+    same = minutiae_of(three_minutiae())
+    np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
+    fine = three_minutiae(resolution_ppcm=pixels_per_cm(1000), quality=np.array([80, 254, 255]))
+    half = minutiae_of(fine)
+    assert np.abs(half.x_px - fine.x_px / 2).max() <= 0.51
+    assert half.size == (round(fine.size[0] / 2), round(fine.size[1] / 2))
+    assert half.quality.tolist() == [80, 0, 0]

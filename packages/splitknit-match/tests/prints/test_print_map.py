@@ -1,0 +1,126 @@
+"""Where a print's pixels come from, and that prints have the right size, side and spacing."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from bodies import Twin
+from splitknit.errors import BadInput
+from splitknit.finger.ridges import ink, relief_print
+from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit_match.prints.ridge_field import ridge_field
+from splitknit_match.prints.unroll import unroll
+from splitknit_simulator.finger.master_print import ink_print
+
+
+@pytest.fixture(scope="module")
+def laid(twin: Twin) -> PrintMap:
+    return unrolled_map(unroll(twin.grid()), "free")
+
+
+@pytest.fixture(scope="module")
+def printed(twin: Twin, laid: PrintMap) -> np.ndarray:
+    return ink(*resample(twin.ridge_mm, twin.seen.mask, twin.seen.camera.pitch_mm, laid))
+
+
+def test_the_plane_is_that_of_the_relief_print(twin: Twin) -> None:
+    pitch = twin.seen.camera.pitch_mm
+    flat = plane_map(pitch, *twin.frame)
+    mine = ink(*resample(twin.ridge_mm, twin.seen.mask, pitch, flat))
+    theirs = relief_print(twin.ridge_mm, twin.seen.mask, 1 / pitch, *twin.frame)
+    assert mine.shape == theirs.shape
+    inside = cv2.erode((theirs < 255).astype(np.uint8), np.ones((25, 25))) > 0
+    assert np.corrcoef(mine[inside], theirs[inside])[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("ppi", [500.0, 1000.0])
+def test_there_and_back(twin: Twin, ppi: float) -> None:
+    rng = np.random.default_rng(4)
+    rows, columns = np.nonzero(cv2.erode(twin.seen.mask.astype(np.uint8), np.ones((31, 31))))
+    chosen = rng.integers(0, rows.size, 200)
+    points = np.stack([columns[chosen], rows[chosen]], axis=1) + rng.uniform(-0.5, 0.5, (200, 2))
+    for made in (
+        plane_map(twin.seen.camera.pitch_mm, *twin.frame, ppi),
+        unrolled_map(unroll(twin.grid()), "free", ppi),
+    ):
+        there = made.print_from_input(points)
+        back = made.input_from_print(there)
+        known = np.isfinite(back).all(axis=1)
+        assert known.mean() > 0.9
+        assert np.abs(back - points)[known].max() < 1e-3
+        # what is stored for every pixel is the same map
+        pixel = np.rint(there[known]).astype(int)
+        dense = np.stack([made.columns[pixel[:, 1], pixel[:, 0]], made.rows[pixel[:, 1], pixel[:, 0]]], axis=1)
+        again = made.print_from_input(dense)
+        assert np.nanpercentile(np.abs(again - pixel), 99) < 0.1
+
+
+def test_directions_are_mirrored(twin: Twin, laid: PrintMap) -> None:
+    middle = np.argwhere(twin.seen.mask).mean(axis=0)[None, ::-1]
+    angles = np.deg2rad([0.0, 30.0, 135.0])
+    points = np.repeat(middle, 3, axis=0)
+    on_print = laid.directions_on_print(points, angles)
+    assert np.abs(np.angle(np.exp(1j * (on_print - (np.pi - angles))))).max() < 0.03
+    back = laid.directions_in_input(laid.print_from_input(points), on_print)
+    assert np.abs(np.angle(np.exp(1j * (back - angles)))).max() < 1e-3
+
+
+def test_beside_the_finger_there_is_nothing(laid: PrintMap) -> None:
+    assert np.isnan(laid.input_from_print(np.array([[-5.0, 4.0], [0.0, 0.0]]))).all()
+    assert np.isnan(laid.print_from_input(np.array([[-4000.0, 12.0], [np.nan, 3.0]]))).all()
+
+
+def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
+    score = cv2.matchTemplate(whole.astype(np.float32), part.astype(np.float32), cv2.TM_CCOEFF_NORMED)
+    _, best, _, place = cv2.minMaxLoc(score)
+    return best, place
+
+
+def test_side_size_and_polarity_are_those_of_ink(twin: Twin, laid: PrintMap, printed: np.ndarray) -> None:
+    """8 mm of our print lie on the finger's own ink print, unturned, unscaled: mirrored, upright, ridges dark."""
+    ink_master = ink_print(twin.master)
+    core = laid.print_from_input(np.atleast_2d(twin.seen.landmarks["cores_px"])[:1])[0]
+    column, row = np.rint(core).astype(int)
+    part = printed[row - 79 : row + 79, column - 79 : column + 79]
+    right, place = _best(part, ink_master)
+    assert right > 0.7
+    assert _best(part[:, ::-1], ink_master)[0] < 0.5
+    assert _best(part[::-1], ink_master)[0] < 0.5
+    assert _best(255 - part, ink_master)[0] < 0.5
+    for factor in (0.96, 1.04):
+        scaled = cv2.resize(part, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        assert _best(scaled, ink_master)[0] < right - 0.1
+    theirs = ink_master[place[1] : place[1] + 158, place[0] : place[0] + 158]
+    mine, true = (ridge_field(np.ascontiguousarray(image)) for image in (part, theirs))
+    both = mine.mask & true.mask
+    ratio = np.median(true.frequency_px[both] / mine.frequency_px[both])
+    assert ratio == pytest.approx(1.0, abs=0.02)
+
+
+def test_true_minutiae_lie_on_the_print(twin: Twin, laid: PrintMap, printed: np.ndarray) -> None:
+    places = laid.print_from_input(twin.seen.landmarks["minutiae_px"])
+    places = places[np.isfinite(places).all(axis=1)]
+    assert len(places) > 30
+    inside = ((places > 0) & (places < np.array(printed.shape)[::-1] - 1)).all(axis=1)
+    assert inside.mean() > 0.9
+    back = laid.input_from_print(places[inside])
+    assert np.isfinite(back).all(axis=1).mean() > 0.9
+
+
+def test_no_scale_is_refused() -> None:
+    with pytest.raises(BadInput, match="scale"):
+        plane_map(0.0, np.eye(3), (10, 10))
+    with pytest.raises(BadInput, match="ppi"):
+        plane_map(0.1, np.eye(3), (10, 10), ppi=0)
+    with pytest.raises(BadInput, match="19685 x 19685 pixels, more than any finger"):  # else 20 GB
+        plane_map(0.1, np.eye(3), (10_000, 10_000))
+
+
+def test_flat_skin_is_refused(laid: PrintMap) -> None:
+    flat = np.zeros(laid.size, np.float32)
+    with pytest.raises(BadInput, match="no ridges"):
+        ink(flat, np.ones_like(flat))
+    with pytest.raises(BadInput, match="nothing of the finger"):
+        ink(flat, flat)

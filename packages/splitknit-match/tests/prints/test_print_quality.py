@@ -1,0 +1,171 @@
+"""Quality of a print: every figure on waves that are known, and the score."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.finger.ridges import ink
+from splitknit_match.prints.print_quality import PARTS, QualityFigures, _quality_figures, print_quality, score_of
+from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+
+PX_PER_MM = 500 / 25.4
+ROWS, COLUMNS = 520, 360
+GOOD = QualityFigures(0.8, 45.0, 0.95, 0.95, 0.5, 0.1, 280.0, 350.0, 19.0, 0.03, 1.2)
+
+
+def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) -> np.ndarray:
+    """Horizontal ridges of a height from valley to ridge, with a second harmonic of a fraction of the first."""
+    phase = 2 * np.pi * np.arange(ROWS) / (period_mm * PX_PER_MM)
+    line = 0.5 * height_um * (np.cos(phase) + second * np.cos(2 * phase + 0.4))
+    return np.repeat(line[:, None], COLUMNS, axis=1).astype(np.float32)
+
+
+def figures(values: np.ndarray, weight: np.ndarray | None = None, least: float | None = 10.0) -> QualityFigures:
+    weight = np.ones(values.shape, np.float32) if weight is None else weight
+    return _quality_figures(values, weight, ridge_field(ink(values, weight)), 500.0, least)
+
+
+def test_height_period_and_extent() -> None:
+    found = figures(waves(40.0))
+    assert found.ridge_height_um == pytest.approx(40.0, rel=0.06)
+    assert found.period_mm == pytest.approx(0.5, rel=0.02)
+    assert found.ridge_share > 0.97
+    area = ROWS * COLUMNS / PX_PER_MM**2
+    assert found.ridge_area_mm2 == pytest.approx(area, rel=0.05)
+    assert found.finger_area_mm2 == pytest.approx(area, rel=0.05)
+    assert found.ridge_length_mm == pytest.approx(ROWS / PX_PER_MM, rel=0.03)
+    assert found.coherence > 0.95
+    assert found.plausible_share > 0.98
+    assert found.gap_share < 0.02
+    assert found.centre_offset_mm < 0.2
+
+
+def test_without_micrometres_there_is_no_height() -> None:
+    dim = figures(1e-3 * waves(40.0), least=None)
+    assert dim.ridge_height_um is None
+    assert dim.ridge_share > 0.97
+    assert figures(1e-3 * waves(40.0)).ridge_share == 0.0  # 0.04 um
+
+
+def test_sharpness_is_the_second_harmonic_and_blind_to_noise() -> None:
+    assert figures(waves(second=0.2)).sharpness == pytest.approx(0.2, abs=0.03)
+    assert figures(waves()).sharpness < 0.02
+    noisy = waves() + np.random.default_rng(5).normal(0, 15, (ROWS, COLUMNS)).astype(np.float32)
+    assert figures(noisy).sharpness < 0.03
+
+
+def test_half_of_the_finger_is_blank() -> None:
+    values = waves()
+    values[:, COLUMNS // 2 :] = 0.0
+    found = figures(values)
+    assert found.ridge_share == pytest.approx(0.5, abs=0.06)
+    assert found.centre_offset_mm == pytest.approx(0.25 * COLUMNS / PX_PER_MM, abs=0.5)
+    values = waves()
+    values[ROWS // 2 :] = 0.0
+    found = figures(values)
+    assert found.ridge_length_mm == pytest.approx(0.5 * ROWS / PX_PER_MM, abs=1.0)
+
+
+def test_a_gap_inside_is_told_from_the_rim() -> None:
+    values = waves()
+    values[200:280, 120:200] = 0.0  # 4 mm wide, ridges around
+    inside = figures(values)
+    values = waves()
+    values[:, :30] = 0.0  # an outline without ridges
+    rim = figures(values)
+    assert inside.gap_share > 0.02 + rim.gap_share
+    assert rim.gap_share < 0.01
+
+
+def test_noise_costs_purity() -> None:
+    noisy = waves(30.0) + np.random.default_rng(3).normal(0, 60, (ROWS, COLUMNS)).astype(np.float32)
+    assert figures(noisy).ridge_share < 0.5
+
+
+def test_beside_the_finger_nothing_counts() -> None:
+    weight = np.zeros((ROWS, COLUMNS), np.float32)
+    weight[100:400, 60:300] = 1.0
+    values = np.where(weight > 0, waves(), np.float32(1e6))
+    found = figures(values.astype(np.float32), weight)
+    assert found.finger_area_mm2 == pytest.approx(300 * 240 / PX_PER_MM**2, rel=0.06)
+    assert found.ridge_height_um == pytest.approx(50.0, rel=0.1)
+    assert found.ridge_length_mm == pytest.approx(300 / PX_PER_MM, abs=0.9)
+
+
+BETTER = {
+    "ridge_share": 0.02, "ridge_height_um": 2.0, "coherence": 0.02, "plausible_share": 0.02, "sharpness": 0.005,
+    "ridge_area_mm2": 5.0, "ridge_length_mm": 0.5, "gap_share": -0.02, "centre_offset_mm": -0.1,
+}  # fmt: skip
+
+
+def test_the_score_rises_with_every_figure() -> None:
+    assert set(BETTER) == set(PARTS)
+    before, _ = score_of(GOOD)
+    assert 50 < before < 100
+    for name, step in BETTER.items():
+        after, _ = score_of(replace(GOOD, **{name: getattr(GOOD, name) + step}))
+        assert after > before, name
+
+
+def test_the_score_is_a_product_of_powers() -> None:
+    best = QualityFigures(1.0, 100.0, 1.0, 1.0, 0.5, 0.3, 600.0, 600.0, 30.0, 0.0, 0.0)
+    assert score_of(best)[0] == pytest.approx(100.0)
+    score, worth = score_of(replace(best, ridge_share=0.6, coherence=0.6))
+    assert score == pytest.approx(100 * 0.5**0.3 * 0.2**0.15)
+    assert worth["ridge_share"] == pytest.approx(0.5)
+    assert score_of(replace(GOOD, ridge_area_mm2=0.0))[0] == 0.0
+
+
+def test_a_figure_that_is_not_known_is_left_out() -> None:
+    score, worth = score_of(replace(GOOD, ridge_height_um=None))
+    assert "ridge_height_um" not in worth
+    assert score == pytest.approx(score_of(replace(GOOD, ridge_height_um=1000.0))[0])
+
+
+def test_stronger_ridges_score_more() -> None:
+    weight = np.ones((ROWS, COLUMNS), np.float32)
+    noise = np.random.default_rng(1).normal(0, 8, (ROWS, COLUMNS)).astype(np.float32)
+    scores = []
+    for height in (6.0, 20.0, 50.0):
+        values = waves(height, 0.15) + noise
+        scores.append(print_quality(values, weight, ridge_field(ink(values, weight))).score)
+    assert scores[0] < scores[1] < scores[2]
+
+
+def test_without_waves_the_score_is_zero() -> None:
+    field = ridge_field(ink(waves(), np.ones((ROWS, COLUMNS), np.float32)))
+    nothing = RidgeField(
+        field.step_px, field.orientation_rad, field.coherence, field.frequency_px, np.zeros_like(field.mask)
+    )
+    found = print_quality(waves(), np.ones((ROWS, COLUMNS), np.float32), nothing)
+    assert found.score == 0.0
+    assert all(np.isfinite(value) for value in asdict(found.figures).values())
+
+
+def test_resolution_does_not_matter() -> None:
+    values = waves(40.0, 0.15)
+    large = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
+    weight = np.ones(large.shape, np.float32)
+    from splitknit.finger.ridges import PrintSettings
+
+    image = ink(large, weight, PrintSettings(ppi=1000.0))
+    fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, 10.0)
+    coarse = figures(values)
+    assert fine.ridge_height_um == pytest.approx(coarse.ridge_height_um, rel=0.03)
+    assert fine.ridge_area_mm2 == pytest.approx(coarse.ridge_area_mm2, rel=0.03)
+    assert fine.sharpness == pytest.approx(coarse.sharpness, abs=0.02)
+
+
+def test_bad_input() -> None:
+    values, weight = waves(), np.ones((ROWS, COLUMNS), np.float32)
+    field = ridge_field(ink(values, weight))
+    with pytest.raises(BadInput, match="one shape"):
+        print_quality(values, weight[1:], field)
+    with pytest.raises(BadInput, match="nodes"):
+        print_quality(values[:100, :100], weight[:100, :100], field)
+    with pytest.raises(BadInput, match="nothing of the finger"):
+        print_quality(values, 0 * weight, field)

@@ -1,0 +1,137 @@
+"""Unrolling: bodies whose flat form is known, and the twin's finger."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bodies import PX_PER_MM, Twin, body_grid, plane_points
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import rotation_about
+from splitknit_match.prints.unroll import KINDS, UnrollSettings, distortion, unroll
+from splitknit_match.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
+
+RADIUS = 8.0
+
+
+def _cylinder() -> tuple[np.ndarray, np.ndarray]:
+    x, _ = plane_points((320, 260))
+    mask = np.abs(x) < RADIUS * np.sin(np.deg2rad(70))
+    return np.sqrt(np.maximum(RADIUS**2 - x**2, 0.01)), mask
+
+
+def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
+    """Largest difference of u from the cylinder's arc length, to the right, where it is no steeper than this."""
+    x = grid.points_mm[..., 0][grid.inside]
+    difference = flat_mm[..., 0][grid.inside] - RADIUS * np.arcsin(np.clip(x / RADIUS, -1, 1))
+    difference = difference[np.abs(x) < RADIUS * np.sin(np.deg2rad(slant_deg))]
+    return float(np.abs(difference - np.median(difference)).max())
+
+
+def _cap() -> tuple[np.ndarray, np.ndarray]:
+    x, y = plane_points((300, 300))
+    r2 = x**2 + y**2
+    return np.sqrt(np.maximum(RADIUS**2 - r2, 0.01)), r2 < (RADIUS * np.sin(np.deg2rad(62))) ** 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
+    grid = body_grid(*_cylinder())
+    laid = unroll(grid, UnrollSettings(kind=kind))
+    figures = laid.distortion.figures()
+    assert figures["length_p95_percent"] < 1.5
+    assert figures["length_centre_p95_percent"] < 0.3
+    flat = laid.flat_mm[laid.grid.inside]
+    assert _off_arc(laid.grid, laid.flat_mm, 62) < 0.03
+    y = grid.points_mm[..., 1][laid.grid.inside]
+    assert np.corrcoef(flat[:, 1], y)[0, 1] > 0.9999  # v is to the tip
+
+
+def test_equal_distances_along_and_across() -> None:
+    grid = body_grid(*_cylinder())
+    flat = unroll(grid, UnrollSettings(kind="arc")).flat_mm
+    both = grid.inside[:, 1:] & grid.inside[:, :-1]
+    steps = np.linalg.norm(np.diff(grid.points_mm, axis=1), axis=2)[both]
+    assert np.allclose(np.diff(flat[..., 0], axis=1)[both], steps, atol=1e-9)
+
+
+def test_a_dome_is_relaxed() -> None:
+    """No map of a dome is free of distortion; relaxing takes much of it, the more of it from the middle."""
+    grid = body_grid(*_cap())
+    arc = unroll(grid, UnrollSettings(kind="arc")).distortion.figures()
+    free = unroll(grid, UnrollSettings(kind="free")).distortion.figures()
+    assert free["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
+    assert free["length_p95_percent"] > 3.0  # Gauss's theorem: something must give
+    even = unroll(grid, UnrollSettings(centre_weight=0.0, iterations=60)).distortion.figures()
+    assert even["length_centre_median_percent"] > free["length_centre_median_percent"]
+
+
+def test_distortion_is_what_was_put_in() -> None:
+    grid = body_grid(np.zeros((200, 200)), np.ones((200, 200), bool))
+    flat = grid.points_mm[..., :2] * [1.1, 1.0]
+    found = distortion(grid.points_mm, flat, grid.inside)
+    inside = np.isfinite(found.area)
+    assert np.allclose(found.area[inside], 0.1, atol=1e-6)
+    assert np.allclose(found.anisotropy[inside], 0.1, atol=1e-6)
+    turned = grid.points_mm[..., :2] @ np.array([[0.6, 0.8], [-0.8, 0.6]])
+    assert np.nanmax(np.abs(distortion(grid.points_mm, turned, grid.inside).largest - 1)) < 1e-6
+
+
+def test_ridge_spacing_on_the_twin(twin: Twin) -> None:
+    """The worst direction anywhere bounds the error of a ridge's period: 2 % at the centre, 10 % at 60 deg."""
+    figures = unroll(twin.grid()).distortion.figures()
+    assert figures["length_centre_p95_percent"] < 2.0
+    assert figures["length_centre_median_percent"] < 1.0
+    assert figures["length_slant_60_median_percent"] < 10.0
+    arc = unroll(twin.grid(), UnrollSettings(kind="arc")).distortion.figures()
+    assert figures["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
+
+
+def test_yaw_and_perspective_do_not_matter() -> None:
+    _, mask = _cylinder()
+    # the cylinder turned by 20 deg in the input
+    x, y = plane_points((360, 360))
+    angle = np.deg2rad(20.0)
+    across = x * np.cos(angle) + y * np.sin(angle)
+    along = y * np.cos(angle) - x * np.sin(angle)
+    turned_mask = (np.abs(across) < RADIUS * np.sin(np.deg2rad(70))) & (np.abs(along) < 8)
+    turned = np.where(turned_mask, np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01)), np.nan).astype(np.float32)
+    frame = rotation_about((179.5, 179.5), angle)
+    grid = surface_grid(turned, turned_mask, 1 / PX_PER_MM, frame, (360, 360), settings=GridSettings(pitch_mm=0.4))
+    laid = unroll(grid)
+    assert laid.distortion.figures()["length_p95_percent"] < 1.5
+    assert _off_arc(grid, laid.flat_mm, 55) < 0.05
+    # the same cylinder seen from 60 mm: points lie nearer to the axis than their pixels
+    x, y = plane_points((320, 260))
+    z = np.zeros_like(x)
+    for _ in range(60):
+        z = np.sqrt(np.maximum(RADIUS**2 - (x * (1 - z / 60)) ** 2, 0.01)) - RADIUS
+    seen = mask & (np.abs(x) < 7)
+    near = surface_grid(
+        z.astype(np.float32), seen, 1 / PX_PER_MM, np.eye(3), mask.shape,
+        xy_mm=((x * (1 - z / 60)).astype(np.float32), (y * (1 - z / 60)).astype(np.float32)),
+        settings=GridSettings(pitch_mm=0.4),
+    )  # fmt: skip
+    laid = unroll(near)
+    assert _off_arc(near, laid.flat_mm, 55) < 0.05
+
+
+def test_nonsense_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"unroll\.kind"):
+        UnrollSettings(kind="apple")  # type: ignore[arg-type]
+    flat = np.zeros((40, 40), np.float32)
+    mask = np.zeros((40, 40), bool)
+    mask[:4, :4] = True
+    with pytest.raises(BadInput, match="too small"):
+        surface_grid(flat, mask, 0.06, np.eye(3), (40, 40))
+    with pytest.raises(BadInput, match="pitch_mm"):
+        surface_grid(flat, ~mask, float("nan"), np.eye(3), (40, 40))
+    wide = np.zeros((300, 300), np.float32)
+    with pytest.raises(BadInput, match="1520 mm long, more than any finger"):  # else a grid of gigabytes
+        surface_grid(wide, wide == 0, 5.0, np.eye(3), wide.shape)
+    with pytest.raises(BadInput, match="pitch_mm"):
+        surface_grid(wide, wide == 0, 1e-4, np.eye(3), wide.shape)
+    with pytest.raises(BadInput, match="too small"):
+        surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
+    with pytest.raises(BadInput, match="no finite height"):
+        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(wide * np.float32(np.nan), wide))

@@ -1,0 +1,83 @@
+"""The specular image of a polarised capture: in the result, its files, the report, and as a print."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit
+import splitknit_match
+import splitknit_simulator
+from splitknit.cli.main import main
+from splitknit.io.images import read_image
+from splitknit.io.results import read_result
+from splitknit.model import Capture, Reconstruction
+
+
+@pytest.fixture(scope="module")
+def polarised() -> Capture:
+    """A finger with specular reflection, and without it as crossed films show it."""
+    one, other = (
+        splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "skin.glare": [strength, strength]})[0]
+        for strength in (1.0, 0.0)
+    )
+    white, dark = one.bands["white"], other.bands["white"]
+    crossed = replace(dark, name="white_crossed", polarisation="crossed")
+    return replace(one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed})
+
+
+@pytest.fixture(scope="module")
+def result(polarised: Capture) -> Reconstruction:
+    return splitknit.reconstruct(polarised, "ea")
+
+
+@pytest.fixture(scope="module")
+def folder(result: Reconstruction, polarised: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("specular") / "result"
+    result.save(out, polarised)
+    return out
+
+
+def test_a_polarised_capture_has_a_specular_image(result: Reconstruction, polarised: Capture) -> None:
+    assert result.specular is not None
+    np.testing.assert_array_equal(np.isfinite(result.specular), result.mask)
+    values = result.specular[result.mask]
+    assert abs(values.mean()) < 0.1
+    assert values.std() == pytest.approx(1.0, abs=0.2)
+    plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
+    assert splitknit.reconstruct(plain, "ea").specular is None
+
+
+def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> None:
+    assert result.specular is not None
+    again = read_result(folder).specular
+    assert again is not None
+    np.testing.assert_array_equal(again, result.specular)
+    picture = read_image(folder / "specular.png")[..., 0]
+    assert not picture[~result.mask].any()
+    assert 90 < picture[result.mask].mean() < 115
+    report = json.loads((folder / "report.json").read_text())
+    assert "specular.png" in report["files"]
+    assert report["facts"]["motion_white_crossed"]["moved_mm"]
+    assert "Specular image" in (folder / "report.html").read_text("utf-8")
+
+
+def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys) -> None:
+    assert main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["method"], facts["surface"]) == ("specular", "plane")
+    assert facts["minutiae"]["written"]
+    assert facts["minutiae"]["in_space"] > 0
+    assert splitknit_match.make_print(read_result(folder), "specular").image.dtype == np.uint8
+
+
+def test_without_films_there_is_none_to_print(polarised: Capture, tmp_path: Path, capsys) -> None:
+    plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
+    splitknit.reconstruct(plain, "ea").save(tmp_path / "plain", plain)
+    assert main(["print", str(tmp_path / "plain"), "--method", "specular", "--out", str(tmp_path / "p")]) == 2
+    assert "there is no specular image" in capsys.readouterr().err
+    assert not (tmp_path / "p").exists()

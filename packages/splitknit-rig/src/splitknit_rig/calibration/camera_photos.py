@@ -1,0 +1,451 @@
+"""Photographs of a checkerboard in, the camera of a rig file out."""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit import (
+    CAMERA_HEIGHT,
+    MAX_BYTES,
+    Array,
+    BadInput,
+    Camera,
+    PixelArray,
+    Progress,
+    Rig,
+    check_rig_file,
+    decode_image,
+    default_rig,
+    naming,
+    natural_order,
+    no_progress,
+    path,
+    provenance,
+    read_bytes,
+    read_image,
+    read_rig,
+    require,
+    write_rig,
+)
+from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
+from splitknit_rig.calibration.jobs import CameraJob
+from splitknit_rig.calibration.plane import (
+    DepthOfField,
+    PlanePose,
+    PlaneScale,
+    depth_of_field,
+    mean_pose,
+    plane_pose,
+    plane_scale,
+)
+from splitknit_rig.calibration.targets import Board, find_board, find_disc, size_in_view
+
+_SENSOR_COLUMNS = 3280
+_UNBINNED_COLUMNS = 1920
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredCamera:
+    """A camera as photographs of targets show it, None for what they do not."""
+
+    job: CameraJob
+    """What was asked for."""
+    camera: Camera
+    """As it is in the rig file."""
+    fit: CameraCalibration | None
+    """The fitted lens and poses of a checkerboard."""
+    poses: Mapping[str, PlanePose]
+    """Pose of the finger plane by the image that shows it."""
+    pose: PlanePose | None
+    """Their mean."""
+    scale: PlaneScale | None
+    """Scale of an orthographic camera."""
+    sharpness: DepthOfField | None
+    binning: float
+    """Sensor pixels along a pixel of the image."""
+    warnings: tuple[str, ...]
+    calibrated_at: str
+    """ISO 8601."""
+    leds_nominal: bool = False
+    """Whether the rig file's LEDs are the drawing's, as no rig was given."""
+    boardless: tuple[str, ...] = ()
+    """Photographs in which no board is in full view."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
+    """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing is written then."""
+    require(
+        job.folder is not None or len(job.plane) > 0 or job.disc is not None,
+        "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",
+    )
+    check_rig_file(path(job.out))
+    base = read_rig(job.rig) if job.rig is not None else None
+    found = _find_camera(job, base, progress)
+    progress("writing", 0.97)
+    start = base or Rig(found.camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
+    found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
+    facts = camera_facts(found)
+    kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
+    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
+    origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, found.hashes)}
+    write_rig(replace(start, camera=found.camera, provenance={**start.provenance, "camera": origin}), job.out)
+    return found
+
+
+def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> MeasuredCamera:
+    board = Board.named(job.board, job.square_mm)
+    photos = _Photos(None if base is None else (base.camera.image_size, str(job.rig)))
+    fit: CameraCalibration | None = None
+    boardless: tuple[str, ...] = ()
+    folder, disc = path(job.folder), path(job.disc)
+    if folder is not None:
+        files = _image_files(folder, job.pattern)
+        corners, boardless = _board_photos(
+            photos, folder, files, board, lambda fraction: progress("finding corners", 0.85 * fraction)
+        )
+        progress("fitting", 0.86)
+        fit = naming(folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners)))
+    marks = {file.name: _plane_marks(photos, file, board) for file in map(path, job.plane)}
+    if disc is not None:
+        marks[disc.name] = naming(disc, partial(find_disc, photos.read(disc), job.dot_mm))
+    progress("measuring the plane", 0.95)
+    found = _assembled(job, base, photos.size, fit, marks)
+    return replace(found, boardless=boardless, hashes=photos.hashes)
+
+
+def _assembled(
+    job: CameraJob, base: Rig | None, size: tuple[int, int], fit: CameraCalibration | None, marks: dict[str, Any]
+) -> MeasuredCamera:
+    old = base.camera if base is not None else Camera(75.7, size)
+    warnings = list(fit.warnings) if fit is not None else []
+    poses: dict[str, PlanePose] = {}
+    pose, scale, sharpness = None, None, None
+    if fit is None and old.model == "orthographic":
+        scale = _mean_scale([plane_scale(*one) for one in marks.values()])
+        camera = replace(old, px_per_mm=scale.px_per_mm, image_size=size)
+    else:
+        lens: dict[str, Any] = {}
+        if fit is not None:
+            lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
+        camera = replace(old, model="perspective", image_size=size, **lens)
+        assert camera.matrix is not None
+        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        for name, (places_mm, places_px) in marks.items():
+            poses[name] = plane_pose(places_mm, places_px, camera.matrix, camera.distortion)
+        pose = mean_pose(list(poses.values()), focal) if poses else None
+        height = pose.height_mm if pose is not None else old.height_mm
+        if pose is not None:
+            given = "check the side of the board's squares (`square_mm`)" if job.plane else "check `dot_mm`"
+            warnings += CAMERA_HEIGHT.notes(height, given)
+            if base is not None and not 0.6 < height / old.height_mm < 1.6:
+                warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
+        camera = replace(camera, height_mm=height, px_per_mm=focal / height)
+        pixel_um = job.sensor_pixel_um * _binning(job, size[1])
+        require(0.1 <= job.sensor_pixel_um <= 100, "`sensor_pixel_um` must be from 0.1 to 100 micrometres.")
+        require(0.3 <= job.f_number <= 128, "`f_number` must be an f-number from 0.3 to 128.")
+        require(0 < job.finger_depth_mm < height, "`finger_depth_mm` must be positive and below the camera's height.")
+        sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
+    now = job.calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return MeasuredCamera(job, camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings), now)
+
+
+def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
+    weight = np.array([1 / max(one.deviation, 1e-12) ** 2 for one in scales])
+    mean = float(np.sum(weight * [one.px_per_mm for one in scales]) / weight.sum())
+    rms_px = float(np.sqrt(np.mean([one.rms_px**2 for one in scales])))
+    return PlaneScale(mean, rms_px, float(1 / np.sqrt(weight.sum())), max(one.anisotropy for one in scales))
+
+
+def _binning(job: CameraJob, columns: int) -> float:
+    """Sensor pixels along a pixel of the image: the IMX219 bins below 1920 columns, and crops above."""
+    if job.binning is not None:
+        require(1 <= job.binning <= 64, "`binning` must be from 1 to 64.")
+        return job.binning
+    return 1.0 if columns >= _UNBINNED_COLUMNS else max(1.0, float(round(_SENSOR_COLUMNS / columns)))
+
+
+# Photographs of checkerboard and disc: reading them, and finding what they show.
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+LEAST = 5
+_LOOKED_AT = 6
+"""Photographs in which a board of another size is sought."""
+
+
+def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
+    """Images in `folder`, in the order that people count, or of its capture folders by a glob `pattern`."""
+    require(folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs.")
+    levels = "/".join("*" * (1 if pattern is None else 1 + pattern.count("/")))
+    files = [file for file in folder.glob(levels) if file.is_file() and file.suffix.lower() in SUFFIXES]
+    files = [file for file in files if not file.name.startswith(".")]
+    count = len(files)
+    if pattern is not None:
+        files = [file for file in files if fnmatch.fnmatchcase(_label(file, folder), pattern)]
+        require(
+            bool(files),
+            f"no image in '{folder}' fits the pattern '{pattern}' ({count} images are there); "
+            "quote the pattern and compare it with the files' names.",
+        )
+    require(bool(files), f"'{folder}' holds no images (PNG, JPEG or TIFF); put the checkerboard photographs there.")
+    return sorted(files, key=lambda file: natural_order(_label(file, folder)))
+
+
+def _label(file: Path, folder: Path) -> str:
+    """How a photograph is called: its path in the folder."""
+    return file.relative_to(folder).as_posix()
+
+
+class _Photos:
+    """Reads photographs, all of one size, and keeps their SHA-256 by name."""
+
+    def __init__(self, expected: tuple[tuple[int, int], str] | None) -> None:
+        """Expect rows and columns, and what has them; None: the first photograph's."""
+        self._expected = expected
+        self.hashes: dict[str, str] = {}
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows, columns."""
+        assert self._expected is not None
+        return self._expected[0]
+
+    def read(self, file: Path, name: str | None = None) -> PixelArray:
+        """Pixels of an image, which is called `name`."""
+        data = read_bytes(file, MAX_BYTES)
+        pixels = decode_image(data, str(file))
+        rows, columns = pixels.shape[:2]
+        size, other = self._expected = self._expected or ((rows, columns), name or file.name)
+        require(
+            (rows, columns) == size,
+            f"{file} has {rows} x {columns} pixels (rows x columns), but {other} has {size[0]} x {size[1]}; photograph "
+            "everything with the camera's one setting.",
+        )
+        self.hashes[name or file.name] = hashlib.sha256(data).hexdigest()
+        return pixels
+
+
+def _board_photos(
+    photos: _Photos, folder: Path, files: Sequence[Path], board: Board, progress: Callable[[float], None]
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Corners by name, and photographs without the board; where it is on too few, BadInput names the size they show."""
+    corners: dict[str, Array] = {}
+    without: list[Path] = []
+    for k, file in enumerate(files):
+        progress(k / len(files))
+        found = naming(file, partial(find_board, photos.read(file, _label(file, folder)), board))
+        if found is None:
+            without.append(file)
+        else:
+            corners[_label(file, folder)] = found
+        if not corners and len(without) == _LOOKED_AT:
+            _refuse_other_size(without, board)
+    lacking = tuple(_label(file, folder) for file in without)
+    if len(corners) < LEAST:
+        _refuse_other_size(without, board)
+        named = ", ".join(lacking[:4]) + (" and more" if len(lacking) > 4 else "")
+        missing = f" (not in {named})" if without else ""
+        raise BadInput(
+            f"{folder}: a checkerboard of {board.columns} x {board.rows} inner corners is in full view in "
+            f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
+            "take more, the board tilted differently in each."
+        )
+    return corners, lacking
+
+
+def _plane_marks(photos: _Photos, file: Path, board: Board) -> tuple[Array, Array]:
+    """Places of the board's corners in mm and in the image."""
+    corners = naming(file, partial(find_board, photos.read(file), board))
+    if corners is None:
+        _refuse_other_size([file], board)
+        raise BadInput(
+            f"{file} shows no checkerboard of {board.columns} x {board.rows} inner corners in full view; "
+            "lay the board flat on the finger plane, evenly lit, and photograph it again."
+        )
+    return board.points_mm, corners
+
+
+def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
+    sizes: Counter[tuple[int, int]] = Counter()
+    for file in files[:_LOOKED_AT]:
+        try:
+            seen = size_in_view(read_image(file))
+        except BadInput:
+            continue
+        if seen is not None:
+            sizes[seen] += 1
+    if not sizes:
+        return
+    (size, count), *_ = sizes.most_common(1)
+    asked = max(board.size), min(board.size)
+    if size != asked and (count > 1 or len(files) == 1):
+        squares = asked == (size[0] + 1, size[1] + 1)
+        raise BadInput(
+            f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
+            f"{board.rows}; give `board` {size[0]}x{size[1]}"
+            + (" (corners where four squares meet, not squares)." if squares else ", or photograph the whole board.")
+        )
+
+
+# What a camera's calibration found: as facts for programs and as provenance for the rig file, with its warnings.
+
+_TILT_LIMIT_DEG = 1.0
+_POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3
+"""Photographs of one plane that differ by more are warned about."""
+
+
+def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
+    """Return all that was measured, as plain JSON."""
+    camera, job = found.camera, found.job
+    measured, nominal = _origins(found)
+    return {
+        "out": str(job.out),
+        "calibrated_at": found.calibrated_at,
+        "model": camera.model,
+        "image_size": list(camera.image_size),
+        "matrix": None if camera.matrix is None else np.asarray(camera.matrix).tolist(),
+        "distortion": None if camera.distortion is None else list(camera.distortion),
+        "height_mm": camera.height_mm,
+        "px_per_mm": camera.px_per_mm,
+        "board": {"inner_corners": job.board, "square_mm": job.square_mm},
+        "fit": _fit(found),
+        "plane": _plane(found),
+        "depth_of_field": _sharpness(found),
+        "measured": measured,
+        "nominal": nominal,
+        "warnings": list(found.warnings),
+    }
+
+
+def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
+    if found.fit is None:
+        return None
+    fit, lens = found.fit, found.fit.lens
+    return {
+        "rms_px": lens.rms_px,
+        "images": len(fit.used),
+        "per_image_px": dict(zip(fit.used, lens.view_rms_px.tolist(), strict=True)),
+        "rejected_px": fit.rejected,
+        "repeated": fit.repeated,
+        "without_board": list(found.boardless),
+        "focal_length_px": [float(lens.matrix[0, 0]), float(lens.matrix[1, 1])],
+        "principal_point_px": lens.matrix[:2, 2].tolist(),
+        "deviations": dict(lens.deviations),
+        "fitted": list(lens.fitted),
+        "held": dict(lens.fixed),
+        "tilts_deg": [round(float(tilt), 2) for tilt in fit.tilts_deg],
+        "variety_deg": fit.variety_deg,
+        "coverage": fit.coverage,
+    }
+
+
+def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
+    if found.scale is not None:
+        facts = asdict(found.scale)
+        return {"px_per_mm": facts.pop("px_per_mm"), "px_per_mm_deviation": facts.pop("deviation"), **facts}
+    if found.pose is None:
+        return None
+    pose = found.pose
+    return {
+        "height_mm": pose.height_mm,
+        "height_mm_deviation": pose.deviations["height_mm"],
+        "px_per_mm": pose.px_per_mm,
+        "tilt_deg": pose.tilt_deg,
+        "tilt_deg_deviation": _tilt_deviation(found, pose),
+        "tilt_xy_deg": list(pose.tilt_xy_deg),
+        "nearer_at": pose.nearer_side,
+        "normal": pose.normal.tolist(),
+        "rms_px": pose.rms_px,
+        "per_image": {
+            name: {"height_mm": one.height_mm, "tilt_deg": one.tilt_deg, "rms_px": one.rms_px}
+            for name, one in found.poses.items()
+        },
+    }
+
+
+_SHARPNESS = (
+    "focal_length_mm", "f_number", "focus_mm", "confusion_um", "binning", "near_mm", "far_mm", "depth_mm",
+    "finger_depth_mm", "fits", "blur_px", "needed_f_number", "diffraction_px", "best_f_number",
+)  # fmt: skip
+
+
+def _sharpness(found: MeasuredCamera) -> dict[str, Any] | None:
+    field = found.sharpness
+    if field is None:
+        return None
+    endless = {} if math.isfinite(field.far_mm) else {"far_mm": None, "depth_mm": None}
+    return {name: getattr(field, name, found.binning) for name in _SHARPNESS} | endless
+
+
+def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:
+    """With what the principal point's uncertainty adds: an axis that is off by one pixel is off by 1 / f."""
+    lens = found.fit.lens if found.fit is not None else None
+    if lens is None:
+        return pose.deviations["tilt_deg"]
+    axis = max(lens.deviations.get("cx", 0.0), lens.deviations.get("cy", 0.0)) / float(lens.matrix[0, 0])
+    return float(np.hypot(pose.deviations["tilt_deg"], np.degrees(axis)))
+
+
+def _origins(found: MeasuredCamera) -> tuple[list[str], list[str]]:
+    """What is measured, and what is taken over."""
+    measured = ["camera.matrix", "camera.distortion", "camera.image_size"] if found.fit is not None else []
+    nominal = ["leds"] if found.leds_nominal else []
+    plane = {"camera.px_per_mm": found.pose or found.scale, "camera.height_mm": found.pose}
+    measured += [name for name, one in plane.items() if one is not None]
+    return measured, [name for name, one in plane.items() if one is None] + nominal
+
+
+def _warnings(found: MeasuredCamera) -> list[str]:
+    words = []
+    if found.fit is not None and found.pose is None:
+        words.append(
+            f"px_per_mm rests on a height of {found.camera.height_mm:g} mm that was not measured; photograph the board "
+            "flat on the finger plane (`plane`) or the calibration disc (`disc`)."
+        )
+    if found.pose is not None:
+        words += _plane_warnings(found, found.pose)
+    if found.scale is not None and found.scale.anisotropy > 0.01:
+        words.append(
+            f"the scale differs by {100 * found.scale.anisotropy:.1f} % between two directions, so the camera looks on "
+            "obliquely; calibrate its matrix from a FOLDER of photographs of a checkerboard."
+        )
+    return words
+
+
+def _plane_warnings(found: MeasuredCamera, pose: PlanePose) -> list[str]:
+    words, camera = [], found.camera
+    if pose.tilt_deg > _TILT_LIMIT_DEG:
+        slope = math.tan(math.radians(pose.tilt_deg))
+        reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
+        depth = found.sharpness.finger_depth_mm if found.sharpness is not None else 8.0
+        words.append(
+            f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's corners lie up to "
+            f"{reach * slope:.2f} mm nearer or farther than its middle, which displaces them by "
+            f"{reach**2 * slope / pose.height_mm:.2f} mm, and what stands {depth:g} mm high leans by "
+            f"{depth * slope:.2f} mm; straighten the camera, or put something thin under the base."
+        )
+    heights = [one.height_mm for one in found.poses.values()]
+    turns = [min(1.0, float(one.normal @ pose.normal)) for one in found.poses.values()]
+    apart = float(np.degrees(np.arccos(turns)).max())
+    if max(heights) - min(heights) > _POSES_HEIGHT * pose.height_mm or apart > _POSES_TILT_DEG:
+        each = ", ".join(f"{name} {one.height_mm:.2f} mm, {one.tilt_deg:.2f} deg" for name, one in found.poses.items())
+        words.append(
+            f"the photographs of the finger plane disagree ({each}); the print lay uneven, or its scale is off."
+        )
+    if pose.rms_px > max(1.0, 0.01 * camera.px_per_mm):
+        words.append(
+            f"the marks on the finger plane miss their places by {pose.rms_px:.2f} px: the print is not flat, or its "
+            "marks are not where they should be."
+        )
+    return words

@@ -1,0 +1,296 @@
+"""Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under each LED.
+
+An image of a card, divided into the images of a finger, is a flat field for the plane of the card alone: a finger's pad
+lies up to a centimetre above it. A model of the light holds at every height and does not carry the card's dust into
+every finger. The lens's fall-off is the same in all images and lies about the image's centre; the inverse square and
+the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with the LED.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from splitknit import Array, BoolArray, Camera, Led, require
+from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
+
+# Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
+#
+# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is no dust but that LED,
+# and must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
+
+_STEPS, _STAGES = 30, 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CardFit:
+    """Best parameters of one order."""
+
+    order: Order
+    answer: Answer
+    normal: Array
+    """(P, P) weighted normal matrix, in units of the robust scale."""
+
+
+def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
+    """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
+    vector, weight = model.project(model.vector(start, order), order), np.ones(logarithm.shape[1])
+    for _ in range(_STAGES):
+        problem = _Problem(model, order, logarithm, weight, scale)
+        vector = _descend(problem, vector)
+        common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
+        width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
+        last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
+        if float(np.abs(weight - last).max()) < 0.01:
+            break
+    return _CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Weighted least squares with the model's priors."""
+
+    model: CardModel
+    order: Order
+    logarithm: Array
+    weight: Array
+    """(N,)."""
+    scale: float
+
+    def cost(self, vector: Array) -> float:
+        middle, inverse = self.model.prior(self.order)
+        residual = (self.model.logarithm(self.model.answer(vector, self.order)) - self.logarithm) / self.scale
+        return float((residual * residual @ self.weight).sum() + (((vector - middle) * inverse) ** 2).sum())
+
+    def equations(self, vector: Array) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and gradient (P,)."""
+        model, order = self.model, self.order
+        answer = model.answer(vector, order)
+        residual = (model.logarithm(answer) - self.logarithm) / self.scale
+        middle, inverse = model.prior(order)
+        normal, slope = np.diag(inverse**2), (vector - middle) * inverse**2
+        for k in range(model.count):
+            places, rows = model.slopes(answer, order, k)
+            weighted = rows * (self.weight / self.scale)
+            normal[np.ix_(places, places)] += weighted @ rows.T / self.scale
+            slope[places] += weighted @ residual[k]
+        return normal, slope
+
+
+def _descend(problem: _Problem, vector: Array) -> Array:
+    damping, least = 1e-4, problem.cost(vector)
+    for _ in range(_STEPS):
+        normal, slope = problem.equations(vector)
+        for _ in range(12):
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
+            moved = problem.model.project(vector + step, problem.order)
+            value = problem.cost(moved)
+            if value <= least:
+                break
+            damping *= 8.0
+        else:
+            break
+        gain, vector, least, damping = least - value, moved, value, max(damping / 8.0, 1e-12)
+        if gain < 1e-7 * least + 1e-9:
+            break
+    return vector
+
+
+# Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
+
+WIDTHS_DEG = (3.0, 6.0)
+"""Widths of the spot: standard deviation of the angle between the card's normal and the half vector of LED and
+camera."""
+
+
+def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
+    """(N,) angle in deg between the card's normal and the direction half way between LED and camera."""
+    points = card.points(camera, pixels)
+    towards, _ = rays_to_led(led, points)
+    sight = np.array([0.0, 0.0, camera.height_mm]) - points
+    if camera.model == "orthographic":
+        sight = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    half = towards + sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    cosine = half @ card.normal / np.linalg.norm(half, axis=1)
+    return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
+    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error. Least squares of
+    the residuals (L, N), NaN where dust is, on a narrow and a wide spot and on all slopes of the model; the greater
+    spot, in its errors, is returned.
+    """
+    used = np.isfinite(rest)
+    left, size = np.where(used, rest, 0.0), model.size(fit.order)
+    normal, slope, across = np.zeros((size, size)), np.zeros(size), np.zeros((len(WIDTHS_DEG), size))
+    spots = [np.exp(-0.5 * (half_angles_deg / width) ** 2) * used for width in WIDTHS_DEG]
+    for k in range(model.count):
+        places, rows = model.slopes(fit.answer, fit.order, k)
+        rows = rows * used[k]
+        normal[np.ix_(places, places)] += rows @ rows.T
+        slope[places] += rows @ left[k]
+        for number, spot in enumerate(spots):
+            across[number, places] += rows @ spot[k]
+    inverse = np.linalg.pinv(normal, rcond=1e-12)
+    noise = float(np.sqrt(np.mean(left[used] ** 2)))
+    found = (0.0, np.inf)
+    for spot, shared in zip(spots, across, strict=True):
+        whole = float((spot * spot).sum())
+        own = whole - float(shared @ inverse @ shared)
+        if own >= 1e-6 * whole + 1e-9:
+            value = float(((spot * left).sum() - shared @ inverse @ slope) / own)
+            found = max(found, (value, float(noise / np.sqrt(own))), key=lambda one: one[0] / one[1])
+    return found
+
+
+_ROBUST_PERCENT = 0.5
+"""Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less and less: dust."""
+_ENOUGH_PERCENT = 0.05
+"""The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
+_ENOUGH_FRACTION = 0.05
+"""... or by no more than this fraction of it."""
+_MIN_FIELD = 0.3
+"""A cell that is darker than this fraction of the model's brightness does not show the card."""
+_MAX_EMPTY = 0.005
+"""Fraction of the cells that may be so."""
+MAX_DUST = 0.05
+"""Largest fraction of dust; beyond it the card is not uniform."""
+DUST_PERCENT = 2.0
+"""A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatField:
+    """A rig's light as a white card shows it."""
+
+    camera: Camera
+    """With its fall-off."""
+    leds: tuple[Led, ...]
+    """With intensity (the mean is one), lobe_exponent and aim."""
+    card_level: float
+    """Brightness of the card: the images are this times :func:`splitknit_rig.calibration.card_model.card_light`."""
+    order: Order
+    orders: tuple[tuple[str, int, float], ...]
+    """Every model tried: name, number of parameters, rms of its residuals in per cent."""
+    residual: Array
+    """(L, N) image over model, less one."""
+    dust: BoolArray
+    """(N,) cells that were left out."""
+    exponent_error: Array
+    """(L,) standard errors of the beams' exponents; NaN where they were not fitted."""
+    common_percent: float
+    """rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs."""
+    gloss_percent: float
+    """Brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card."""
+    gloss_error: float
+    card: CardPlane = field(default_factory=CardPlane)
+    """Where it lay."""
+
+    @property
+    def rms_percent(self) -> Array:
+        """(L,) rms of each LED's residuals without dust."""
+        return np.asarray(100 * np.sqrt(np.mean(self.residual[:, ~self.dust] ** 2, axis=1)))
+
+    @property
+    def largest_percent(self) -> Array:
+        """(L,) largest residual of each LED without dust."""
+        return np.asarray(100 * np.abs(self.residual[:, ~self.dust]).max(axis=1))
+
+
+def fit_flat_field(
+    camera: Camera, leds: Sequence[Led], pixels: Any, light: Any, card: CardPlane | None = None
+) -> FlatField:
+    """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
+
+    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's fall-off in it; `card` lies
+    on the finger plane by default. The camera's `shading` and the LEDs' intensities, exponents and aims are replaced.
+    Models of :data:`splitknit_rig.calibration.card_model.LADDER` are fitted one after the other, each from the one
+    before, and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents
+    5 +- 20, slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of
+    a beam that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform. A
+    tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the
+    base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
+    """
+    places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
+    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
+    plane = card or CardPlane()
+    model = CardModel(camera, leds, places, plane)
+    floor = 1e-4 * float(np.median(images))
+    logarithm = np.log(np.maximum(images, max(floor, 1e-12)))
+    level = np.exp(np.median(logarithm - model.known, axis=1))
+    start = Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
+    for k, led in enumerate(leds):
+        usual = float(np.median([level[j] for j, other in enumerate(leds) if other.band == led.band]))
+        require(
+            level[k] > 0.1 * usual,
+            f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the brightness of "
+            f"its band: it did not light; check its wire and take the card again.",
+        )
+    scale = 0.01 * _ROBUST_PERCENT
+    fits: list[_CardFit] = []
+    for order in LADDER:
+        fits.append(_fit_order(model, start, order, logarithm, scale))
+        start = fits[-1].answer
+        if order.lens and not order.aims:
+            _check_field(np.exp(logarithm - model.logarithm(start)))
+    residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
+    dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * DUST_PERCENT
+    require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
+    rms = [100 * float(np.sqrt(np.mean(one[:, ~dust] ** 2))) for one in residuals]
+    enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
+    best = next(k for k, value in enumerate(rms) if value <= enough)
+    fit = fits[best]
+    rest = np.where(dust, np.nan, residuals[-1])
+    angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
+    gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
+    # the residuals taken as independent between cells
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
+    lens, lit = _result(camera, leds, model, fit.answer, fit.order)
+    return FlatField(
+        camera=lens,
+        leds=lit,
+        card_level=float(fit.answer.brightness.mean()),
+        order=fit.order,
+        orders=tuple((one.order.name, model.size(one.order), value) for one, value in zip(fits, rms, strict=True)),
+        residual=residuals[best],
+        dust=dust,
+        exponent_error=model.exponents(errors, fit.order),
+        common_percent=100 * float(np.sqrt(np.mean(residuals[best][:, ~dust].mean(axis=0) ** 2))),
+        gloss_percent=100 * gloss,
+        gloss_error=100 * gloss_error,
+        card=plane,
+    )
+
+
+def _check_field(ratio: Array) -> None:
+    """Refuse a card that ends inside the picture: cells that are far darker than the rest under most LEDs."""
+    usual = np.median(ratio, axis=0)
+    fraction = float((usual < _MIN_FIELD).mean())
+    require(
+        fraction <= _MAX_EMPTY,
+        f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker than the rest; take a "
+        f"larger card, or move it until it reaches over all borders.",
+    )
+    strange = float((np.abs(usual - 1) > 0.05).mean())
+    require(
+        strange <= 2 * MAX_DUST,
+        f"the card is not uniform: {100 * strange:.0f} % of the picture departs by more than 5 % from an even card "
+        f"under all LEDs; use a clean matt white card that reaches over all borders.",
+    )
+
+
+def _result(
+    camera: Camera, leds: Sequence[Led], model: CardModel, answer: Answer, order: Order
+) -> tuple[Camera, tuple[Led, ...]]:
+    mean = float(answer.brightness.mean())
+    shading = tuple(round(float(value), 6) for value in answer.lens) if order.lens else ()
+    lit = []
+    for k, led in enumerate(leds):
+        x, y, z = (round(float(value), 6) for value in model.aim(answer, k))
+        intensity, exponent = round(float(answer.brightness[k]) / mean, 6), round(float(answer.exponent[k]), 5)
+        aim = (x, y, z) if order.aims and answer.exponent[k] > 0 else None
+        lit.append(replace(led, intensity=intensity, lobe_exponent=exponent, aim=aim))
+    return replace(camera, shading=shading), tuple(lit)

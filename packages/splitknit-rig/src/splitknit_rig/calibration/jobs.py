@@ -1,0 +1,269 @@
+"""Photographs in, a rig file or a sensor's calibration out: what the verbs ``calibrate ...`` and their functions do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, Settings, function_of, path
+
+if TYPE_CHECKING:  # a job is read without what does the work
+    from splitknit_rig.calibration.camera_photos import MeasuredCamera
+    from splitknit_rig.calibration.lights_found import CalibratedLights
+    from splitknit_rig.calibration.radiometry import RadiometricCalibration
+    from splitknit_rig.calibration.shading import ShadingFit
+
+_TARGET, _LENS = "the printed target ('splitknit rig target' makes it)", "depth of field"
+_SOURCE, _RIG, _NAIL, _PICTURES = "from what (one of them)", "the rig", "the nail", "photographs"
+_RESIDUALS = Help("picture to write: residuals under every LED", "PNG")
+_RIG_OUT = Help("rig file to write", "RIG2")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraJob(Job):
+    """Measure the camera from photographs of a checkerboard (Zhang).
+
+    Returns
+    -------
+    MeasuredCamera
+        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane, ``sharpness``,
+        ``warnings``.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> splitknit_rig.calibrate_camera("boards", "rig.json", board="9x6", square_mm=3.0)  # doctest: +SKIP
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000.
+    """
+
+    # fmt: off
+    folder: Annotated[AnyPath | None, Help(
+        "photographs of one board, tilted differently in each", "FOLDER", positional=True, nargs="?")]
+    out: Annotated[AnyPath, Help("rig file to write", "FILE")]
+    _: KW_ONLY
+    rig: Annotated[AnyPath | None, Help("rig file whose other parts are kept", "FILE")] = None
+    pattern: Annotated[str | None, Help(
+        "only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders (default: all)",
+        "GLOB")] = None
+    board: Annotated[str, Help("inner corners each way", "CxR", group=_TARGET)] = "9x6"
+    square_mm: Annotated[float, Help("side of a square, measured on the print", "N", group=_TARGET)] = 3.0
+    plane: Annotated[tuple[AnyPath, ...], Help(
+        "photograph of the board lying on the finger plane: camera height, scale, tilt; may be repeated", "IMAGE",
+        group=_TARGET)] = ()
+    disc: Annotated[AnyPath | None, Help("the same from the calibration disc", "IMAGE", group=_TARGET)] = None
+    dot_mm: Annotated[float, Help("spacing of the disc's dots", "N", group=_TARGET)] = 10.0
+    sensor_pixel_um: Annotated[float, Help("side of a pixel on the sensor, the IMX219's", "N", group=_LENS)] = 1.12
+    binning: Annotated[float | None, Help(
+        "sensor pixels along a pixel of the image (default: 1 from 1920 columns, else 3280 / columns, rounded)", "N",
+        group=_LENS)] = None
+    f_number: Annotated[float, Help("f-number of the lens, the camera v2's", "N", "--aperture", group=_LENS)] = 2.0
+    finger_depth_mm: Annotated[float, Help("depth of the finger that should be sharp", "N", group=_LENS)] = 8.0
+    calibrated_at: Annotated[str | None, Help("time of the calibration, ISO 8601; now by default",
+        python_only=True)] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> MeasuredCamera:
+        """Calibrate, and write the rig file."""
+        from splitknit_rig.calibration.camera_photos import calibrate_to_rig
+
+        return calibrate_to_rig(self, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class LightsJob(Job):
+    """Find where the LEDs are: from a nail's shadows, a ball, or the rig's drawing.
+
+    Returns
+    -------
+    CalibratedLights
+        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``warnings``.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or argument at fault; nothing is written. ``Refused``, whose facts hold what was found, if that
+        is not good enough.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> drawn = {"px_per_cm": 378.5, "image_size": "1100,1600", "led_height_cm": 14.0, "led_radius_cm": 5.25}
+    >>> len(splitknit_rig.calibrate_lights("rig.json", geometry=True, **drawn).leds)
+    14
+    """
+
+    # fmt: off
+    out: Annotated[AnyPath | None, Help(
+        "rig file (.json) or list of lights (.txt) to write; 'splitknit reconstruct' takes both as lights of "
+        "photographs (default: none, only report what was found)", "FILE")] = None
+    _: KW_ONLY
+    table: Annotated[AnyPath | None, Help("nail and shadow tips, typed", "CSV", group=_SOURCE)] = None
+    images: Annotated[AnyPath | None, Help(
+        "photographs: of the nail, or with `sphere` of a ball", "FOLDER", group=_SOURCE)] = None
+    sphere: Annotated[Literal["chrome", "grey"] | None, Help(
+        "the photographs show a ball of this kind", group=_SOURCE)] = None
+    geometry: Annotated[bool, Help("nothing is measured: LEDs where the drawing has them", group=_SOURCE)] = False
+    rig: Annotated[AnyPath | None, Help("rig file with the calibrated camera", "FILE", group=_RIG)] = None
+    px_per_cm: Annotated[Positive | None, Help("scale on the finger plane, without `rig`", "N", group=_RIG)] = None
+    image_size: Annotated[str | None, Help("of the photographs, without `rig`", "ROWS,COLUMNS", group=_RIG)] = None
+    led_height_cm: Annotated[Positive | None, Help(
+        "height of the LEDs above the finger plane", "N", group=_RIG)] = None
+    led_radius_cm: Annotated[Positive | None, Help("radius of the circle on which they sit", "N", group=_RIG)] = None
+    led_centre_px: Annotated[str | None, Help(
+        "pixel of the circle's centre (default: the rig's origin)", "X,Y", group=_RIG)] = None
+    first_azimuth_deg: Annotated[float, Help("of white LED 0, for `geometry` (default: 0)", group=_RIG)] = 0.0
+    nail_height_mm: Annotated[Positive | None, Help(
+        "where it is known (default: it is found)", "N", group=_NAIL)] = None
+    nail_seen: Annotated[Literal["tip", "base"] | None, Help(
+        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = None
+    method: Annotated[Literal["circle", "joint"] | None, Help(
+        "circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail "
+        "positions or more, and with `rig`)", group=_NAIL)] = None
+    limit_deg: Annotated[Positive | None, Help(
+        "directions further apart are refused (default: 5)", "N", group=_NAIL)] = None
+    keep: Annotated[bool, Help("keep LEDs that would be refused", group=_NAIL)] = False
+    encoding: Annotated[Encoding | None, Help(
+        "of the photographs (default: as for 'splitknit reconstruct')", group=_PICTURES)] = None
+    mask: Annotated[AnyPath | None, Help("image that is white where the ball is", "FILE", group=_PICTURES)] = None
+    show: Annotated[AnyPath | None, Help(
+        "picture of what was found (default: beside `out`)", "PNG", group=_PICTURES)] = None
+    tips_out: Annotated[AnyPath | None, Help(
+        "table of what was found, to correct and give to `table`", "CSV", group=_PICTURES)] = None
+    settings: Settings = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> CalibratedLights:
+        """Find the LEDs, and write the rig file where one is named."""
+        from splitknit_rig.calibration.lights_job import lights_to_rig
+
+        return lights_to_rig(self, progress)
+
+
+def _pair(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x, y = math.nan, math.nan
+    if not math.isfinite(x + y):
+        raise BadInput(f"'{text}' must be two numbers with a comma between them")
+    return x, y
+
+
+@dataclass(frozen=True, slots=True)
+class RadiometryJob(Job):
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response and noise.
+
+    Returns
+    -------
+    RadiometricCalibration
+        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``, and ``facts`` as
+        they are in the rig file's provenance.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> splitknit_rig.calibrate_radiometry("card", "rig.json")  # doctest: +SKIP
+    """
+
+    # fmt: off
+    folder: Annotated[AnyPath, Help("capture folder of a white card under every LED", "FOLDER", positional=True)]
+    out: Annotated[AnyPath, _RIG_OUT]
+    _: KW_ONLY
+    rig: Annotated[AnyPath | None, Help("rig file with camera and LED places (default: FOLDER's)", "RIG")] = None
+    limit_percent: Annotated[Positive | None, Help(
+        "of an LED's residuals (rms, default: 1)", "PERCENT", "--limit")] = None
+    card_height_mm: Annotated[float, Limits(-1000.0, 1000.0), Help(
+        "height of the card's surface above the finger plane (default: 0)", "MM")] = 0.0
+    card_tilt_deg: Annotated[tuple[float, float] | None, Help(
+        "turn of the card about x and y (default: the base's, where 'calibrate camera' found it, else 0,0)", "X,Y",
+        read=_pair, takes="pair of float")] = None
+    residuals: Annotated[AnyPath | None, _RESIDUALS] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> RadiometricCalibration:
+        """Calibrate, and write the rig file."""
+        from splitknit_rig.calibration.radiometry_folder import calibrate_to_file
+
+        return calibrate_to_file(self, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class PolarisersJob(Job):
+    """Measure polarising films: extinction, angles, brightness and image shift, from a printed card and a
+    glossy black ball.
+
+    Returns
+    -------
+    dict
+        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and ``files``.
+    """
+
+    # fmt: off
+    folder: Annotated[AnyPath, Help(
+        "holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed), and ball_85, "
+        "ball_95 ...: the ball with the analyser at other angles", "FOLDER",
+        positional=True)]
+    out: Annotated[AnyPath, _RIG_OUT]
+    _: KW_ONLY
+    rig: Annotated[AnyPath | None, Help("rig file to add the films to (default: the card's)", "RIG")] = None
+    residuals: Annotated[AnyPath | None, _RESIDUALS] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Measure the films, and write them into a rig file."""
+        from splitknit_rig.calibration.polarisers import films_to_file
+
+        return films_to_file(self, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class ShadingJob(Job):
+    """Measure how slopes shade a gel sensor's images, from balls of known radius; or the fall-off of its light,
+    from a card.
+
+    Returns
+    -------
+    ShadingFit
+        ``shading`` as it is in the file, and the errors on balls that were left out.
+    """
+
+    # fmt: off
+    images: Annotated[tuple[AnyPath, ...], Help(
+        "photographs of balls, one for each light, or one of three colours; several folders of one ball pressed in "
+        "many places; without `flat` of one ball lying free before a dark background, or, with `spacing_mm` and "
+        "`centres`, of balls in a gel that is flat between them", "DIR", nargs="+")] = ()
+    _: KW_ONLY
+    out: Annotated[AnyPath, Help("calibration to write (.npz)", "FILE")]
+    flat: Annotated[AnyPath | None, Help("the same of the sensor pressed on nothing, or of a card", "DIR")] = None
+    radius_mm: Annotated[Positive | None, Help("radius of the balls", "MM", "--ball-radius")] = None
+    spacing_mm: Annotated[Positive | None, Help(
+        "distance of neighbouring balls (default: scale of their outlines)", "MM", "--pitch")] = None
+    centres: Annotated[AnyPath | None, Help(
+        "the balls' 'column row [radius]' in pixels, where they are not found", "FILE")] = None
+    encoding: Annotated[Encoding | None, Help("of the photographs (default: as their files state, else linear)")] = None
+    report: Annotated[AnyPath | None, Help("page to write (default: beside `out`)", "HTML")] = None
+    # fmt: on
+
+    @property
+    def page(self) -> Path:
+        """The page that is written."""
+        return path(self.report) or path(self.out).with_suffix(".html")
+
+    def run(self, progress: Progress) -> ShadingFit:
+        """Calibrate, and write file and page."""
+        from splitknit_rig.calibration.shading_folder import check_page, shading_to_file, write_page
+
+        check_page(self.page)
+        fit = shading_to_file(self, progress)
+        write_page(self.page, fit)
+        return fit
+
+
+calibrate_camera = function_of(CameraJob, "calibrate_camera")
+calibrate_lights = function_of(LightsJob, "calibrate_lights")
+calibrate_radiometry = function_of(RadiometryJob, "calibrate_radiometry")

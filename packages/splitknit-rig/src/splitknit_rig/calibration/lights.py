@@ -1,0 +1,263 @@
+"""Where the LEDs are, from a nail and the tips of its shadows: the thesis's construction, and what it can be held to.
+
+The ray from the tip of the shadow through the nail, seen from above, meets the circle on which the LEDs sit on the far
+side of the nail; the LED is there, at the height of the circle. Its direction is that of its position seen from the
+centre of the circle on the finger plane. Every position of the nail gives one direction; the thesis takes the mean of
+two. How far apart they are is the only sign of a bad table, and it is reported for each LED.
+
+The table has one row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), which place the nail stood
+at (`nail`, any whole number), the nail's pixel and that of its shadow's tip (x along the columns, y down the rows, as
+image viewers show them).
+
+Source: the thesis, section 4.3.2 and figure 5.1, with step 5 corrected: the ray runs through the nail and the tip, not
+through the centre.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from splitknit import Array, BadInput, Camera, csv_text, plane_points, refusing, require
+
+BANDS = ("white", "nir")
+LEDS_PER_BAND = 7
+COLUMNS = ("band", "led", "nail", "nail_x_px", "nail_y_px", "tip_x_px", "tip_y_px")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence: ``white 1, white 3 and nir 0``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]])) or "no LED"
+
+
+@dataclass(frozen=True, slots=True)
+class Tip:
+    """One row: what one LED's photograph of one nail position shows."""
+
+    band: str
+    led: int
+    nail: int
+    nail_px: tuple[float, float]
+    """Column and row of the nail."""
+    tip_px: tuple[float, float]
+    """Column and row of its shadow's tip."""
+
+    @property
+    def name(self) -> str:
+        """Such as ``white 3, nail 2``, for messages."""
+        return f"{name_of_led(self.band, self.led)}, nail {self.nail}"
+
+
+def name_of_led(band: str, led: int) -> str:
+    """Such as ``white 3`` or ``NIR 0``."""
+    return f"{'NIR' if band == 'nir' else band} {led}"
+
+
+def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
+    """Read the rows of a table in CSV, in the order white before NIR, LED, nail; ``#`` starts a comment. Raises
+    BadInput naming the line: a column is missing, something is no number, a band or LED is not known, or a row comes
+    twice.
+    """
+    lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
+    lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]
+    require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
+    header = [cell.lower() for cell in _cells(lines[0][1], name)]
+    missing = [column for column in COLUMNS if column not in header]
+    require(
+        not missing,
+        f"{name} lacks the column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; its first line must be "
+        f"{','.join(COLUMNS)}.",
+    )
+    require(len(set(header)) == len(header), f"{name} names a column twice in its first line.")
+    tips: dict[tuple[str, int, int], tuple[int, Tip]] = {}
+    for number, line in lines[1:]:
+        tip = _tip(line, header, f"{name}, line {number}")
+        key = (tip.band, tip.led, tip.nail)
+        if key in tips:
+            raise BadInput(
+                f"{name}, lines {tips[key][0]} and {number} are both for {tip.name}; keep one of them, or correct its "
+                f"numbers."
+            )
+        tips[key] = (number, tip)
+    require(bool(tips), f"{name} has no rows below its first line; add one for every LED and nail position.")
+    return tuple(sorted((tip for _, tip in tips.values()), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
+
+
+def write_tips(tips: Sequence[Tip]) -> str:
+    """Return the table as text that :func:`read_tips` reads, pixels to two digits."""
+    rows: list[list[object]] = [list(COLUMNS)]
+    for tip in tips:
+        pixels = [f"{value:.2f}" for value in (*tip.nail_px, *tip.tip_px)]
+        rows.append([tip.band, tip.led, tip.nail, *pixels])
+    return csv_text(rows)
+
+
+def pixels(tips: Sequence[Tip]) -> tuple[Array, Array]:
+    """Columns and rows (N, 2) of the nails and of the shadows' tips."""
+    nails = np.array([tip.nail_px for tip in tips], dtype=np.float64).reshape(-1, 2)
+    ends = np.array([tip.tip_px for tip in tips], dtype=np.float64).reshape(-1, 2)
+    return nails, ends
+
+
+def _tip(line: str, header: Sequence[str], where: str) -> Tip:
+    cells = _cells(line, where)
+    require(
+        len(cells) == len(header),
+        f"{where} has {len(cells)} fields, but the first line names {len(header)}; correct the line.",
+    )
+    row = dict(zip(header, cells, strict=True))
+    band = row["band"].lower()
+    require(band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}.")
+    led = _whole(row["led"], where, "led")
+    require(
+        led < LEDS_PER_BAND,
+        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led'][:60]!a}.",
+    )
+    numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
+    return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
+
+
+def _cells(line: str, where: str) -> list[str]:
+    with refusing(
+        f"{where} is no line of a CSV table."
+    ):  # such as one of a hundred thousand characters without a comma
+        return [cell.strip() for cell in next(csv.reader([line]))]
+
+
+def _whole(text: str, where: str, column: str) -> int:
+    sound = text.isascii() and text.isdigit() and len(text) <= 9
+    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is {text[:60]!a}.")
+    return int(text)
+
+
+def _number(text: str, where: str, column: str) -> float:
+    words = f"{where}: {column} must be a number of pixels, but it is {text[:60]!a}."
+    with refusing(words):
+        value = float(text)
+    require(abs(value) < 1e6, words)
+    return value
+
+
+SHADOW_MM = 0.2
+"""A tip nearer to its nail than this shows no shadow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """The circle on which the LEDs sit, as it is measured with a ruler."""
+
+    radius_mm: float
+    height_mm: float
+    """Height of the LEDs above the finger plane."""
+    centre_mm: tuple[float, float] = (0.0, 0.0)
+    """Its centre on the finger plane, in the rig's frame."""
+
+    def __post_init__(self) -> None:
+        require(1.0 <= self.radius_mm <= 1e4, f"the LED circle's radius must be 0.1 to 1000 cm, not {self.radius_mm}.")
+        require(1.0 <= self.height_mm <= 1e4, f"the LEDs' height must be 0.1 to 1000 cm, not {self.height_mm / 10}.")
+        require(bool(np.isfinite(self.centre_mm).all()), "the LED circle's centre must be finite.")
+
+    @property
+    def foot_mm(self) -> Array:
+        """(3,) the centre on the finger plane, from which directions are counted."""
+        return np.array([*self.centre_mm, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LedEstimate:
+    """One LED as one method finds it."""
+
+    band: str
+    led: int
+    position_mm: Array
+    """(3,) in the rig's frame."""
+    direction: Array
+    """(3,) unit, from the circle's centre on the finger plane towards the LED."""
+    disagreement_deg: float | None
+    """Largest angle between the directions of two nail positions; None with one position."""
+    nails: tuple[int, ...]
+    singles: Array
+    """(K, 3) positions, one for each of the nail's."""
+
+
+def nail_points(camera: Camera, nail_px: Array, height_mm: float, seen: str = "tip") -> Array:
+    """Where the nail stands on the finger plane, (N, 2), by the pixel of its tip, which a perspective camera sees
+    further out by the nail's `height_mm`, or of its base.
+    """
+    points = plane_points(camera, nail_px)
+    if camera.model == "perspective" and seen == "tip":
+        points = points * (1.0 - height_mm / camera.height_mm)
+    return points
+
+
+def by_circle(
+    tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
+) -> tuple[tuple[LedEstimate, ...], float]:
+    """Find every LED by the thesis's construction, in the order of the rows, and the nail's height in mm, by the
+    lengths of the shadows unless known. `seen`: ``tip`` or ``base``, what of the nail is given. Raises BadInput naming
+    LED and nail position without a shadow, or with the nail outside the circle.
+    """
+    nail_px, tip_px = pixels(tips)
+    ends = plane_points(camera, tip_px)
+    height = known_height_mm or 0.0
+    for _ in range(12):  # the height matters to where a perspective camera sees the nail, and follows from it
+        nails = nail_points(camera, nail_px, height, seen)
+        _check_shadows(tips, nails, ends, circle)
+        along = nails - ends
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        out = nails - np.asarray(circle.centre_mm)
+        half = (along * out).sum(axis=1)
+        inside = circle.radius_mm**2 - (out * out).sum(axis=1)
+        step = np.sqrt(half * half + inside) - half
+        positions = np.column_stack([nails + step[:, None] * along, np.full(len(along), circle.height_mm)])
+        # The nail's height, by similar triangles from the lengths of its shadows
+        shadow = np.linalg.norm(ends - nails, axis=1)
+        ratio = shadow / np.maximum(np.linalg.norm(positions[:, :2] - nails, axis=1), 1e-9)
+        found = float(np.median(positions[:, 2] * ratio / (1.0 + ratio)))
+        if camera.model != "perspective" or known_height_mm is not None or abs(found - height) < 1e-6:
+            break
+        height = min(found, 0.6 * circle.height_mm)
+    estimates = []
+    for band, led in dict.fromkeys((tip.band, tip.led) for tip in tips):
+        rows = [k for k, tip in enumerate(tips) if (tip.band, tip.led) == (band, led)]
+        estimates.append(combine(band, led, positions[rows], tuple(tips[k].nail for k in rows), circle))
+    return tuple(estimates), found if known_height_mm is None else known_height_mm
+
+
+def combine(band: str, led: int, singles: Array, nails: tuple[int, ...], circle: Circle) -> LedEstimate:
+    """Put the positions (K, 3) that single nail positions give together: the mean, and how far apart they are."""
+    arms = singles - circle.foot_mm
+    units = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    mean = units.mean(axis=0)
+    # at the mean height, in the mean direction: for arms of one length, the mean position
+    position = circle.foot_mm + mean * (arms[:, 2].mean() / mean[2])
+    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), _largest_angle_deg(units), nails, singles)
+
+
+def _largest_angle_deg(units: Array) -> float | None:
+    """Largest angle in degrees between two of the unit vectors (K, 3), None for a single one."""
+    if len(units) < 2:
+        return None
+    # by the chord, which is exact for small angles where the cosine is not
+    chords = np.linalg.norm(units[:, None] - units[None], axis=2)
+    return float(np.degrees(2.0 * np.arcsin(np.clip(chords.max() / 2.0, 0.0, 1.0))))
+
+
+def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circle) -> None:
+    away = np.linalg.norm(nails - np.asarray(circle.centre_mm), axis=1)
+    shadow = np.linalg.norm(nails - ends, axis=1)
+    for k, tip in enumerate(tips):
+        require(
+            shadow[k] >= SHADOW_MM,
+            f"{tip.name}: there is no shadow, for its tip lies {shadow[k]:.2f} mm from the nail; correct the row, or "
+            f"photograph a longer nail.",
+        )
+        require(
+            away[k] < circle.radius_mm,
+            f"{tip.name}: the line from the shadow to the LED does not start inside the LED circle: the nail stands "
+            f"{away[k]:.1f} mm from the circle's centre and its radius is {circle.radius_mm:g} mm; correct the row, "
+            f"the centre, the radius or px-per-cm.",
+        )

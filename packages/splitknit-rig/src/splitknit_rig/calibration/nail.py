@@ -1,0 +1,234 @@
+"""The LEDs from nail and shadow tips by least squares: all rows at once, the nail's height unknown.
+
+Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip t of its shadow on
+the finger plane obey
+
+    t = n + (n - p) h / (z - h).
+
+Unknown are every LED's p and z (L, 3), where the nail stood (P, 2), its height (one for all positions), and by how much
+the circle's centre (2), radius and height are other than measured, all in mm. Known are the tips and the nail in
+pixels, which the calibrated camera turns into places, and, softly, that the LEDs sit on the circle. The height of the
+nail and that of the LEDs cannot both be found from shadows (a nail and a rig of twice the height cast the same ones):
+the measured height of the circle sets the scale, or that of the nail where it is known.
+
+Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are named.
+
+Source: the thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form of S. Geman and D.
+E. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the ISI 52(4), 1987.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import chi2
+
+from splitknit import Array, Camera, Checked, Limits, pixels_of, plane_points, require
+from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
+
+_NAIL_HEIGHT_SD_MM = 1.0
+"""Standard deviation of the known height."""
+_CIRCLE_SD_MM = 1.0
+"""Standard deviation of the circle's centre (each way), radius and height from the drawing's values."""
+_FREE_SD_MM = 30.0
+"""Takes the place of all deviations of LEDs and circle where the nail's height is known."""
+_OUTLIER = 4.0
+"""A tip this many standard deviations from its place is named, and has lost most of its weight."""
+STRAY_MM = 10.0
+"""An LED further than this off the fitted circle is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class NailSettings(Checked):
+    """How well everything is known beforehand: standard deviations, and what counts as astray."""
+
+    tip_sd_px: Annotated[float, Limits(1e-6, 1e4)] = 1.0
+    """A shadow tip in the image, each way."""
+    nail_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 0.1
+    """The nail in the image, on the finger plane, each way, the same in all rows of one position."""
+    led_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
+    """Each LED about the circle, outwards and in height."""
+    nail_height_mm: Annotated[float | None, Limits(0.5, 500)] = None
+    """Where it is known. Then the LEDs' places follow from it, and the circle only guards against nonsense."""
+    nail_seen: Literal["tip", "base"] = "tip"
+    """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
+
+
+class _NailModel:
+    """The rows of a table as equations."""
+
+    def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings) -> None:
+        self.tips, self.camera, self.circle, self.settings = tuple(tips), camera, circle, settings
+        nail_px, self.tip_px = pixels(tips)
+        self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
+        """Band and number of the L LEDs."""
+        self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
+        """(N,) which of them a row is of."""
+        self.place_of, self.places_px = _places(tips, camera, nail_px)
+        """(N,) which place of the nail a row is of, and the places' mean pixels (P, 2)."""
+        self.known = settings.nail_height_mm is not None
+        self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
+        """Where in the vector the nail's height is."""
+        self.led_sd = _FREE_SD_MM if self.known else settings.led_sd_mm
+        self.offset_sd = _FREE_SD_MM if self.known else _CIRCLE_SD_MM
+        self.nail_sd_px = settings.nail_sd_mm * camera.px_per_mm
+        self.top = HIGHEST * min(circle.height_mm, camera.height_mm)
+
+    def parts(self, x: Array) -> tuple[Array, Array, float, Array]:
+        """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
+        count = 3 * len(self.names)
+        leds = x[:count].reshape(-1, 3)
+        leds = np.column_stack([leds[:, :2], np.maximum(leds[:, 2], 1.1 * self.top)])  # above the nail, it the plane
+        height = float(np.clip(x[self.at_height], 0.5, self.top))
+        return leds, x[count : self.at_height].reshape(-1, 2), height, x[-4:]
+
+    def tip_residuals(self, x: Array) -> Array:
+        """(N, 2) pixels, found minus expected."""
+        leds, places, height, _ = self.parts(x)
+        nail, led = places[self.place_of], leds[self.led_of]
+        ends = nail + (nail - led[:, :2]) * (height / (led[:, 2] - height))[:, None]
+        return self.tip_px - self._pixels(ends, 0.0)
+
+    def residuals(self, x: Array, weights: Array) -> Array:
+        """All residuals in standard deviations; `weights` (N,) are the tips'."""
+        settings, circle = self.settings, self.circle
+        leds, places, height, offsets = self.parts(x)
+        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / settings.tip_sd_px
+        seen = height if settings.nail_seen == "tip" else 0.0  # height of what the nail's pixel is of
+        nail = (self._pixels(places, seen) - self.places_px) / self.nail_sd_px
+        arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
+        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
+        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
+        known = [(height - (settings.nail_height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
+        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
+
+    def _pixels(self, places: Array, height: float) -> Array:
+        return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
+
+
+def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArray[np.intp], Array]:
+    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between bands, it is two."""
+    given = [(tip.nail, tip.band) for tip in tips]
+    middles = {key: nail_px[[one == key for one in given]].mean(axis=0) for key in dict.fromkeys(given)}
+
+    def first_beside(key: tuple[int, str]) -> tuple[int, str]:
+        near = (np.linalg.norm(middle - middles[key]) <= camera.px_per_mm for middle in middles.values())
+        return next(other for other, beside in zip(middles, near, strict=True) if beside and other[0] == key[0])
+
+    keys = [first_beside(key) for key in given]
+    names = list(dict.fromkeys(keys))
+    place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
+    return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
+
+
+HIGHEST = 0.6
+"""A nail is taken to be lower than this part of the LEDs' height."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFit:
+    """All LEDs, and how well they are known."""
+
+    leds: tuple[LedEstimate, ...]
+    interval_deg: Array
+    """(L,) the true direction lies within this angle with 95 % probability."""
+    interval_mm: Array
+    """(L,) the same of the position."""
+    nail_height_mm: float
+    nail_height_interval_mm: float
+    """Half width of its 95 % interval."""
+    residual_px: Array
+    """(N, 2) tips found minus expected, columns and rows, in the order of the rows."""
+    outliers: tuple[int, ...]
+    """Rows whose tip lies astray."""
+    strays: frozenset[tuple[str, int]]
+    """LEDs, band and number, off the circle."""
+    circle: Circle
+    """As fitted."""
+    rms_px: float
+    """Residual of the tips that are not outliers, each way."""
+
+
+def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:
+    """Every LED from all rows together; BadInput for one position, a row without shadow, a nail outside the circle."""
+    model = _NailModel(tips, camera, circle, settings or NailSettings())
+    require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
+    return _result(model, _solve(model))
+
+
+def _solve(model: _NailModel) -> OptimizeResult:
+    settings = model.settings
+    first, height = by_circle(
+        model.tips, model.camera, model.circle, known_height_mm=settings.nail_height_mm, seen=settings.nail_seen
+    )
+    height = float(np.clip(height, 0.6, model.top))
+    places = nail_points(model.camera, model.places_px, height, settings.nail_seen)
+    x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
+    weights = np.ones(len(model.tips))
+    # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
+    for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
+        fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
+        before, x = x, fit.x
+        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / settings.tip_sd_px
+        weights = 1.0 / (1.0 + (distance / (_OUTLIER * sharpness)) ** 2) ** 2
+        if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
+            break
+    return fit
+
+
+def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
+    settings, circle = model.settings, model.circle
+    leds, places, height, offsets = model.parts(fit.x)
+    found = model.tip_residuals(fit.x)
+    astray = np.linalg.norm(found, axis=1) > _OUTLIER * settings.tip_sd_px
+    freedom = max(fit.fun.size - fit.x.size, 1)
+    wider = max(1.0, 2.0 * float(fit.cost) / freedom)  # where the residuals exceed their stated deviation
+    covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
+    estimates, degrees, sizes = [], [], []
+    ends = plane_points(model.camera, model.tip_px)
+    for k, (band, led) in enumerate(model.names):
+        rows = np.flatnonzero(model.led_of == k)
+        nail = places[model.place_of[rows]]
+        reach = (leds[k, 2] - height) / height
+        singles = np.column_stack([nail + (nail - ends[rows]) * reach, np.full(len(rows), leds[k, 2])])
+        alone = combine(band, led, singles, tuple(model.tips[row].nail for row in rows), circle)
+        arm = leds[k] - circle.foot_mm
+        unit = arm / np.linalg.norm(arm)
+        estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, alone.nails, singles))
+        block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+        turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
+        degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
+        sizes.append(_radius_95(block))
+    x, y, radius, high = (np.array([*circle.centre_mm, circle.radius_mm, circle.height_mm]) + offsets).tolist()
+    centre, fitted = (x, y), Circle(radius, high, (x, y))
+    off = np.abs(np.linalg.norm(leds[:, :2] - np.asarray(centre), axis=1) - fitted.radius_mm) > STRAY_MM
+    return JointFit(
+        leds=tuple(estimates),
+        interval_deg=np.array(degrees),
+        interval_mm=np.array(sizes),
+        nail_height_mm=height,
+        nail_height_interval_mm=1.96 * float(np.sqrt(covariance[model.at_height, model.at_height])),
+        residual_px=found,
+        outliers=tuple(int(row) for row in np.flatnonzero(astray)),
+        strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),
+        circle=fitted,
+        rms_px=float(np.sqrt(np.mean(found[~astray] ** 2))) if not astray.all() else float("nan"),
+    )
+
+
+# How far from the truth an estimate may be: from a covariance to one number.
+
+
+def _radius_95(covariance: Array) -> float:
+    """95 % radius of a normal error of covariance (D, D), by its first two moments (Satterthwaite 1946), within 4 %."""
+    values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
+    total = float(values.sum())
+    if total <= 0:
+        return 0.0
+    squares = float((values**2).sum())
+    return float(np.sqrt(squares / total * chi2.ppf(0.95, total * total / squares)))

@@ -1,0 +1,222 @@
+"""Photographs of the nail that calibrates lights: reading them, finding the tips, and a picture of what was found."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from splitknit import (
+    MAX_BYTES,
+    ORANGE,
+    PAPER,
+    SKY,
+    Array,
+    Camera,
+    ColourArray,
+    Fields,
+    FloatArray,
+    Progress,
+    check_file,
+    check_picture,
+    decode_image,
+    decode_photo,
+    encoding_of,
+    linear_image,
+    natural_order,
+    no_progress,
+    read_bytes,
+    read_json,
+    require,
+    write_file,
+    write_image,
+)
+from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit_rig.calibration.shadow import NailView, find_nail
+
+LISTING = "nails.json"
+FOUND_SD_MM = 0.05
+"""Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a little askew."""
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+Files = dict[tuple[int, str], list[Path]]
+"""Files by nail position and band, in the order of the LEDs."""
+_Tile = tuple[str, FloatArray, NailView, int]
+"""Name, small image, what it shows, and the LED."""
+
+
+def tips_of_photos(
+    folder: Path,
+    camera: Camera,
+    *,
+    encoding: str | None = None,
+    show: Path | None = None,
+    table: Path | None = None,
+    progress: Progress = no_progress,
+) -> tuple[list[Tip], dict[str, str], list[str]]:
+    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them. Returns the
+    tips by LED and place, SHA-256s by name, and files whose shadow leaves the picture.
+    """
+    check_picture(show, folder)
+    check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
+    files = _nail_files(folder)
+    if encoding is None:  # a shadow's tip lies where it lies; nothing else decides
+        encoding, _ = encoding_of([path for paths in files.values() for path in paths], lambda: False)
+    tips: list[Tip] = []
+    tiles: list[_Tile] = []
+    hashes: dict[str, str] = {}
+    lost: list[str] = []
+    for done, ((nail, band), paths) in enumerate(files.items()):
+        progress(f"nail {nail}, {band}", done / len(files))
+        stack, digests = read_stack(paths, camera.image_size, encoding)
+        hashes |= {path.relative_to(folder).as_posix(): digest for path, digest in digests.items()}
+        names = [str(path) for path in paths]
+        view = find_nail(stack, camera.px_per_mm, names)
+        step = max(1, -(-max(camera.image_size) // 480))
+        for led, tip in enumerate(view.tips_px):
+            tiles.append((f"{band} {led}, nail {nail}", np.ascontiguousarray(stack[led, ::step, ::step]), view, led))
+            if np.isfinite(tip).all():
+                nail_px = (float(view.nail_px[0]), float(view.nail_px[1]))
+                tips.append(Tip(band, led, nail, nail_px, (float(tip[0]), float(tip[1]))))
+            else:
+                lost.append(f"{band} {led} at nail {nail}")
+    tips.sort(key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail))
+    if show is not None:
+        write_image(show, _nail_overview(tiles, camera.image_size))
+    if table is not None:
+        write_file(table, write_tips(tips).encode("ascii"))
+    require(bool(tips), f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.")
+    return tips, hashes, lost
+
+
+def _nail_files(folder: Path) -> Files:
+    """Images of a folder: white_0.png ... nir_6.png in it, or in a subfolder for each nail position; or those that
+    ``nails.json`` lists: ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``. BadInput if one is missing.
+    """
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
+    if (folder / LISTING).is_file():
+        return _listed(folder)
+    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
+    places = [place for place in places if _bands(place)] or [folder]
+    files: Files = {}
+    for nail, place in enumerate(places, start=1):
+        bands = _bands(place)
+        require(
+            bool(bands),
+            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png and nir_0.png to "
+            f"nir_6.png, in a subfolder for each position of the nail.",
+        )
+        for band in [band for band in BANDS if band in bands]:
+            absent = [led for led in range(LEDS_PER_BAND) if led not in bands[band]]
+            names = " and ".join(f"{band}_{led}" for led in absent)
+            require(not absent, f"{place} lacks the image {names}; every LED of a band that occurs needs one.")
+            files[nail, band] = [bands[band][led] for led in range(LEDS_PER_BAND)]
+    return files
+
+
+def read_stack(
+    paths: Sequence[Path], size: tuple[int, int], encoding: str, *, upright: bool = False
+) -> tuple[FloatArray, dict[Path, str]]:
+    """Grey linear light (L, H, W) of images, less the ambient one beside them, `upright` by EXIF; and all SHA-256s."""
+    hashes: dict[Path, str] = {}
+    images = []
+    for path in paths:
+        image, hashes[path] = _read(path, size, encoding, upright=upright)
+        images.append(image)
+    band = re.split(r"[_.-]", paths[0].stem)[0].lower()
+    for suffix in SUFFIXES:
+        ambient = paths[0].with_name(f"ambient_{band}{suffix}")
+        if ambient.is_file():
+            dark, hashes[ambient] = _read(ambient, size, encoding, upright=upright)
+            images = [np.maximum(image - dark, 0) for image in images]
+            break
+    return np.stack(images), hashes
+
+
+def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) -> tuple[FloatArray, str]:
+    data = read_bytes(path, MAX_BYTES)
+    pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
+    require(
+        pixels.shape[:2] == size,
+        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
+        f"{size[0]} x {size[1]}; give the rig or `image_size` that belongs to the photographs.",
+    )
+    require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
+    image = np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
+    return image, hashlib.sha256(data).hexdigest()
+
+
+def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(place.iterdir()):
+        match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
+        if match and path.suffix.lower() in SUFFIXES and path.is_file():
+            led = int(match.group(2))
+            leds = found.setdefault(match.group(1), {})
+            require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
+            require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
+            leds[led] = path
+    return found
+
+
+def _listed(folder: Path) -> Files:
+    document, _ = read_json(folder / LISTING)
+    fields = Fields(document, str(folder / LISTING))
+    files: Files = {}
+    for nail, entry in enumerate(fields.items("nails"), start=1):
+        place = Fields(entry, str(folder / LISTING), f"nails[{nail - 1}]")
+        for band in [band for band in BANDS if place.has(band)]:
+            names = place.items(band)
+            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) for name in names)
+            paths = [folder / str(name) for name in names]
+            inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
+            if not (sound and inside):
+                place.refuse(band, f"a list of {LEDS_PER_BAND} file names inside the folder")
+            files[nail, band] = paths
+    require(bool(files), f"{folder / LISTING} lists no images.")
+    return files
+
+
+# Pictures that show what was found in photographs for the calibration of lights.
+
+
+def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int], width: int = 400) -> ColourArray:
+    """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
+    drawn = [_nail_tile(tile, image_size, width) for tile in tiles]
+    blank = np.full_like(drawn[0], 255)
+    drawn += [blank] * (-len(drawn) % 7)
+    rows = [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)]
+    return np.ascontiguousarray(np.concatenate(rows, axis=0))
+
+
+def _nail_tile(tile: _Tile, image_size: tuple[int, int], width: int) -> ColourArray:
+    name, image, view, led = tile
+    nail_px, tip_px = view.nail_px, view.tips_px[led]
+    scale = width / image_size[1]
+    size = (width, max(1, round(image_size[0] * scale)))
+    grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    top = max(float(np.percentile(grey, 99.5)), 1e-6)
+    shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    picture = np.ascontiguousarray(np.repeat(shade[..., None], 3, axis=2))
+    nail = _at(nail_px, scale)
+    if np.isfinite(tip_px).all():
+        away = nail_px - tip_px
+        away = away / max(float(np.linalg.norm(away)), 1e-9) * float(sum(image_size))
+        cv2.line(picture, _at(tip_px, scale), _at(nail_px + away, scale), SKY, 1, cv2.LINE_AA, 4)
+        cv2.circle(picture, _at(tip_px, scale), 6 * 16, ORANGE, 1, cv2.LINE_AA, 4)
+    for x, y in ((6 * 16, 0), (0, 6 * 16)):
+        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), PAPER, 1, cv2.LINE_AA, 4)
+    words = name if np.isfinite(tip_px).all() else f"{name}: out of the picture"
+    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    picture[-1], picture[:, -1] = 255, 255
+    return picture
+
+
+def _at(place: Array, scale: float) -> tuple[int, int]:
+    """Where a pixel of the photograph is in the tile, in sixteenths of a pixel."""
+    x, y = (place + 0.5) * scale - 0.5
+    return round(16 * float(x)), round(16 * float(y))

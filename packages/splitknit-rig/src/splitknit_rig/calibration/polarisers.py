@@ -1,0 +1,370 @@
+"""The polarising films of a rig, from a printed matt card and a glossy black ball (or a sheet of glass) behind them.
+
+The card returns depolarised light, of which both positions of the analyser should pass the same: it shows how much
+darker the crossed images are, their tint, and by how much the turned analyser moves the image. The ball mirrors the
+lights: what is left of them in the crossed images has passed the films although it should not.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
+
+from splitknit import (
+    GREY_WEIGHTS,
+    Array,
+    Band,
+    BoolArray,
+    Capture,
+    Films,
+    FloatArray,
+    Progress,
+    block_means,
+    check_picture,
+    check_rig_file,
+    crossed_place,
+    linear_channels,
+    naming,
+    no_progress,
+    path,
+    pick_channel,
+    plain_json,
+    provenance,
+    read_capture,
+    require,
+    undone,
+    with_rig,
+    write_image,
+    write_rig,
+)
+from splitknit_rig.calibration.jobs import PolarisersJob
+from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
+from splitknit_rig.calibration.sensor import noise_model, noise_samples
+
+_CLIPPED = 0.985
+_LEVELS_PX = (8.0, 4.0, 2.0)
+"""Standard deviations of the blur under which both images of the card are brought onto each other."""
+_MIN_LIKENESS = 0.5
+"""Correlation of their details; a card without print has none."""
+_ACROSS = 60
+"""Cells along the longer side of the card's picture."""
+_STEADY = 0.003
+"""Relative deviation of an LED's light from one photograph to the next."""
+_NEIGHBOUR_MM = 1.0
+"""How far apart on the ball LEDs beside each other are mirrored."""
+_MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
+
+
+def films_to_file(job: PolarisersJob, progress: Progress = no_progress) -> dict[str, Any]:
+    """Measure the films and write them into a rig file; see :class:`PolarisersJob`."""
+    folder, out, residuals, rig = path(job.folder), path(job.out), path(job.residuals), path(job.rig)
+    check_rig_file(out)
+    check_picture(residuals, folder)
+    turned = {file: _angle(file) for file in sorted(folder.glob("ball_*"))}
+    progress("card", 0.0)
+    card, ball = (_photographs(folder / name, rig, may_be_dark=name == "ball") for name in ("card", "ball"))
+    for capture, name in ((card, "card"), (ball, "ball")):
+        require(
+            "white_crossed" in capture.bands,
+            f"{folder / name} holds no crossed series; photograph the {name} with the analyser parallel (white) and "
+            "crossed (white_crossed).",
+        )
+    films, facts, rest = naming(folder / "card", lambda: measure_card(card))
+    progress("ball", 0.4)
+    electrons = _electrons(card)
+    spots, light = naming(folder / "ball", lambda: measure_ball(ball, films, electrons))
+    series, hashes = [light], dict[str, str]()
+    for at in (folder / "card", folder / "ball", *turned):
+        capture = _photographs(at, rig) if at in turned else card if at.name == "card" else ball
+        require(
+            capture.bands["white"].leds == card.bands["white"].leds and capture.shape == card.shape,
+            f"{at} has other LEDs or another size than {folder / 'card'}; photograph all under the same LEDs.",
+        )
+        hashes |= {f"{at.name}/{file}": digest for file, digest in capture.hashes.items()}
+        if at in turned:
+            progress(at.name, 0.7)
+            band, encoding = capture.bands["white"], capture.encoding
+            found = [naming(at, lambda k=k: _flux(band, k, encoding, spots[k], electrons)) for k in range(len(spots))]  # type: ignore[misc]  # noqa: B023
+            series.append(np.array(found)[:, None])
+    angles = np.array([0.0, 90.0, *turned.values()])
+    films, more = _of_ball(films, angles, np.concatenate(series, axis=1))
+    facts = {**facts, **more, "warnings": facts["warnings"] + more["warnings"]}
+    facts |= provenance({"angles_deg": angles.tolist()}, hashes)
+    if residuals is not None:
+        tiles = [residual_tile(100 * one, np.isnan(one), one.shape) for one in rest]
+        write_image(residuals, np.concatenate(tiles, axis=1))
+    write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
+    progress("done", 1.0)
+    files = [str(file) for file in (out, residuals) if file is not None]
+    return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
+
+
+def _photographs(folder: Path, rig_file: Path | None, *, may_be_dark: bool = True) -> Capture:
+    capture = read_capture(folder, may_be_dark=may_be_dark)
+    return capture if rig_file is None else with_rig(capture, rig_file)
+
+
+def _angle(place: Path) -> float:
+    number = re.fullmatch(r"ball_(-?\d{1,3}(?:\.\d+)?)", place.name)
+    require(
+        number is not None,
+        f"{place} must be named by the analyser's angle in degrees from its parallel position, such as ball_85.",
+    )
+    return float(number[1]) if number else 0.0
+
+
+def _image(band: Band, k: int, encoding: str) -> FloatArray:
+    """(h, w, 3) linear light of one image."""
+    parts = {name: getattr(band, name)[k : k + 1] for name in ("pixels", "leds", "exposure", "black_level")}
+    channels = linear_channels(replace(band, **parts), encoding, ("red", "green", "blue"))[:, 0]
+    return np.ascontiguousarray(np.moveaxis(channels, 0, 2))
+
+
+def _clipped(band: Band, k: int) -> BoolArray:
+    top = _CLIPPED * float(np.iinfo(band.pixels.dtype).max)
+    return np.asarray((band.pixels[k] >= top).any(axis=-1))
+
+
+# The card: where the crossed image lies, and its brightness.
+
+
+def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
+    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals; and L arrays (h, w)
+    of what is left of crossed over parallel, NaN in the dark. Raises BadInput if the card has no print, is clipped, or
+    moved.
+    """
+    near, far = card.bands["white"], card.bands["white_crossed"]
+    some = (0, len(near.leds) // 2)
+    grey = [sum(pick_channel(_image(band, k, card.encoding), "grey") for k in some) for band in (near, far)]
+    films, deviation = _shift(*grey)  # type: ignore[arg-type]
+    inner = np.zeros(card.shape, dtype=np.float32)
+    margin = 4 + int(np.hypot(*films.shift_px))
+    inner[margin:-margin, margin:-margin] = 1.0
+    side = max(4, max(card.shape) // _ACROSS)
+    cells = (card.shape[0] // side, card.shape[1] // side)
+    brightness, rest = [], []
+    for k in range(len(near.leds)):
+        good = inner * ~(_clipped(near, k) | _clipped(far, k))
+        parts = (good, _image(near, k, card.encoding), undone(_image(far, k, card.encoding), films))
+        whole, p, c = (block_means(part, cells, side) for part in parts)
+        bright = pick_channel(p, "grey")
+        used = (whole > 0.999) & (bright > max(0.4 * float(np.percentile(bright, 95)), 0.0))
+        require(
+            int(used.sum()) >= 50,
+            f"image {k}: too little of the card is bright and not clipped; expose it to about 70 % of full scale.",
+        )
+        ratio = np.full((*cells, 3), np.nan)
+        ratio[used] = c[used].astype(np.float64) / p[used]
+        brightness.append(np.nanmedian(ratio, axis=(0, 1)))
+        least, most = brightness[-1].min(), brightness[-1].max()
+        require(
+            least > 0.2 and most < 5.0,
+            f"image {k}: the card is {least:.2g} to {most:.2g} times as bright in the crossed image as in the parallel "
+            "one; state exposure_s of every image, and compare the films.",
+        )
+        rest.append((ratio / brightness[-1]) @ GREY_WEIGHTS.astype(np.float64) - 1.0)
+    rms = [100 * float(np.sqrt(np.nanmean(one**2))) for one in rest]
+    count = [int(np.isfinite(one).sum()) for one in rest]
+    facts = {
+        "shift_interval_px": [rounded(2.0 * one) for one in deviation[:2]],
+        "scale_interval": rounded(2.0 * deviation[2]),
+        "brightness_interval": [rounded(2.5 * 0.01 * one / np.sqrt(n)) for one, n in zip(rms, count, strict=True)],
+        "residual_rms_percent": [rounded(one) for one in rms],
+        "residual_largest_percent": [rounded(100 * float(np.nanmax(np.abs(one)))) for one in rest],
+        "warnings": [
+            f"the card's crossed image {k} departs by {one:.1f} % (rms) from a parallel one of other brightness; use a "
+            "matt card."
+            for k, one in enumerate(rms)
+            if one > _MATT_PERCENT and near.leds[k] == far.leds[k]
+        ],
+    }
+    rows = tuple(tuple(rounded(float(one)) for one in row) for row in brightness)
+    return replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows), facts, rest
+
+
+def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
+    """Bring the crossed image (h, w) onto the parallel one by least squares, coarse to fine; with deviations (3,)."""
+    crossed = crossed * np.float32(parallel.mean() / max(float(crossed.mean()), 1e-9))
+    films = Films((), (), ())
+    for sigma in _LEVELS_PX:
+        blurs = (sigma, 4.0 * sigma)  # what is finer than the second and coarser than the first
+        fixed, moving = (
+            np.subtract(*(cv2.GaussianBlur(image, (0, 0), s, borderType=cv2.BORDER_REPLICATE) for s in blurs))
+            for image in (parallel, crossed)
+        )
+        fields = [spline_filter(part, mode="nearest") for part in (moving, *np.gradient(moving))]
+        every, margin = max(1, int(sigma / 2)), int(3 * sigma) + 8
+        places = np.mgrid[tuple(slice(margin, n - margin, every) for n in parallel.shape)]
+        rows, columns = places.reshape(2, -1)
+        require(rows.size > 100, "the pictures of the card are too small.")
+        down, across = rows - (parallel.shape[0] - 1) / 2, columns - (parallel.shape[1] - 1) / 2
+        seen = fixed[rows, columns].astype(np.float64)
+        for _ in range(10):  # OpenCV would round places to 1/32 pixel
+            at = crossed_place(films, parallel.shape) @ (columns, rows, np.ones(len(rows)))
+            here, slope_y, slope_x = (map_coordinates(one, at[::-1], prefilter=False, mode="nearest") for one in fields)
+            jacobian = np.stack([slope_x, slope_y, slope_x * across + slope_y * down, here])
+            normal = jacobian @ jacobian.T
+            step = np.linalg.lstsq(normal, jacobian @ (seen - here), rcond=None)[0]
+            x, y, s = (films.shift_px[0] + step[0], films.shift_px[1] + step[1], films.scale + step[2])
+            films = replace(films, shift_px=(float(x), float(y)), scale=float(s))
+            if float(np.abs(step[:2]).max()) < 1e-4:
+                break
+        rest = seen - here - step @ jacobian
+        likeness = float(np.corrcoef(seen, here)[0, 1]) if float(seen.std() * here.std()) > 0 else 0.0
+    require(
+        likeness >= _MIN_LIKENESS,
+        "the parallel and the crossed image of the card show no common details; photograph a matt card with print on "
+        "it, such as the board of 'splitknit rig target', and leave it in place while the analyser is turned.",
+    )
+    # blurred noise is alike over 4 pi sigma^2 pixels
+    variance = np.diag(np.linalg.pinv(normal)) * float((rest**2).mean()) * 4.0 * np.pi * (sigma / every) ** 2
+    x, y = (rounded(one) for one in films.shift_px)
+    return replace(films, shift_px=(x, y), scale=round(films.scale, 7)), np.sqrt(variance[:3])
+
+
+def _electrons(card: Capture) -> float:
+    """At full scale of a green pixel, by the card's noise; infinite where it does not show them."""
+    band = card.bands["white"]
+    if card.encoding != "linear":
+        return np.inf
+    black = band.black_level / float(np.iinfo(band.pixels.dtype).max)
+    samples = [noise_samples(image, image.shape[2] // 2, b) for image, b in zip(band.pixels, black, strict=True)]
+    level, variance = (np.concatenate(parts) for parts in zip(*samples, strict=True))
+    model = noise_model(level, variance)
+    return np.inf if model is None else model.electrons
+
+
+# The ball: what is left of the lights that it mirrors.
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a light is mirrored in an image, and as far around it as it reaches."""
+
+    column: int
+    row: int
+    radius_px: float
+
+    def disc(self, shape: tuple[int, ...], times: float = 1.0) -> BoolArray:
+        """(h, w) pixels within so many times the radius."""
+        rows, columns = np.ogrid[: shape[0], : shape[1]]
+        return np.asarray((rows - self.row) ** 2 + (columns - self.column) ** 2 <= (times * self.radius_px) ** 2)
+
+
+def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
+    """Where the L lights are mirrored in a glossy black ball, and (L, 2, 2) light of parallel and crossed highlights
+    and its deviation. `electrons`: at full scale. Raises BadInput if an image (numbered) shows no highlight, or a
+    clipped one, or the series are swapped.
+    """
+    near, far = ball.bands["white"], ball.bands["white_crossed"]
+    matrix = crossed_place(films, ball.shape)
+    spots, light = [], []
+    for k, (led, other) in enumerate(zip(near.leds, far.leds, strict=True)):
+        grey = cv2.GaussianBlur(pick_channel(_image(near, k, ball.encoding), "grey"), (0, 0), 1.0)
+        spots.append(spot := _spot(grey, k))
+        column, row = matrix @ (spot.column, spot.row, 1.0)
+        place = Spot(round(float(column)), round(float(row)), spot.radius_px)
+        if led != other:  # films at right angles on LEDs beside each other
+            grey = cv2.GaussianBlur(pick_channel(_image(far, k, ball.encoding), "grey"), (0, 0), 1.0)
+            around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(grey.shape)
+            at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
+            place = Spot(int(at[1]), int(at[0]), spot.radius_px)
+        crossed = _flux(far, k, ball.encoding, place, electrons) / (films.brightness[k] @ GREY_WEIGHTS)
+        light.append((_flux(near, k, ball.encoding, spot, electrons), crossed))
+    values = np.array(light)
+    require(
+        float(np.median(values[:, 1, 0] / values[:, 0, 0])) < 1.0,
+        "the highlights are brighter in the crossed series than in the parallel one; exchange white and white_crossed.",
+    )
+    return spots, values
+
+
+def _spot(grey: NDArray[Any], k: int) -> Spot:
+    row, column = np.unravel_index(int(np.argmax(grey)), grey.shape)
+    beside = float(np.median(grey))
+    peak = float(grey[row, column]) - beside
+    _, labels = cv2.connectedComponents((grey > beside + 0.5 * peak).astype(np.uint8))
+    area = float((labels == labels[row, column]).sum())
+    noise = 1.4826 * float(np.median(np.abs(grey - beside)))
+    require(
+        peak > max(10.0 * noise, 3.0 * beside) and area < 0.01 * grey.size,
+        f"image {k}: no highlight stands out; photograph a glossy black ball or a sheet of glass that mirrors the "
+        "light.",
+    )
+    return Spot(int(column), int(row), 3.0 * float(np.sqrt(area / np.pi)) + 5.0)
+
+
+def _flux(band: Band, k: int, encoding: str, spot: Spot, electrons: float) -> Array:
+    """(2,) grey light of a highlight above what surrounds it, and its deviation."""
+    grey = pick_channel(_image(band, k, encoding), "grey").astype(np.float64)
+    disc = spot.disc(grey.shape)
+    require(
+        not (_clipped(band, k) & disc).any(),
+        f"image {k} of the band '{band.name}': the highlight is clipped; photograph the ball with a shorter exposure.",
+    )
+    ring = grey[spot.disc(grey.shape, 1.8) & ~spot.disc(grey.shape, 1.1)]
+    beside = float(np.median(ring))
+    spread = 1.4826 * float(np.median(np.abs(ring - beside)))
+    light = float((grey[disc] - beside).sum())
+    pixels = disc.sum() * (1.0 + 1.57 * disc.sum() / max(ring.size, 1))
+    noise = spread**2 * pixels + abs(light) / (electrons * float(band.exposure[k]))
+    return np.array([light, np.sqrt(noise + (_STEADY * light) ** 2)])
+
+
+def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[str, Any]]:
+    """The films with leak; extinction and angles by Malus's law where the analyser stood at three angles. `light` (L,
+    J, 2): highlights at `degrees` (J,), the first two 0 and 90, and their deviations.
+    """
+    both = light[:, 0, 0] + light[:, 1, 0]
+    leak = light[:, 1, 0] / both
+    error = np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both
+    words = "light {}: {:.1f} % of the specular light is left in the crossed image; turn its film or the analyser."
+    facts: dict[str, Any] = {
+        "leak_interval": [[rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)],
+        "warnings": [words.format(k, 100 * one) for k, one in enumerate(leak) if one > _MAX_LEAK],
+    }
+    films = replace(films, leak=tuple(rounded(float(one)) for one in np.clip(leak, 0.0, 0.499)))
+    if len(degrees) == 2:
+        return films, facts
+    require(
+        len(np.unique(degrees % 180.0)) >= 3,
+        "the angles of the analyser repeat 0 and 90 degrees; photograph the ball at others, such as ball_85, ball_95.",
+    )
+    angle = np.deg2rad(degrees)
+    # I = a + b cos 2t + c sin 2t: the least over the most is that of the films together
+    design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
+    grey = np.array(films.brightness) @ GREY_WEIGHTS
+    fits = []
+    for k, values in enumerate(light):
+        tint = np.cos(angle) ** 2 + grey[k] * np.sin(angle) ** 2  # of a camera that sees polarisation
+        tint[:2] = 1.0
+        seen, sigma = values.T / tint
+        weighted = design / sigma[:, None]
+        covariance = np.linalg.pinv(weighted.T @ weighted)
+        a, b, c = covariance @ weighted.T @ (seen / sigma)
+        swing = float(np.hypot(b, c))
+        of_least = np.array([2 * swing, -2 * a * b / swing, -2 * a * c / swing]) / (a + swing) ** 2
+        of_turn = np.array([0.0, -c, b]) / (2 * swing**2)
+        errors = [np.sqrt(slope @ covariance @ slope) for slope in (of_least, of_turn)]
+        rest = (seen - design @ (a, b, c)) / (a + swing)
+        fits.append(((a - swing) / (a + swing), 0.5 * np.arctan2(c, b), *errors, np.sqrt(np.mean(rest**2))))
+    least, turn, least_error, turn_error, rms = np.array(fits).T
+    weight = 1.0 / least_error**2
+    mean = float((weight * least).sum() / weight.sum())
+    excess = float((weight * (least - mean) ** 2).sum()) / max(len(least) - 1, 1)
+    deviation = float(np.sqrt(max(1.0, excess) / weight.sum()))
+    low, high = mean - 2 * deviation, max(mean + 2 * deviation, 1e-9)
+    facts |= {
+        "extinction_interval": [rounded(1.0 / high), None if low <= 0 else rounded(1.0 / low)],
+        "angle_interval_deg": [rounded(2.0 * float(np.rad2deg(one))) for one in turn_error],
+        "malus_rms_percent": [rounded(100 * float(one)) for one in rms],
+    }
+    ratio, angles = rounded(1.0 / max(mean, deviation, 1e-9)), tuple(rounded(float(one)) for one in np.rad2deg(turn))
+    return replace(films, extinction_ratio=ratio, angle_deg=angles), facts

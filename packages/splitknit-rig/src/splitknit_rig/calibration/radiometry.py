@@ -1,0 +1,423 @@
+"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a later card.
+
+A capture of a white card is condensed to a few hundred numbers an LED: robust means over cells, which dust and noise
+hardly touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+
+from splitknit import (
+    Array,
+    Band,
+    Capture,
+    Checked,
+    FloatArray,
+    Led,
+    Limits,
+    Rig,
+    linear_image,
+    linear_stack,
+    pick_channel,
+    refusing,
+    require,
+)
+from splitknit_rig.calibration.card_model import CardPlane, card_light
+from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
+
+_ACROSS = 40
+"""Cells along the image's longer side."""
+_INNER = 5
+"""A cell's brightness is the median of the means of this many blocks a side."""
+
+
+def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
+    """Middles of the cells, (rows, columns, 2) columns and rows, and a band's linear grey light (L, rows, columns) in
+    them: black level and ambient light removed, the lens's fall-off left in.
+    """
+    size = band.pixels.shape[1:3]
+    require(
+        min(size) >= 16 and max(size) >= _ACROSS,
+        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {_ACROSS}.",
+    )
+    binning = max(1, round(max(size) / (_ACROSS * _INNER)))
+    stack = linear_stack(band, encoding, "grey", binning=binning)
+    inner = min(_INNER, max(1, max(size) // (binning * _ACROSS)))
+    light = _median_blocks(stack, inner)
+    side = binning * inner
+    row, column = np.mgrid[: light.shape[1], : light.shape[2]] * side + (side - 1) / 2
+    return np.stack([column, row], axis=-1), light
+
+
+def _median_blocks(stack: FloatArray, side: int) -> Array:
+    """Median (L, H // side, W // side) over blocks of `side` x `side`; what fills no block is dropped."""
+    rows, columns = stack.shape[1] // side, stack.shape[2] // side
+    blocks = stack[:, : rows * side, : columns * side].reshape(-1, rows, side, columns, side).swapaxes(2, 3)
+    return np.median(blocks.reshape(-1, rows, columns, side * side), axis=-1).astype(np.float64)
+
+
+_MAX_CLIPPED_PERCENT = 0.5
+"""An image is refused if more than this fraction of its pixels is at full scale."""
+_FULL_SCALE = 0.985
+"""A value from here on is at full scale."""
+_MIN_LIGHT = 0.02
+"""An image whose median is below this fraction of full scale is black."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CardImages:
+    """A white card under every LED of a rig, in the order of its LEDs."""
+
+    pixels: Array
+    """(N, 2) column and row of the cells' middles."""
+    light: Array
+    """(L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure."""
+    shape: tuple[int, int]
+    """Rows and columns of cells."""
+    ambient_percent: dict[str, float | None]
+    """Light with all LEDs off, by band, relative to the mean image; None where there is no such image."""
+    exposures_given: bool
+    """Whether the capture states how long it exposed, so that brightness can be compared with another day's."""
+    brightest: Array
+    """(L,) 99th percentile of each image's values, as a part of full scale."""
+
+
+def led_name(leds: Sequence[Led], index: int) -> str:
+    """Such as ``white 3``: an LED by its band and its number in it."""
+    band = leds[index].band
+    return f"{band} {sum(led.band == band for led in leds[:index])}"
+
+
+def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
+    """Condense a capture of a white card, each LED of the rig alone in one image. `black_level`: where the capture does
+    not state it. Raises BadInput if capture and rig do not fit, or an image is missing, double, black or clipped.
+    """
+    _check_fit(capture, rig)
+    bands = [_with_black(band, black_level) for band in capture.bands.values()]
+    order = _images_of_leds(bands, rig)
+    for band in bands:
+        for k in range(len(band.pixels)):
+            _check_image(band, k, rig)
+    cells = [_cells_of(replace(band, shading=()), capture.encoding) for band in bands]
+    places = cells[0][0]
+    stored = [
+        [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
+        for band in bands
+    ]
+    return CardImages(
+        pixels=places.reshape(-1, 2),
+        light=np.stack([cells[b][1][k].ravel() for b, k in order]),
+        shape=(places.shape[0], places.shape[1]),
+        ambient_percent={
+            band.name: _ambient_percent(band, capture.encoding, light)
+            for band, (_, light) in zip(bands, cells, strict=True)
+        },
+        exposures_given=any(bool((band.exposure != 1.0).any()) for band in bands),
+        brightest=np.array([stored[b][k] for b, k in order]),
+    )
+
+
+def _check_fit(capture: Capture, rig: Rig) -> None:
+    own = capture.rig
+    require(
+        own.camera.image_size == rig.camera.image_size,
+        f"the card's images have {own.camera.image_size[0]} x {own.camera.image_size[1]} pixels, but the rig's camera "
+        f"has {rig.camera.image_size[0]} x {rig.camera.image_size[1]}; give the rig that took them.",
+    )
+    require(
+        [led.band for led in own.leds] == [led.band for led in rig.leds],
+        f"the card was taken with a rig of {len(own.leds)} LEDs, but the rig to calibrate has {len(rig.leds)} (or "
+        f"orders its bands otherwise); give the rig that took them.",
+    )
+    for k, led in enumerate(rig.leds):
+        words = f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first."
+        require(led.position_mm is not None, words)
+
+
+def _with_black(band: Band, black_level: float | None) -> Band:
+    if black_level is None or (band.black_level != 0).any():
+        return band
+    return replace(band, black_level=np.full(len(band.black_level), black_level), ambient_black_level=black_level)
+
+
+def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
+    found: dict[int, tuple[int, int]] = {}
+    for b, band in enumerate(bands):
+        for k, group in enumerate(band.leds):
+            require(
+                len(group) == 1,
+                f"image {k} of the band '{band.name}' is lit by {len(group)} LEDs; each LED must light the card alone.",
+            )
+            require(
+                group[0] not in found,
+                f"LED {group[0]} ({led_name(rig.leds, group[0])}) lights two images of the card; keep one.",
+            )
+            found[group[0]] = (b, k)
+    missing = [f"{k} ({led_name(rig.leds, k)})" for k in range(len(rig.leds)) if k not in found]
+    require(
+        not missing,
+        f"the card has {len(found)} images for the rig's {len(rig.leds)} LEDs: LED {', '.join(missing)} "
+        f"{'is' if len(missing) == 1 else 'are'} missing; take the card under every LED.",
+    )
+    return [found[k] for k in range(len(rig.leds))]
+
+
+def _check_image(band: Band, k: int, rig: Rig) -> None:
+    name = band.files[k] if band.files else f"image {k} of the band '{band.name}'"
+    pixels, full = band.pixels[k], float(np.iinfo(band.pixels.dtype).max)
+    clipped = 100 * float((pixels.max(axis=2) >= _FULL_SCALE * full).mean())
+    require(
+        clipped <= _MAX_CLIPPED_PERCENT,
+        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most {_MAX_CLIPPED_PERCENT:g} % "
+        f"may be); take the card with a shorter exposure.",
+    )
+    middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
+    led = band.leds[k][0]
+    require(
+        middle > _MIN_LIGHT,
+        f"{name} is black ({100 * middle:.1f} % of full scale): LED {led} ({led_name(rig.leds, led)}) did not light, "
+        f"or the exposure is far too short.",
+    )
+
+
+def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
+    if band.ambient is None:
+        return None
+    image = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2)
+    return 100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light))
+
+
+PROVENANCE = "radiometry"
+"""Where a rig's provenance holds what is found here."""
+_GLOSS_PERCENT = 2.0
+"""A card whose mirror spot is brighter than this (and five of its errors) shines."""
+_AMBIENT_PERCENT = 5.0
+"""Light from elsewhere above which there is a warning, relative to the LEDs'."""
+_PATTERN_PERCENT = 1.0
+"""Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
+
+
+@dataclass(frozen=True, slots=True)
+class RadiometrySettings(Checked):
+    """Limits of a radiometric calibration."""
+
+    limit_percent: Annotated[float, Limits(0, above=True)] = 1.0
+    """Largest rms of an LED's residuals."""
+    drift_percent: Annotated[float, Limits(0, above=True)] = 3.0
+    """Departure of an LED from the calibration above which there is a warning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadiometricCalibration:
+    """A rig's radiometry as a white card shows it."""
+
+    rig: Rig
+    """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under `PROVENANCE`."""
+    flat_field: FlatField
+    images: CardImages
+    facts: Mapping[str, Any]
+    """What is stored in the rig's provenance: plain JSON."""
+    warnings: tuple[str, ...]
+
+
+def fit_radiometry(
+    capture: Capture,
+    rig: Rig,
+    card: CardPlane | None = None,
+    black_level: float | None = None,
+    settings: RadiometrySettings | None = None,
+) -> RadiometricCalibration:
+    """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on the finger plane by
+    default) under each LED. Raises BadInput, naming what and where, if the images show no even, matt card.
+    """
+    chosen, plane = settings or RadiometrySettings(), card or CardPlane()
+    images = card_images(capture, rig, black_level)
+    flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane)
+    _check(flat, rig, chosen)
+    leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
+    facts: dict[str, Any] = {
+        "captured_at": capture.captured_at,
+        "card": {
+            "height_mm": plane.height_mm,
+            "tilt_deg": list(plane.tilt_deg),
+            "level": _round(flat.card_level),
+            "exposures_given": images.exposures_given,
+            "unevenness_percent": _round(flat.common_percent),
+            "gloss_percent": _round(flat.gloss_percent),
+            "dust_percent": _round(100 * float(flat.dust.mean())),
+        },
+        "leds": leds,
+        "lens": {"shading": list(flat.camera.shading), "corner": _round(1.0 + sum(flat.camera.shading))},
+        "model": {
+            "chosen": flat.order.name,
+            "tried": [{"name": n, "parameters": p, "rms_percent": _round(rms)} for n, p, rms in flat.orders],
+        },
+        "ambient_percent": {band: None if v is None else _round(v) for band, v in images.ambient_percent.items()},
+    }
+    provenance = {**rig.provenance, PROVENANCE: facts}
+    return RadiometricCalibration(
+        rig=replace(rig, camera=flat.camera, leds=flat.leds, provenance=provenance),
+        flat_field=flat,
+        images=images,
+        facts=facts,
+        warnings=_warnings(rig, images, flat, black_level, chosen),
+    )
+
+
+def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
+    dust = float(flat.dust.mean())
+    require(
+        dust <= MAX_DUST,
+        f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than {DUST_PERCENT:g} % from an "
+        "even card; clean or change it, and see that it reaches over all borders.",
+    )
+    worst, rms = int(np.argmax(flat.rms_percent)), float(flat.rms_percent.max())
+    require(
+        rms <= settings.limit_percent or flat.common_percent < 0.7 * rms,
+        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs; "
+        f"use a clean matt white card.",
+    )
+    require(
+        rms <= settings.limit_percent,
+        f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
+        f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
+        f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
+        f"is).",
+    )
+    require(
+        flat.gloss_percent <= max(_GLOSS_PERCENT, 5 * flat.gloss_error),
+        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
+        f"{_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
+    )
+
+
+def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: RadiometrySettings) -> dict[str, Any]:
+    led = flat.leds[k]
+    origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
+    rms, error = float(flat.rms_percent[k]), float(flat.exponent_error[k])
+    level = np.median(images.light[k] / card_light(flat.camera, led, images.pixels, flat.card))
+    return {
+        "led": k,
+        "name": led_name(rig.leds, k),
+        "intensity": led.intensity,
+        "lobe_exponent": led.lobe_exponent,
+        "lobe_exponent_error": _round(error) if np.isfinite(error) else None,
+        "aim_off_deg": _round(float(np.rad2deg(np.arccos(np.clip(led.axis @ origin, -1, 1))))),
+        "level": _round(float(level)),
+        "rms_percent": _round(rms),
+        "largest_percent": _round(float(flat.largest_percent[k])),
+        "verdict": "good" if rms <= 0.5 * settings.limit_percent else "fair",
+    }
+
+
+def _warnings(
+    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
+) -> tuple[str, ...]:
+    words = []
+    for band, fraction in images.ambient_percent.items():
+        if fraction is None:
+            words.append(
+                f"there is no ambient image of the band {band}: ambient light"
+                f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
+            )
+        elif fraction > _AMBIENT_PERCENT:
+            words.append(
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
+                f"close the lid, for it changes from image to image."
+            )
+    for k, largest in enumerate(flat.largest_percent):
+        if largest > 3 * settings.limit_percent:
+            words.append(
+                f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
+                f"or something shadows it."
+            )
+    dim = float(images.brightest.min())
+    if dim < 0.25:
+        words.append(f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for less noise.")
+    if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
+        words.append(f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the LEDs.")
+    return tuple(words)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def check_card(
+    capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
+) -> dict[str, Any]:
+    """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
+    :func:`fit_radiometry`.
+
+    Returns plain JSON: ``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without the
+    median of its band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band,
+    None where exposures are not known; ``ambient_percent``; ``warnings``: what departs.
+    """
+    chosen = settings or RadiometrySettings()
+    levels, plane, given = _stored(rig)
+    images = card_images(capture, rig, black_level)
+    expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
+    now = images.light / expected
+    ratio = np.median(now, axis=1)
+    require(bool((ratio > 0).all()), f"LED {int(np.argmin(ratio))} did not light; take the card again.")
+    # of an LED that moved or turned
+    pattern = 100 * 1.4826 * np.median(np.abs(now / ratio[:, None] - 1.0), axis=1)
+    bands = np.array([led.band for led in rig.leds])
+    middle = {band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())}
+    own = ratio / np.array([middle[band] for band in bands])
+    # else exposure, gain, lens and card are not known to be the same
+    common = {band: value if given and images.exposures_given else None for band, value in middle.items()}
+    sentences: list[str] = []
+    for k, value in enumerate(own):
+        name = f"LED {led_name(rig.leds, k)}"
+        if abs(value - 1) > 0.01 * chosen.drift_percent:
+            sentences.append(f"{name} is {_change(float(value))} than at the calibration.")
+        if pattern[k] > _PATTERN_PERCENT:
+            sentences.append(
+                f"{name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across "
+                f"the picture): it moved or turned."
+            )
+    for band, value in common.items():
+        if value is not None and abs(value - 1) > 0.01 * chosen.drift_percent:
+            sentences.append(
+                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
+                f"or card changed."
+            )
+    for band, fraction in images.ambient_percent.items():
+        if fraction is not None and fraction > _AMBIENT_PERCENT:
+            sentences.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
+    columns = {"ratio": ratio, "own_ratio": own, "pattern_percent": pattern}
+    return {
+        "verdict": "drifted" if sentences else "as calibrated",
+        "leds": [
+            {"led": k, "name": led_name(rig.leds, k), **{what: _round(values[k]) for what, values in columns.items()}}
+            for k in range(len(rig.leds))
+        ],
+        "common_ratio": {b: None if v is None else _round(v) for b, v in common.items()},
+        "ambient_percent": {b: None if v is None else _round(v) for b, v in images.ambient_percent.items()},
+        "warnings": sentences,
+    }
+
+
+def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
+    """Each LED's card brightness at the calibration, where the card lay, and whether its exposures were known."""
+    with refusing(
+        "the rig carries no radiometric calibration to check against; make one with "
+        "'splitknit calibrate radiometry' and check that."
+    ):
+        facts = rig.provenance[PROVENANCE]
+        levels = np.array([float(led["level"]) for led in facts["leds"]])
+        card = facts["card"]
+        x, y = (float(value) for value in card["tilt_deg"])
+        plane, given = CardPlane(float(card["height_mm"]), (x, y)), bool(card["exposures_given"])
+        assert len(levels) == len(rig.leds) and bool((levels > 0).all())
+    return levels, plane, given
+
+
+def _change(value: float) -> str:
+    return f"{100 * abs(value - 1):.0f} % {'darker' if value < 1 else 'brighter'}"

@@ -1,0 +1,170 @@
+"""Directions of lights from photographs of a ball: of its highlight on chrome, of its shading on matt grey.
+
+Directions point from the ball's middle to the light, x right, y up, z to the camera. Without a scale the view is taken
+as parallel (along z) and the light as distant. With it `eye` (3,) is the camera's centre, and `away` (L,) the distances
+of the lights as drawn, both from the ball's middle, in radii of the ball: then nearness is no error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit import Array, BoolArray, FloatArray, check_mask, check_stack, require
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """A ball's outline in the image."""
+
+    column: float
+    row: float
+    radius_px: float
+
+    def normals(self, shape: tuple[int, int], eye: Array | None = None) -> Array:
+        """(H, W, 3) unit normals; NaN outside the outline."""
+        rows, columns = np.mgrid[: shape[0], : shape[1]]
+        return self.seen(columns, rows, eye)[0]
+
+    def seen(self, column: Any, row: Any, eye: Array | None = None) -> tuple[Array, Array]:
+        """Unit normals (..., 3) where lines of sight meet the ball, NaN where none does, and unit vectors back."""
+        x, y = (column - self.column) / self.radius_px, (self.row - row) / self.radius_px
+        level = np.stack(np.broadcast_arrays(x, y, 0.0), axis=-1)
+        view = np.array([0.0, 0.0, 1.0]) if eye is None else eye - level
+        view = view / np.linalg.norm(view, axis=-1, keepdims=True)
+        along = np.sum(level * view, axis=-1)
+        inner = along**2 - np.sum(level**2, axis=-1) + 1.0
+        ahead = np.sqrt(np.where(inner >= 0, inner, np.nan)) - along
+        return level + ahead[..., None] * view, view
+
+
+def ball_of_mask(mask: Any) -> Ball:
+    """Ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if it is none."""
+    array = np.asarray(mask)
+    require(array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}.")
+    inside = check_mask(array, (array.shape[0], array.shape[1]), name="the ball's mask")
+    ball, off = _ball_in(inside, "the ball's mask is too small; it must be white where the ball is.")
+    require(
+        float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
+        "the ball's mask is no disc; it must be white where the whole ball is and black elsewhere.",
+    )
+    return ball
+
+
+def find_ball(stack: Any) -> Ball:
+    """Find the ball's outline in photographs (L, H, W) against a dark background, or raise BadInput."""
+    images = check_stack(stack, least=1, name="the photographs of the ball")
+    bright = images.max(axis=0)
+    top = float(np.percentile(bright, 99.5))
+    require(top > 0, "the photographs of the ball are black.")
+    level = cv2.GaussianBlur(np.asarray(np.clip(bright / top, 0, 1), dtype=np.float32), (0, 0), 1.0)
+    grey = np.rint(255 * np.sqrt(level)).astype(np.uint8)
+    _, split = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(split, connectivity=8)
+    require(count > 1, "no ball was found in the photographs; give its outline with `mask`.")
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    ball, off = _ball_in(labels == largest, "no ball was found in the photographs; give its outline with `mask`.")
+    round_enough = float(np.median(off)) < 0.03 * (ball.radius_px - 0.5) and ball.radius_px >= 8.5
+    require(round_enough, "nothing round stands out in the photographs; give the ball's outline with `mask`.")
+    return ball
+
+
+def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:
+    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses short ones."""
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = max(outlines, key=len)[:, 0].astype(np.float64)
+    require(len(outline) >= 20, small)
+    column, row, radius = _circle(outline)
+    # the contour runs through the centres of the outermost pixels, half a pixel inside the outline
+    return Ball(column, row, radius + 0.5), np.abs(np.hypot(outline[:, 0] - column, outline[:, 1] - row) - radius)
+
+
+def chrome_directions(stack: Any, ball: Ball, eye: Array | None = None, away: Array | None = None) -> Array:
+    """Directions (L, 3), l = 2 (n . v) n - v, from the highlights on a chrome ball in `stack` (L, H, W), linear: there
+    the normal n halves the angle between light and view v. Raises BadInput if an image (numbered) has none.
+    """
+    images = check_stack(stack, name="the photographs of the ball")
+    inside = np.isfinite(ball.normals(images.shape[1:])[..., 2])
+    require(bool(inside.any()), "the ball lies outside the photographs.")
+    directions = []
+    for number, image in enumerate(images):
+        normal, view = ball.seen(*_highlight(image, inside, number), eye)
+        ray = 2.0 * float(normal @ view) * normal - view
+        if away is not None:  # the ray leaves the highlight, the direction the ball's middle
+            along = float(normal @ ray)
+            ray = (normal + (np.sqrt(along**2 + away[number] ** 2 - 1.0) - along) * ray) / away[number]
+        directions.append(ray)
+    return np.array(directions)
+
+
+def grey_directions(
+    stack: Any, ball: Ball, clip_level: float = 0.98, *, eye: Array | None = None, away: Array | None = None
+) -> tuple[Array, Array]:
+    """Directions (L, 3) and strengths (L,) of lights from the shading of a matt ball, I = l . n by least squares.
+
+    `stack` (L, H, W): linear, ambient light removed. Taken as distant, a near light seems to stand further out (by 2.4
+    deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle); with `away` each pixel has its own
+    distance. Pixels count that the light reaches, away from the ball's edge and below `clip_level`, evaluated again
+    with every estimate. Raises BadInput if too little of the ball is lit in an image (numbered).
+    """
+    images = check_stack(stack, name="the photographs of the ball")
+    normals = ball.normals(images.shape[1:], eye)
+    usable = np.isfinite(normals[..., 2]) & (np.nan_to_num(normals[..., 2]) > 0.3)
+    require(int(usable.sum()) >= 50, "the ball is too small in the photographs, or outside them.")
+    n = normals[usable]
+    lights = []
+    for number, image in enumerate(images):
+        values = image[usable].astype(np.float64)
+        good = values < clip_level
+        light = np.zeros(3)
+        lit = good & (values > 0.1 * float(np.percentile(values, 99)))
+        for _ in range(20):
+            require(
+                int(lit.sum()) >= 30,
+                f"image {number}: too little of the ball is lit and not clipped to determine the light's direction.",
+            )
+            far = np.ones(len(n)), 0.0  # I d^3 = strength (n . l - 1 / d0), in distances d0 of the ball's middle
+            if away is not None and light.any():
+                unit = light / np.linalg.norm(light)
+                far = np.linalg.norm(unit - n / away[number], axis=1) ** 3, float(np.linalg.norm(light)) / away[number]
+            before, light = light, np.linalg.lstsq(n[lit], (values * far[0] + far[1])[lit], rcond=None)[0]
+            expected = (n @ light - far[1]) / far[0]
+            strength = float(np.linalg.norm(light))
+            spread = 1.4826 * float(np.median(np.abs(values[lit] - expected[lit]))) + 1e-9
+            # in the light by a margin, no gloss and no cast shadow
+            lit = good & (expected > 0.15 * strength) & (np.abs(values - expected) < 3.0 * spread)
+            if float(np.linalg.norm(light - before)) < 1e-9 * strength:
+                break
+        lights.append(light)
+    array = np.array(lights)
+    strengths = np.linalg.norm(array, axis=1)
+    return array / strengths[:, None], strengths
+
+
+def _circle(points: Array) -> tuple[float, float, float]:
+    """Centre and radius of a circle through points (N, 2), least squares, points far from it left out in turn."""
+    kept = np.ones(len(points), dtype=np.bool_)
+    for _ in range(10):
+        x, y = points[kept].T
+        terms = np.stack([2 * x, 2 * y, np.ones_like(x)], axis=1)
+        a, b, c = np.linalg.lstsq(terms, x * x + y * y, rcond=None)[0]
+        radius = float(np.sqrt(max(c + a * a + b * b, 0.0)))
+        off = np.abs(np.hypot(points[:, 0] - a, points[:, 1] - b) - radius)
+        kept = off <= max(3.0 * float(np.median(off)), 1.0)
+    return float(a), float(b), radius
+
+
+def _highlight(image: FloatArray, inside: BoolArray, number: int) -> tuple[float, float]:
+    values = np.where(inside, image, 0.0).astype(np.float64)
+    top, usual = float(values.max()), float(np.median(values[inside]))
+    require(top > max(3.0 * usual, 0.05), f"image {number}: no highlight stands out on the chrome ball.")
+    level = usual + 0.5 * (top - usual)
+    _, labels = cv2.connectedComponents((values >= level).astype(np.uint8), connectivity=8)
+    sums = np.bincount(labels.ravel(), weights=np.maximum(values - level, 0).ravel() + (values >= level).ravel())
+    sums[0] = 0.0
+    rows, columns = np.nonzero(labels == int(np.argmax(sums)))
+    weights = np.maximum(values[rows, columns] - level, 0.0) + 1e-9
+    return float(np.average(columns, weights=weights)), float(np.average(rows, weights=weights))

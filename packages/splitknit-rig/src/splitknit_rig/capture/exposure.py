@@ -1,0 +1,242 @@
+"""Auto-exposure, found on the brightest LED of a band and locked; and focus, a number that is largest when sharp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import BoolArray, Checked, ExposureRange, FloatArray, Frame, Limits, check_image, check_mask, require
+
+Look = Callable[[int, float, float], Frame]
+"""Preview under an LED, with an exposure time and a gain."""
+MEDIAN = 50.0
+BRIGHT = 99.5
+"""Percentile that stands for a target's light: most of its picture may be black."""
+_PERCENTILE = 99.9
+"""Percentile of the finger's pixels, in the brightest channel, that measures its brightness."""
+_START_S = 0.01
+"""Exposure time of the first preview, at gain 1; above 0."""
+_CLIPPED = 0.97
+"""From this fraction of full scale on a preview only shows that less is needed."""
+_TOLERANCE = 0.06
+"""The search ends when the level is as near to the target as this, relative."""
+_STEPS = 12
+"""Previews of the brightest LED at most."""
+_MIN_LEVEL = 0.3
+"""The finger is too dark if it does not even reach this fraction of the target with all that the camera can."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureSettings(Checked):
+    """How bright the brightest image shall be."""
+
+    target: Annotated[float, Limits(0.05, 0.95)] = 0.7
+    """Fraction of full scale that the finger's 99.9th percentile reaches, brightest channel and LED."""
+    longest_s: Annotated[float, Limits(0, above=True)] = 0.066
+    """Above this the gain is raised: longer times would spoil the seven seconds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """Previews under every LED of a band, all with one exposure, none overexposed."""
+
+    frames: Mapping[int, Frame]
+    exposure_s: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """What was found for a band."""
+
+    exposure_s: float
+    gain: float
+    brightest: int
+    """LED under which the finger is brightest."""
+    level: float
+    """Fraction of full scale that the finger reaches under it."""
+    expected: Mapping[int, float] = field(default_factory=dict)
+    """LED to the finger's median level (fraction of full scale) that the previews promise."""
+
+    def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
+        """With what the previews promise: `lit` is LED to the finger's level in the survey, less the ambient light."""
+        ratio = self.exposure_s * self.gain / (seen.exposure_s * seen.gain)
+        return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
+
+
+def _split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
+    """Exposure time and gain whose product is `product_s`, or as near as the camera can: time first, then gain."""
+    longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
+    time_s = float(np.clip(product_s / camera.lowest_gain, camera.shortest_s, longest))
+    return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
+
+
+def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
+    """How bright the finger is in the brightest channel, as a fraction of full scale above the black level."""
+    pixels = frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
+    return max(_above_black(frame, np.max(np.percentile(pixels, _PERCENTILE, axis=0))), 0.0)
+
+
+def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
+    """Mean over the channels of the finger's median (or percentile), likewise."""
+    return _above_black(frame, np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
+
+
+def _above_black(frame: Frame, stored: np.floating) -> float:
+    return (float(stored) - frame.black_level) / (float(np.iinfo(frame.pixels.dtype).max) - frame.black_level)
+
+
+def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
+    """Look at a band under each LED with one exposure at which none clips and the brightest is not dark. Raises
+    BadInput if it is too bright or too dark at every exposure.
+    """
+    product = _START_S
+    while True:
+        time_s, gain = _split(product, camera, settings)
+        frames, levels = {}, []
+        for led in leds:
+            frames[led] = look(led, time_s, gain)
+            levels.append(_level_of(frames[led]))
+            if levels[-1] >= _CLIPPED:
+                break
+        if levels[-1] >= _CLIPPED:
+            product /= 4
+            require(
+                _split(product, camera, settings) != (time_s, gain),
+                "the picture is overexposed even with the shortest exposure: another light is on; close the lid, or "
+                "lower the LEDs' current.",
+            )
+            continue
+        at_limit = _split(2 * product, camera, settings) == (time_s, gain)
+        require(
+            not at_limit or max(levels) >= 0.01,
+            "nothing is seen under any LED, even with the longest exposure; check the LEDs' supply and the lens.",
+        )
+        if max(levels) >= 0.08 or at_limit:
+            return Survey(frames, time_s, gain)
+        product *= 4 if max(levels) < 0.02 else 2
+
+
+def find_exposure(
+    look: Look, seen: Survey, region: BoolArray, camera: ExposureRange, settings: ExposureSettings
+) -> Exposure:
+    """The exposure of a band, before :meth:`Exposure.promising`, by previews `look` of the finger in `region` (h, w).
+    Raises BadInput if it stays too dark or too bright.
+    """
+    levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
+    brightest = max(levels, key=lambda led: levels[led])
+    time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
+    for _ in range(_STEPS):
+        if abs(level / settings.target - 1.0) <= _TOLERANCE:
+            break
+        factor = 0.3 if level >= _CLIPPED else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
+        wanted = _split(time_s * gain * factor, camera, settings)
+        if np.allclose(wanted, (time_s, gain), rtol=1e-6):
+            break  # the camera's limit
+        time_s, gain = wanted
+        frame = look(brightest, time_s, gain)
+        time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
+        level = _level_of(frame, region)
+    require(
+        level >= _MIN_LEVEL * settings.target,
+        f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED brings it to "
+        f"{100 * level:.0f} % of full scale; check the LEDs' supply.",
+    )
+    tried = f"{1e3 * time_s:.2f} ms at gain {gain:.1f}"
+    words = f"the finger is overexposed even with {tried}; close the lid, or lower the LEDs' current."
+    require(level < _CLIPPED, words)
+    return Exposure(time_s, gain, brightest, level)
+
+
+_DETAIL_MM = 0.02
+"""Smoothing before the Laplacian (sigma, at least 0.7 px): 1.5 px of the full frame; finer shows focus, and noise."""
+MIN_SNR = 0.1
+"""Below this the finger shows no detail above the noise: the picture is refused as out of focus."""
+MIN_PX_PER_MM = 18.0
+"""Coarser pictures are not refused: ridges are so small in them that they pass for noise."""
+_PATIENCE, _RISE = 8, 0.02
+"""A live measurement ends after so many in a row that do not rise above the best so far by this fraction of it."""
+_MOST = 400
+"""Live measurements at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Focus:
+    """One measurement."""
+
+    sharpness: float
+    """Standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off."""
+    snr: float
+    """Variance of the detail over that of the noise."""
+
+
+def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
+    """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its outline: the variance of
+    the Laplacian of Gaussian of the relative brightness, less the noise's, found at the finest scale, where blurred
+    skin shows next to nothing. Source: Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy",
+    ICPR 2000. Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the
+    mask of the noise).
+    """
+    light = check_image(image)
+    inside = check_mask(region, (light.shape[0], light.shape[1]))
+    sigma = max(_DETAIL_MM * px_per_mm, 0.7)
+    local = cv2.GaussianBlur(light, (0, 0), 6.0 * sigma)
+    floor = np.float32(max(0.05 * float(np.mean(light[inside], dtype=np.float64)), 1e-9))
+    relative = np.asarray(light / np.maximum(local, floor), dtype=np.float32)
+    inside = inside & (local > 2 * floor)  # the finger's unlit flank is noise alone
+    if not inside.any():
+        return Focus(0.0, 0.0)
+    detail = cv2.Laplacian(cv2.GaussianBlur(relative, (0, 0), sigma), cv2.CV_32F) * np.float32(sigma**2)
+    finest = cv2.filter2D(relative, cv2.CV_32F, _NOISE_MASK)
+    # robust, because specular reflections and hairs are sharp at every scale
+    noise = (1.4826 * float(np.median(np.abs(finest[inside])))) ** 2 / float((_NOISE_MASK**2).sum())
+    # Variance that white noise of variance one has after the filter
+    size = int(np.ceil(6 * sigma)) * 2 + 9
+    impulse = np.zeros((size, size), dtype=np.float32)
+    impulse[size // 2, size // 2] = 1.0
+    kernel = cv2.Laplacian(cv2.GaussianBlur(impulse, (0, 0), sigma), cv2.CV_32F) * np.float32(sigma**2)
+    response_to_noise = float((kernel.astype(np.float64) ** 2).sum())
+    of_noise = noise * response_to_noise
+    total = (1.4826 * float(np.median(np.abs(detail[inside] - np.median(detail[inside]))))) ** 2
+    signal = max(total - of_noise, 0.0)
+    return Focus(sharpness=float(100.0 * np.sqrt(signal)), snr=float(signal / max(of_noise, 1e-12)))
+
+
+_NOISE_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+"""Difference of two Laplacians: blind to planes, quadratics along the axes and edges along them."""
+
+
+@dataclass(slots=True)
+class FocusWatch:
+    """Follows live measurements and reports when they have stopped rising."""
+
+    best: float = 0.0
+    measured: int = 0
+    ended: bool = False
+    """Whether it is enough."""
+    _idle: int = 0
+
+    def add(self, focus: Focus) -> bool:
+        """Note a measurement; true when it is enough."""
+        self.measured += 1
+        self._idle = 0 if focus.sharpness > self.best * (1.0 + _RISE) else self._idle + 1
+        self.best = max(self.best, focus.sharpness)
+        self.ended = self._idle >= _PATIENCE or self.measured >= _MOST
+        return self.ended
+
+
+def grey_light(pixels: NDArray[np.unsignedinteger], black_level: float = 0.0) -> FloatArray:
+    """(H, W) mean of the channels of stored (H, W, C) integers, 1 = full scale."""
+    full = float(np.iinfo(pixels.dtype).max)
+    mean = pixels[..., 0].astype(np.float32)
+    for c in range(1, pixels.shape[2]):
+        mean += pixels[..., c]
+    mean /= np.float32(pixels.shape[2])
+    mean -= np.float32(black_level)
+    mean *= np.float32(1.0 / full)
+    return mean

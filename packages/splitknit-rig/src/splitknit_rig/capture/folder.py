@@ -1,0 +1,186 @@
+"""A capture session on the devices, and a capture folder where its verdict is good; ``session.json`` beside it holds
+exposure, focus, what was checked of every shot, times and settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from splitknit import (
+    BadInput,
+    CameraDevice,
+    Enrolment,
+    LightBank,
+    PlannedCapture,
+    Progress,
+    Refused,
+    Rig,
+    atomic_folder,
+    check_capture,
+    json_text,
+    no_progress,
+    provenance,
+    write_capture,
+)
+from splitknit_rig.capture.session import Session, SessionSettings, Turn, WatchFocus, run_session
+
+MARKER = "session.json"
+Ask = Callable[[PlannedCapture, str | None], str]
+"""Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opened:
+    """Devices that are ready, and what is known about them."""
+
+    name: str
+    """``pi`` or ``twin``."""
+    camera: CameraDevice
+    lights: LightBank
+    rig: Rig
+    truth: Mapping[str, Any] | None = None
+    """What the twin knows of the finger."""
+    notes: tuple[str, ...] = ()
+    turn: Turn | None = None
+    """Turns the analyser, where the devices can."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """How captures are taken and kept."""
+
+    settings: SessionSettings
+    devices: Mapping[str, Any]
+    """Settings of the devices, by their names, for ``session.json``."""
+    material: str = "skin"
+    keep: bool = False
+    """Write a capture although it must be taken again."""
+    overwrite: bool = False
+    """Replace an earlier capture."""
+    watch_focus: WatchFocus | None = None
+    turn: Turn | None = None
+    """Has the analyser turned by hand, where the devices do not turn it; None: nobody is there."""
+    ask: Ask | None = None
+    """Enrolment: asks for each finger, and again after a verdict; None: stops at the first verdict."""
+
+
+def capture_to_folder(
+    devices: Opened, out: Path, options: CaptureOptions, *, subject: Mapping[str, Any], progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises BadInput with the
+    verdict, nothing written (but `options.keep`), if the finger must be captured again.
+    """
+    check_capture(out, overwrite=options.overwrite)
+    with atomic_folder(out, overwrite=options.overwrite) as target:
+        how: dict[str, Any] = {"watch_focus": options.watch_focus, "turn": devices.turn or options.turn}
+        how["progress"] = lambda stage, fraction: progress(stage, 0.8 * fraction)
+        session = run_session(devices.camera, devices.lights, devices.rig, options.settings, **how)
+        verdict = "; ".join(session.verdict)
+        facts = {**_facts(devices, session, options), "subject": dict(subject)}
+        if verdict and not options.keep:
+            raise Refused(f"{verdict}.", facts)
+        progress("writing", 0.8)
+        capture = replace(session.capture(devices.rig, material=options.material), subject=dict(subject))
+        if devices.name == "pi":
+            capture = replace(capture, captured_at=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
+        write_capture(capture, target, devices.truth, overwrite=True)
+        (target / MARKER).write_text(json_text(facts), encoding="utf-8")
+    if verdict:
+        raise Refused(f"{verdict} (kept in '{out}' because of `keep`).", {**facts, "out": str(out)})
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[str, Any]:
+    used = {"device": devices.name, "capture": options.settings, **options.devices}
+    times = [shot.at_s for shot in session.shots]
+    lit = sum(shot.led is not None for shot in session.shots)
+    return {
+        "format": "splitknit-session",
+        **provenance(used),
+        "device": devices.name,
+        "image_size": list(devices.rig.camera.image_size),
+        "bands": {band: len(one.leds) for band, one in session.bands.items()},
+        "images": lit,
+        "exposure": {
+            band: {"exposure_s": one.exposure_s, "gain": one.gain, "brightest_led": one.brightest, "level": one.level}
+            for band, one in session.exposures.items()
+        },
+        "focus": asdict(session.focus),
+        **({} if session.crossed_over_parallel is None else {"crossed_over_parallel": session.crossed_over_parallel}),
+        "shots": [asdict(shot) for shot in session.shots],
+        "frames_taken": session.frames_taken,
+        "seconds": session.seconds,
+        "seconds_per_frame": (times[-1] - times[0]) / (len(times) - 1),
+        "verdict": list(session.verdict),
+        "notes": list(devices.notes),
+    }
+
+
+def capture_enrolment(
+    enrolment: Enrolment,
+    places: list[PlannedCapture],
+    open_devices: Callable[[PlannedCapture], AbstractContextManager[Opened]],
+    options: CaptureOptions,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return what was captured and
+    skipped, how many are finished, and what is next. Raises BadInput with the finger and the verdict; what was finished
+    before is kept.
+    """
+    captured: list[str] = []
+    skipped: list[str] = []
+    notes: list[str] = []
+    for k, place in enumerate(places):
+
+        def report(stage: str, fraction: float, k: int = k, place: PlannedCapture = place) -> None:
+            progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
+
+        answer, facts = _one_finger(enrolment, place, open_devices, options, report)
+        if answer == "stop":
+            break
+        if facts is None:
+            skipped.append(place.folder)
+        else:
+            captured.append(place.folder)
+            notes += [note for note in facts["notes"] if note not in notes]
+    waiting = enrolment.waiting()
+    return {
+        "enrolment": str(enrolment.folder),
+        "captured": captured,
+        "skipped": skipped,
+        "finished": enrolment.plan.total - len(waiting),
+        "total": enrolment.plan.total,
+        "next": waiting[0].folder if waiting else None,
+        "notes": notes,
+    }
+
+
+def _one_finger(
+    enrolment: Enrolment,
+    place: PlannedCapture,
+    open_devices: Callable[[PlannedCapture], AbstractContextManager[Opened]],
+    options: CaptureOptions,
+    progress: Progress,
+) -> tuple[str, dict[str, Any] | None]:
+    """Answer and facts of one finger; asked for until it is good, skipped or stopped."""
+    ask, why = options.ask, None
+    while True:
+        answer = "go" if ask is None else ask(place, why)
+        if answer != "go":
+            return answer, None
+        subject = {"id": place.subject, "finger": place.finger, "session": place.session}
+        try:
+            with open_devices(place) as devices:
+                facts = capture_to_folder(devices, enrolment.path(place), options, subject=subject, progress=progress)
+            return "go", facts
+        except BadInput as error:
+            if ask is None:
+                message = f"{place.words}: {error}"
+                raise (Refused(message, error.facts) if isinstance(error, Refused) else BadInput(message)) from error
+            why = str(error)

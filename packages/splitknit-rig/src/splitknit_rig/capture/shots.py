@@ -1,0 +1,328 @@
+"""The shots of a capture: light, photograph, check while the finger still lies there, again if it went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    MIN_RELIABILITY,
+    WORKING_PX_PER_MM,
+    Array,
+    Band,
+    BoolArray,
+    CameraDevice,
+    Checked,
+    FloatArray,
+    Frame,
+    LightBank,
+    Limits,
+    PixelArray,
+    Rig,
+    blur,
+    dilate,
+    reduce_image,
+    relative_exposure,
+    shot_motion,
+    spectral_band,
+)
+from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
+from splitknit_rig.capture.pins import led_names
+from splitknit_simulator import side_lights, unit
+
+_MAX_SATURATED = 0.05
+"""A shot is overexposed if more of the finger is at full scale (in two channels)."""
+_DRIFTED_MM = 0.12
+"""A finger that moved by more against all shots of its band, where the light's part is taken off, has drifted."""
+_MIN_LIGHT = 0.4
+"""An LED did not light if the finger gets less than this fraction of what the preview promised."""
+MIN_RELATIVE = 0.12
+"""An LED did not light if, in the previews, it gives less than this fraction of the median LED of its band."""
+MAX_AMBIENT = 0.3
+"""Light with all LEDs off, relative to the median lit shot, above which the lid is open."""
+_MAX_CROSSED = 0.93
+"""Crossed images have at most this fraction of the parallel ones' light where the finger shines. Simulated fingers
+behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or did not turn."""
+_SHINE = 99.5
+"""Percentile of the finger's pixels that its specular reflections reach."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSettings(Checked):
+    """Limits of the checks."""
+
+    _group = "checks"
+
+    moved_mm: Annotated[float, Limits(0, above=True)] = 0.13
+    """A finger that moved by more between two shots has moved. A changing light looks like up to 0.07 mm of motion.
+    Coarse pictures measure less well: at least 1.5 pixels are allowed."""
+    retries: Annotated[int, Limits(0, 20)] = 2
+    """How often a bad shot is taken again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """What the checks keep of a shot: small copies."""
+
+    grey: FloatArray
+    """(h, w) light at the working scale, 1 = full scale."""
+    details: FloatArray
+    """(h, w) its ridges: band-passed relative brightness, zero beside the finger."""
+    level: float
+    """Median of the finger (or another percentile), 1 = full scale."""
+    saturated: float
+    """Fraction of the finger at full scale."""
+
+
+class Examiner:
+    """Looks at shots: knows where the finger is and how dark it is without LEDs."""
+
+    def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN) -> None:
+        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole picture; `px_per_mm` of
+        full-size shots; `typical`: percentile of the finger's pixels that is its level.
+        """
+        self.settings, self._typical = settings, typical
+        self.region = region
+        self._px_per_mm = px_per_mm
+        measurable = 1.5 / px_per_mm
+        self.moved_mm, self.drifted_mm = max(settings.moved_mm, measurable), max(_DRIFTED_MM, measurable)
+        """Motion between two shots, and against all shots of a band, from which on the finger has moved or drifted."""
+        self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
+
+    def look(self, frame: Frame) -> Look:
+        """Reduce a shot to what the checks need."""
+        step = max(1, int(self._px_per_mm / (2.5 * WORKING_PX_PER_MM)))
+        full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
+        scale = min(1.0, WORKING_PX_PER_MM * step / self._px_per_mm)
+        grey = reduce_image(grey_light(full, frame.black_level), scale)
+        inside, window = self._mask((grey.shape[0], grey.shape[1]))
+        level = float(np.percentile(grey[inside], self._typical))
+        px = self._px_per_mm * grey.shape[1] / frame.pixels.shape[1]
+        local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
+        relative = np.asarray(grey / local, dtype=np.float32)
+        details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
+        sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+        return Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
+
+    def shine(self, look: Look, dark: Look) -> float:
+        """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full scale."""
+        inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
+        return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
+
+    def shift_mm(self, before: Look, after: Look, full_columns: int) -> tuple[float, float] | None:
+        """How far the finger moved between two shots (x right, y up), or None if they show different things."""
+        (x, y), response = cv2.phaseCorrelate(before.details, after.details)
+        if response < 0.2:
+            return None
+        px = self._px_per_mm * before.details.shape[1] / full_columns
+        return float(x) / px, -float(y) / px
+
+    def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> Array:
+        """(L,) distance in mm of the finger in each shot of a band from its place in all of them."""
+        stack = np.stack([look.grey - dark.grey for look in looks])
+        inside, _ = self._mask((stack.shape[1], stack.shape[2]))
+        px = self._px_per_mm * stack.shape[2] / full_columns
+        motion = shot_motion(stack, inside, px)
+        length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
+        reliable = motion.reliability >= MIN_RELIABILITY
+        return np.asarray(np.where(reliable, length, 0.0), dtype=np.float64)
+
+    def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
+        """The finger on a copy of `shape`, and the window that fades out beside it."""
+        if shape not in self._masks:
+            fraction = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+            inside = np.asarray(fraction > 0.5)
+            px = WORKING_PX_PER_MM
+            window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
+            self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
+        return self._masks[shape]
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """Facts about one photograph that was kept."""
+
+    name: str
+    """Like ``white 3`` or ``white ambient``."""
+    led: int | None
+    level: float
+    """Median of the finger, fraction of full scale."""
+    saturated: float
+    """Fraction of the finger at full scale."""
+    moved_mm: float | None
+    """Against the shot before; None for the first, for ambient frames, and where the two show different things."""
+    at_s: float
+    """When its exposure ended, by the camera's clock."""
+    exposure_s: float
+    gain: float
+    discarded: int
+    """Frames that the camera threw away before it."""
+    retries: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Devices:
+    """Camera and lights that fit a rig."""
+
+    camera: CameraDevice
+    lights: LightBank
+    rig: Rig
+
+
+class Shooting:
+    """Takes the shots of all bands, one band after the other."""
+
+    def __init__(
+        self, devices: Devices, examiner: Examiner, *, watch_motion: bool, progress: Callable[[str, float], None]
+    ) -> None:
+        """Prepare; nothing is lit yet."""
+        self._camera, self._lights, self._examiner = devices.camera, devices.lights, examiner
+        self._names = led_names(devices.rig)
+        self._intensities = [led.intensity for led in devices.rig.leds]
+        self._side = side_lights(devices.rig.leds)
+        self._series = ""
+        self._settings, self._watch_motion, self._progress = examiner.settings, watch_motion, progress
+        self.bands: dict[str, Band] = {}
+        self.shots: list[Shot] = []
+        self.verdict: list[str] = []
+        self.taken = 0
+        self._towards = [unit(np.array(led.position_mm or led.direction)) for led in devices.rig.leds]
+        self._before: list[tuple[int, str, Look]] = []
+        self._steady = True
+        self._looks: dict[str, tuple[Sequence[int], list[Look], Look]] = {}
+
+    def band(self, band: str, leds: Sequence[int], exposure: Exposure, total: int) -> None:
+        """Take a band's ambient frame and its lit ones; `total` is the number of frames of all bands."""
+        self._camera.lock(exposure.exposure_s, exposure.gain, spectral_band(band))
+        self._lights.off()
+        self._series = " crossed" if band == "white_crossed" else ""
+        room, dark = self._take()
+        self._note(f"{spectral_band(band)}{self._series} ambient", None, (room, dark))
+        pixels: Any = np.empty((len(leds), *room.pixels.shape), dtype=room.pixels.dtype)
+        frames, looks = [], []
+        for k, led in enumerate(leds):
+            self._progress(self._name(led), len(self.shots) / total)
+            frame, look = self._lit(led, dark, exposure.expected[led])
+            pixels[k] = frame.pixels
+            frames.append(Frame(frame.pixels[:0], frame.exposure_s, frame.gain, frame.black_level))
+            looks.append(look)
+        self._lights.off()
+        self._looks[band] = leds, looks, dark
+        self.bands[band] = _as_band(band, pixels, leds, frames, room)
+        if self._series:
+            self.bands["white"] = replace(self.bands["white"], polarisation="parallel")
+            self.bands[band] = replace(self.bands[band], polarisation="crossed")
+
+    def _name(self, led: int) -> str:
+        return self._names[led] + self._series
+
+    def _lit(self, led: int, dark: Look, expected: float) -> tuple[Frame, Look]:
+        """Photograph the finger under one LED, again where it went wrong."""
+        for attempt in range(self._settings.retries + 1):
+            if attempt:
+                self._lights.off()
+            self._lights.on(led)
+            frame, look = self._take()
+            moved, troubles = self._examine(led, look, dark, expected)
+            if not troubles or attempt == self._settings.retries:
+                break
+            if troubles[0][0] == "moved" and not self._steady:
+                break  # it has moved before: no time is spent on this capture any more
+        for kind, words in troubles:
+            self.verdict.append(words)
+            self._steady = self._steady and kind != "moved"
+        self._note(self._name(led), led, (frame, look), moved, attempt)
+        if not any(kind == "unlit" for kind, _ in troubles):
+            self._before.append((led, self._name(led), look))
+        return frame, look
+
+    def _take(self) -> tuple[Frame, Look]:
+        frame = self._camera.capture()
+        self.taken += 1
+        return frame, self._examiner.look(frame)
+
+    def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[tuple[str, str]]]:
+        """Motion in mm, and what is wrong: kinds, and words."""
+        name = self._name(led)
+        if look.level - dark.level < _MIN_LIGHT * expected:
+            return None, [("unlit", f"{name} did not light: check its wiring and capture again")]
+        troubles, moved = [], None
+        if look.saturated > _MAX_SATURATED:
+            words = f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture again"
+            troubles.append(("saturated", words))
+        # the latest shot under a light from about there, or the same side light: others' shadows differ too much
+        near = 0.98 if led in self._side else 0.7
+        alike = [one[1:] for one in self._before if self._towards[one[0]] @ self._towards[led] > near]
+        if self._watch_motion and alike:
+            earlier, before = alike[-1]
+            between = f"between {earlier} and {name}"
+            shift = self._examiner.shift_mm(before, look, self._camera.image_size[1])
+            if shift is None:
+                words = f"the picture changed {between}: keep the finger in its place and capture again"
+                troubles.append(("moved", words))
+            elif (moved := float(np.hypot(*shift))) > self._examiner.moved_mm:
+                words = f"the finger moved by {moved:.1f} mm {between}: hold still and capture again"
+                troubles.append(("moved", words))
+        return moved, troubles
+
+    def check_drift(self) -> None:
+        """Look for slow motion after the last shot. Not under side lights, whose shadows pass for motion."""
+        if not self._watch_motion or not self._steady:
+            return
+        for band, (leds, looks, dark) in self._looks.items():
+            ring = [(led, look) for led, look in zip(leds, looks, strict=True) if led not in self._side]
+            away = self._examiner.drift([look for _, look in ring], dark, self._camera.image_size[1])
+            worst = int(np.argmax(away))
+            if away[worst] > self._examiner.drifted_mm:
+                series = ", crossed" if band == "white_crossed" else ""
+                where = f"under the {spectral_band(band)} LEDs{series} (most at {self._names[ring[worst][0]]})"
+                self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
+
+    def check_films(self) -> float:
+        """Ratio of crossed to parallel light where the finger shines; too high a ratio adds a verdict."""
+
+        def light(band: str) -> float:
+            leds, looks, dark = self._looks[band]
+            shines = [self._examiner.shine(look, dark) for look in looks]
+            return sum(shine / self._intensities[led] for shine, led in zip(shines, leds, strict=True))
+
+        ratio = light("white_crossed") / max(light("white"), 1e-9)
+        if ratio > _MAX_CROSSED:
+            self.verdict.append(
+                f"where the finger shines, the crossed images have {100 * ratio:.0f} % of the parallel ones' light, "
+                f"not {100 * _MAX_CROSSED:.0f} % or less: the analyser did not turn, or a film is missing or swapped; "
+                "check them and capture again"
+            )
+        return ratio
+
+    def _note(
+        self, name: str, led: int | None, taken: tuple[Frame, Look], moved: float | None = None, retries: int = 0
+    ) -> None:
+        frame, look = taken
+        of_frame = (frame.at_s, frame.exposure_s, frame.gain, frame.discarded)
+        self.shots.append(Shot(name, led, look.level, look.saturated, moved, *of_frame, retries))
+
+
+def _as_band(name: str, pixels: PixelArray, leds: Sequence[int], frames: Sequence[Frame], room: Frame) -> Band:
+    return Band(
+        name=name,
+        pixels=pixels,
+        leds=tuple((led,) for led in leds),
+        exposure=np.array([relative_exposure(frame) for frame in frames]),
+        black_level=np.array([frame.black_level for frame in frames]),
+        ambient=room.pixels,
+        ambient_exposure=relative_exposure(room),
+        ambient_black_level=room.black_level,
+    )
+
+
+def _clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
+    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
+    full = float(np.iinfo(pixels.dtype).max)
+    inside = pixels[region] >= 0.995 * full
+    return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0

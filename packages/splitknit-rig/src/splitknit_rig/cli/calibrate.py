@@ -1,0 +1,270 @@
+"""``splitknit calibrate``: a rig's camera, the brightness of its LEDs, where they are, and films before them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from splitknit import AnyPath, Help, Outcome, Progress, Verb, path, refuse_given
+from splitknit_rig.calibration.jobs import CameraJob, LightsJob, PolarisersJob, RadiometryJob, ShadingJob
+
+if TYPE_CHECKING:
+    from splitknit_rig.calibration.camera_photos import MeasuredCamera
+    from splitknit_rig.calibration.radiometry import RadiometricCalibration
+    from splitknit_rig.calibration.shading import ShadingFit
+
+
+def _show_camera(found: MeasuredCamera, job: CameraJob) -> Outcome:
+    from splitknit_rig.calibration.camera_photos import camera_facts  # only this verb pays
+
+    facts = camera_facts(found)
+    return facts, [
+        *(_fit_lines(facts) if facts["fit"] else []),
+        *(_plane_lines(facts["plane"]) if facts["plane"] else []),
+        *(_sharpness_lines(facts["depth_of_field"]) if facts["depth_of_field"] else []),
+        *(f"Please note: {words}" for words in facts["warnings"]),
+        f"Measured: {', '.join(facts['measured'])}. Taken over: {', '.join(facts['nominal']) or 'nothing'}.",
+        f"Written: {facts['out']}",
+    ]
+
+
+def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
+    fit = facts["fit"]
+    per_image, deviations = fit["per_image_px"], fit["deviations"]
+    count = len(per_image) + len(fit["rejected_px"]) + len(fit["repeated"]) + len(fit["without_board"])
+    worst = max(per_image, key=lambda name: per_image[name])
+    fx, fy = fit["focal_length_px"]
+    cx, cy = fit["principal_point_px"]
+    focal = f"{fx:.2f}" if fx == fy else f"{fx:.2f} x {fy:.2f}"
+    around = [f" +- {deviations[name]:.2f}" if name in deviations else " (held)" for name in ("cx", "cy")]
+    lines = [
+        f"Camera calibrated from {fit['images']} of {count} photographs: corners lie {fit['rms_px']:.3f} px off (rms), "
+        f"most in {worst} ({per_image[worst]:.3f} px).",
+        f"  focal length {focal} +- {deviations['fx']:.2f} px, "
+        f"principal point ({cx:.2f}{around[0]}, {cy:.2f}{around[1]}) px",
+    ]
+    from splitknit_rig.calibration.camera import TERMS  # only this verb pays
+
+    terms = zip(TERMS, facts["distortion"], strict=True)
+    free = [f"{name} = {value:.4g} +- {deviations[name]:.2g}" for name, value in terms if name in fit["fitted"]]
+    lines.append(f"  distortion {', '.join(free) or 'none'}")
+    lines += [f"  held: {name}{', ' if 'point' in name else ' = '}{why}" for name, why in fit["held"].items()]
+    lines += [f"  left out: {name}, corners {error:.2f} px off" for name, error in fit["rejected_px"].items()]
+    lines += [f"  left out: {name}, the same view as {other}" for name, other in fit["repeated"].items()]
+    board = facts["board"]["inner_corners"]
+    lines += [f"  left out: {name}, no board of {board} inner corners in full view" for name in fit["without_board"]]
+    return lines
+
+
+def _plane_lines(plane: Mapping[str, Any]) -> list[str]:
+    if "height_mm" not in plane:
+        return [
+            f"Scale of an orthographic camera: {plane['px_per_mm']:.4f} +- {plane['px_per_mm_deviation']:.4f} px/mm "
+            f"(marks {plane['rms_px']:.2f} px off)."
+        ]
+    return [
+        f"Finger plane: {plane['height_mm']:.3f} +- {plane['height_mm_deviation']:.3f} mm from the camera, "
+        f"{plane['px_per_mm']:.4f} px/mm (marks {plane['rms_px']:.2f} px off).",
+        f"  The camera looks on the base {plane['tilt_deg']:.2f} +- {plane['tilt_deg_deviation']:.2f} deg obliquely; "
+        f"the base comes nearer towards the picture's {plane['nearer_at']}.",
+    ]
+
+
+def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
+    far = "infinity" if field["far_mm"] is None else f"{field['far_mm']:.2f} mm"
+    depth = "" if field["depth_mm"] is None else f" ({field['depth_mm']:.2f} mm)"
+    first = (
+        f"Depth of field at f/{field['f_number']:g}, focal length {field['focal_length_mm']:.2f} mm: from "
+        f"{field['near_mm']:.2f} mm to {far}{depth} a point is at most one pixel ({field['confusion_um']:.2f} um) wide."
+    )
+    finger = f"  A finger {field['finger_depth_mm']:g} mm deep"
+    if field["fits"]:
+        return [first, f"{finger} fits."]
+    return [
+        first,
+        f"{finger} does not fit: focused in its middle, its ends are blurred over {field['blur_px']:.1f} px. It would "
+        f"fit at f/{field['needed_f_number']:.0f}, where diffraction alone blurs over {field['diffraction_px']:.0f} "
+        f"px; both are equal at f/{field['best_f_number']:.1f}.",
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _CalibrateOrCheck(RadiometryJob):
+    __doc__ = RadiometryJob.__doc__
+
+    # fmt: off
+    out: Annotated[AnyPath | None, Help("rig file to write", "RIG2", either="what", required=True)] = None  # type: ignore[assignment]
+    _: KW_ONLY
+    check: Annotated[AnyPath | None, Help(
+        "compare with the calibration in RIG, to within `limit_percent` (default: 3); writes nothing", "RIG",
+        either="what", required=True)] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> RadiometricCalibration | dict[str, Any]:  # type: ignore[override]
+        """Calibrate, or compare with an earlier calibration."""
+        from splitknit_rig.calibration.radiometry_folder import check_folder
+
+        if self.check is None:
+            return RadiometryJob.run(self, progress)
+        own = ("rig", "card_height_mm", "card_tilt_deg", "residuals")
+        refuse_given(self, own, "does not go with `check`: the calibration is RIG's; leave it out.")
+        return check_folder(path(self.folder), path(self.check), limit_percent=self.limit_percent, progress=progress)
+
+
+def _show_radiometry(found: RadiometricCalibration | dict[str, Any], job: RadiometryJob) -> Outcome:
+    if isinstance(found, dict):
+        own = [100 * led["own_ratio"] for led in found["leds"]]
+        lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
+        if None in found["common_ratio"].values():
+            lines.append(
+                "Only LEDs of one band are compared with each other: the exposures are not known on both days."
+            )
+        lines += [f"Please note: {sentence}" for sentence in found["warnings"]]
+        if not found["warnings"]:
+            lines.append(f"All LEDs are as calibrated, within {found['limit_percent']:g} %.")
+        return found, lines
+    facts = {**found.facts, "out": str(job.out), "files": [str(file) for file in (job.out, job.residuals) if file]}
+    return facts, _radiometry_lines(facts, job.card_tilt_deg is None)
+
+
+def _radiometry_lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
+    lines = ["LED        intensity  beam   aim off  residuals rms, largest"]
+    for led in facts["leds"]:
+        lines.append(
+            f"{led['name']:10s} {led['intensity']:9.3f} {led['lobe_exponent']:5.1f} {led['aim_off_deg']:6.1f} deg"
+            f"  {led['rms_percent']:.2f} %, {led['largest_percent']:.2f} %: {led['verdict']}"
+        )
+    tried = ", ".join(f"{one['rms_percent']:.2f} %" for one in facts["model"]["tried"])
+    lines += [
+        f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model: {tried}).",
+        f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
+    ]
+    for band, fraction in facts["ambient_percent"].items():
+        if fraction is not None:
+            lines.append(f"Light from elsewhere: {fraction:.2f} % of the {band} LEDs'.")
+    lines += _sensor_lines(facts["camera"])
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    if base_tilt and any(facts["card"]["tilt_deg"]):
+        x, y = facts["card"]["tilt_deg"]
+        lines.append(f"The card is taken to lie as the camera's calibration found the base: {x:.2f}, {y:.2f} deg.")
+    lines.append(f"Written: {', '.join(facts['files'])}.")
+    return lines
+
+
+def _sensor_lines(camera: dict[str, Any]) -> list[str]:
+    lines = []
+    response, dark = camera["response"], camera["dark"]
+    if response is not None:
+        (low, high), kind = response["values_percent"], response["encoding"]
+        lines.append(
+            f"The camera is {kind.replace('srgb', 'sRGB')}: it departs by {response[f'{kind}_departure_percent']:.2f} "
+            f"% of full scale at most, between {low:.0f} and {high:.0f} % of it."
+        )
+    if dark is not None:
+        black = ", ".join(f"{value:.2f}" for value in dark["black_level_percent"])
+        noise = dark["read_noise_percent"]
+        words = "cut off at zero" if noise is None else f"{max(noise):.2f} %"
+        lines.append(
+            f"In the dark: level {black} % of full scale, noise {words}, {dark['hot_pixels']} hot pixels "
+            f"({1e6 * dark['hot_share']:.0f} in a million)."
+        )
+    for name, model in camera["noise"].items():
+        lines.append(f"Noise of {name} is that of {model['electrons_at_full_scale']:.0f} electrons at full scale.")
+    return lines
+
+
+def _light_lines(facts: Mapping[str, Any]) -> list[str]:
+    if facts["method"] == "geometry":
+        return [f"{len(facts['leds'])} LEDs where the drawing has them, not measured; written to {facts['out']}."]
+    written = f"Written to {facts['out']}."
+    if not facts["written"]:
+        written = "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out` FILE."
+    if "ball" in facts:
+        lines = [f"{len(facts['leds'])} lights from a {facts['method']} ball:"]
+        for one in facts["leds"]:
+            x, y, z = one["direction"]
+            lines.append(f"  {one['image']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f})")
+        lines += [f"Please note: {note}" for note in facts["notes"]]
+        if facts["written"]:
+            lines.append(written)
+            written = f"Next: splitknit reconstruct --images PHOTOS --lights {facts['out']} --out RESULT"
+        return [*lines, written]
+    lines = [*_led_lines(facts), written]
+    if "shadows_out_of_the_picture" in facts:
+        lost, show, table = facts["shadows_out_of_the_picture"], facts["show"], facts["tips_out"]
+        lines += [f"Please note: the shadow leaves the picture for {', '.join(lost)}."] if lost else []
+        lines += [f"Please look at {show}: nail (cross), shadow tip (ring), ray to the LED (line)."] if show else []
+        lines += [f"Correct {table} where it is wrong, and give it to `table`."] if table else []
+    return lines
+
+
+def _led_lines(facts: Mapping[str, Any]) -> list[str]:
+    lines = [f"{len(facts['leds'])} LEDs from {facts['nail_positions']} nail position(s), method {facts['method']}:"]
+    for one in facts["leds"]:
+        x, y, z = one["direction"]
+        apart = "      -" if one["disagreement_deg"] is None else f"{one['disagreement_deg']:7.2f}"
+        bound = "" if one["interval_deg"] is None else f" +-{one['interval_deg']:.2f} deg"
+        kept = "" if one["kept"] else ", left out"
+        lines.append(
+            f"  {one['band']:5s} {one['led']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound}, positions disagree by "
+            f"{apart} deg: {one['verdict']}{kept}"
+        )
+    if facts["nail_height_mm"] is not None:
+        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
+    return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
+
+
+def _film_lines(facts: Mapping[str, Any]) -> list[str]:
+    films = facts["films"]
+    lines = ["LED   specular light left  angle            crossed / parallel: red, green, blue  residuals rms"]
+    for k, led in enumerate(films["leds"]):
+        low, high = facts["leak_interval"][k]
+        angle = "not measured"
+        if films["angle_deg"]:
+            angle = f"{films['angle_deg'][k]:+.2f} +- {facts['angle_interval_deg'][k]:.2f} deg"
+        tint = ", ".join(f"{value:.4f}" for value in films["brightness"][k])
+        lines.append(
+            f"{led:3d}   {100 * low:.3f} to {100 * high:.3f} %      {angle:16s} {tint:37s} "
+            f"{facts['residual_rms_percent'][k]:.2f} %"
+        )
+    if films["extinction_ratio"] is None:
+        lines.append("Extinction and angles: photograph the ball at other angles of the analyser (ball_85, ball_95).")
+    else:
+        low, high = facts["extinction_interval"]
+        span = f"at least {low:.0f}" if high is None else f"{low:.0f} to {high:.0f}"
+        lines.append(f"Extinction ratio: {films['extinction_ratio']:.0f} ({span}).")
+    x, y = films["shift_px"]
+    lines.append(
+        f"The crossed image lies {x:+.3f} px right of and {y:+.3f} px below the parallel one (+- "
+        f"{max(facts['shift_interval_px']):.3f} px), and is {films['scale']:.5f} times its size."
+    )
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    return [*lines, f"Written: {', '.join(facts['files'])}."]
+
+
+def _show_shading(fit: ShadingFit, job: ShadingJob) -> Outcome:
+    facts = {**fit.shading.facts, "pitch_mm": fit.shading.pitch_mm, "out": str(job.out), "report": str(job.page)}
+    lines, by_outlines = [], any(note.startswith("the scale is that of the balls' outlines") for note in fit.notes)
+    if facts["balls"]:
+        lines.append(
+            f"{facts['balls_used']} of {facts['balls']} balls calibrate {len(fit.shading.direction)} lights, "
+            f"{1000 * fit.shading.pitch_mm:.4f} um a pixel"
+            + (", of the balls' outlines: lengths may be some per cent off." if by_outlines else ".")
+        )
+        if facts["cap_rms_um"] is not None:
+            low, middle, high = facts["cap_gain"]
+            lines.append(
+                f"Caps within 0.6 of the radius, {facts['left_out']} left out: {facts['cap_rms_um']:.2f} um rms, gain "
+                f"{middle:.3f} ({low:.3f} to {high:.3f})."
+            )
+        lines.append(f"Slopes up to {facts['max_slope']:.2f} were seen; steeper ones are extrapolated.")
+    lines += [f"Please note: {note}" for note in fit.notes]
+    lines.append(f"Written: {job.out}, {job.page}.")
+    return facts, lines
+
+
+CAMERA, SHADING = Verb(CameraJob, _show_camera), Verb(ShadingJob, _show_shading)
+LIGHTS = Verb(LightsJob, lambda found, job: (dict(found.facts), _light_lines(found.facts)))
+RADIOMETRY = Verb(_CalibrateOrCheck, _show_radiometry)
+POLARISERS = Verb(PolarisersJob, lambda facts, job: (facts, _film_lines(facts)))

@@ -1,0 +1,203 @@
+"""The flat field as a model: what the twin shows of a card is found again, and nothing else is called a card."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.view import lens_shading
+from splitknit.model import Led, default_rig, nominal_rig
+from splitknit_rig.calibration.card_model import (
+    LADDER,
+    Answer,
+    CardModel,
+    CardPlane,
+    _lens_fall_off,
+    _squared_radius,
+    card_light,
+)
+from splitknit_rig.calibration.flat_field import _fit_order, fit_flat_field
+from splitknit_simulator.rigs import built_rig
+from white_cards import as_placed, scene_of
+
+STEP = 6
+NOISE = 0.003
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return built_rig(3, scale=0.08)
+
+
+def grid(camera, step=STEP):
+    rows, columns = np.mgrid[0 : camera.image_size[0] : step, 0 : camera.image_size[1] : step]
+    return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(float)
+
+
+def shown(rig, step=STEP, **card):
+    """What the twin sees at the grid's pixels under every LED, no room light."""
+    scene = scene_of(rig, 0.0, **card)
+    return np.stack([scene.light((k,))[::step, ::step, 0].ravel() for k in range(len(rig.leds))]).astype(float)
+
+
+def relative_error(found, truth):
+    ratio = found / truth
+    return np.abs(ratio / np.median(ratio) - 1)
+
+
+@pytest.mark.parametrize("card", [CardPlane(), CardPlane(8.0), CardPlane(2.0, (1.5, -1.0))])
+@pytest.mark.parametrize("model", ["perspective", "orthographic"])
+def test_the_model_is_the_twins_card(rig, card, model):
+    if model == "orthographic":
+        rig = replace(rig, camera=replace(rig.camera, model=model))
+    pixels = grid(rig.camera)
+    truth = shown(rig, reflectance=1.0, height_mm=card.height_mm, tilt_deg=card.tilt_deg)
+    model_light = np.stack([card_light(rig.camera, led, pixels, card) for led in rig.leds])
+    assert np.abs(model_light / truth - 1).max() < 1e-4
+
+
+def test_the_lens_is_that_of_the_images(rig):
+    pixels = grid(rig.camera, 1)
+    expected = lens_shading(rig.camera.shading, rig.camera.image_size)
+    assert np.abs(_lens_fall_off(rig.camera, pixels).reshape(expected.shape) - expected).max() < 1e-6
+    assert _squared_radius((3, 5), [[2, 1]])[0] == 0
+
+
+@pytest.mark.parametrize("error_mm", [0.0, 1.0])
+def test_light_and_lens_are_found(rig, error_mm):
+    """Places exact or a millimetre off: aims and beams make up for it on the plane, and nearly so above it."""
+    noise = 1 + NOISE * np.random.default_rng(0).standard_normal((14, len(grid(rig.camera))))
+    truth = shown(rig)
+    placed = as_placed(rig, error_mm)
+    flat = fit_flat_field(placed.camera, placed.leds, grid(rig.camera), truth * noise)
+    pixels = grid(rig.camera)
+    found = np.stack([card_light(flat.camera, led, pixels) for led in flat.leds])
+    assert relative_error(found, truth).max() < 0.006
+    above = np.stack([card_light(flat.camera, led, pixels, CardPlane(10.0)) for led in flat.leds])
+    assert relative_error(above, shown(rig, height_mm=10.0)).max() < 0.012
+    assert np.abs(flat.rms_percent - 100 * NOISE).max() < 0.03
+    assert np.mean([led.intensity for led in flat.leds]) == pytest.approx(1, abs=1e-5)
+    assert flat.card_level > 0
+    if error_mm == 0:
+        beams = np.array([led.lobe_exponent for led in flat.leds]) - [led.lobe_exponent for led in rig.leds]
+        assert np.abs(beams / flat.exponent_error).max() < 5
+        aims = [
+            np.rad2deg(np.arccos(np.clip(a.axis @ b.axis, -1, 1))) for a, b in zip(flat.leds, rig.leds, strict=True)
+        ]
+        assert max(aims) < 1.0
+
+
+def test_the_simplest_model_that_explains_the_images_is_taken():
+    rig = default_rig(0.08, seed=4)
+    noise = 1 + 0.002 * np.random.default_rng(1).standard_normal((14, len(grid(rig.camera))))
+    flat = fit_flat_field(rig.camera, rig.leds, grid(rig.camera), shown(rig) * noise)
+    assert flat.order == LADDER[0]
+    assert flat.camera.shading == ()
+    assert [led.intensity for led in flat.leds] == pytest.approx(
+        [led.intensity / np.mean([one.intensity for one in rig.leds]) for led in rig.leds], rel=2e-3
+    )
+    beams = nominal_rig(0.08)
+    flat = fit_flat_field(
+        as_placed(beams).camera,
+        as_placed(beams).leds,
+        grid(beams.camera),
+        shown(beams) * noise[:, : grid(beams.camera).shape[0]],
+    )
+    assert flat.order == LADDER[2]
+    assert flat.leds[0].lobe_exponent == pytest.approx(beams.leds[0].lobe_exponent, abs=0.3)
+    assert flat.leds[7].lobe_exponent == pytest.approx(beams.leds[7].lobe_exponent, abs=0.3)
+    assert all(led.aim is None for led in flat.leds)
+    names = [name for name, _, _ in flat.orders]
+    assert names == [order.name for order in LADDER]
+    rms = [value for _, _, value in flat.orders]
+    assert rms[0] > rms[2] > 0
+
+
+def test_dust_does_no_harm(rig):
+    pixels = grid(rig.camera)
+    truth = shown(rig)
+    dusty = truth * (1 + 0.001 * np.random.default_rng(2).standard_normal(truth.shape))
+    specks = np.random.default_rng(3).choice(len(pixels), len(pixels) // 50, replace=False)
+    dusty[:, specks] *= 0.8
+    placed = as_placed(rig)
+    flat = fit_flat_field(placed.camera, placed.leds, pixels, dusty)
+    found = np.stack([card_light(flat.camera, led, pixels) for led in flat.leds])
+    assert relative_error(found, truth).max() < 0.004
+    assert flat.dust[specks].all()
+    assert flat.dust.mean() == pytest.approx(len(specks) / len(pixels), abs=0.005)
+    assert flat.rms_percent.max() < 0.12
+
+
+def test_slopes_of_the_model_are_its_derivatives(rig):
+    pixels = grid(rig.camera, 30)
+    model = CardModel(rig.camera, rig.leds, pixels, CardPlane(1.0))
+    rng = np.random.default_rng(5)
+    answer = Answer(1 + rng.random(14), 1 + 5 * rng.random(14), rng.normal(0, 0.05, (14, 2)), np.array([-0.1, -0.2]))
+    for order in LADDER:
+        vector = model.vector(answer, order)
+        for k in (0, 9):
+            places, rows = model.slopes(model.answer(vector, order), order, k)
+            for place, row in zip(places, rows, strict=True):
+                moved = [vector + sign * 1e-5 * (np.arange(len(vector)) == place) for sign in (1, -1)]
+                up, down = (model.logarithm(model.answer(v, order))[k] for v in moved)
+                assert np.abs((up - down) / 2e-5 - row).max() < 1e-6
+
+
+def test_a_card_that_ends_in_the_picture_is_refused(rig):
+    pixels, light = grid(rig.camera), shown(rig)
+    placed = as_placed(rig)
+    light[:, pixels[:, 0] < 0.2 * rig.camera.image_size[1]] *= 0.02
+    with pytest.raises(BadInput, match=r"does not fill the field: 2[01] % of the picture"):
+        fit_flat_field(placed.camera, placed.leds, pixels, light)
+
+
+def test_a_card_with_a_pattern_is_refused(rig):
+    pixels, light = grid(rig.camera), shown(rig)
+    placed = as_placed(rig)
+    light[:, (pixels[:, 0] // 12 + pixels[:, 1] // 12) % 2 == 0] *= 0.75
+    with pytest.raises(BadInput, match="not uniform"):
+        fit_flat_field(placed.camera, placed.leds, pixels, light)
+
+
+def test_an_led_that_did_not_light_is_named(rig):
+    pixels, light = grid(rig.camera), shown(rig)
+    placed = as_placed(rig)
+    light[9] *= 0.05
+    with pytest.raises(BadInput, match=r"LED 9 \(nir\) shows the card at 5 % .* did not light"):
+        fit_flat_field(placed.camera, placed.leds, pixels, light)
+
+
+def test_gloss_shows_where_a_mirror_would(rig):
+    from splitknit_rig.calibration.flat_field import _half_angles
+
+    pixels, light = grid(rig.camera), shown(rig)
+    placed = as_placed(rig)
+    matt = fit_flat_field(placed.camera, placed.leds, pixels, light)
+    angles = np.stack([_half_angles(rig.camera, led, pixels, CardPlane()) for led in rig.leds])
+    shiny = fit_flat_field(placed.camera, placed.leds, pixels, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2)))
+    assert abs(matt.gloss_percent) < 0.3
+    assert shiny.gloss_percent > 3 and shiny.gloss_percent > 10 * shiny.gloss_error
+
+
+def test_what_is_no_stack_of_cards_is_refused(rig):
+    placed, pixels = as_placed(rig), grid(rig.camera)
+    light = shown(rig)
+    with pytest.raises(BadInput, match="black"):
+        fit_flat_field(placed.camera, placed.leds, pixels, 0 * light)
+    with pytest.raises(BadInput, match="position_mm"):
+        distant = [Led(band="white", direction=(0, 0, 1))] * 14
+        fit_flat_field(placed.camera, distant, pixels, light)
+    with pytest.raises(BadInput, match="below the camera"):
+        card_light(rig.camera, rig.leds[0], pixels, CardPlane(200.0))
+
+
+def test_a_fit_of_what_it_is_does_not_move(rig):
+    pixels = grid(rig.camera, 20)
+    model = CardModel(rig.camera, as_placed(rig).leds, pixels, CardPlane())
+    answer = Answer(np.full(14, 2.0), np.full(14, 3.0), np.zeros((14, 2)), np.array([-0.1, -0.1]))
+    fit = _fit_order(model, answer, LADDER[-1], model.logarithm(answer), 0.005)
+    assert np.abs(fit.answer.exponent - 3).max() < 0.05
+    assert np.abs(fit.answer.brightness - 2).max() < 0.01

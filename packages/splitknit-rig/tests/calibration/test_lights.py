@@ -1,0 +1,247 @@
+"""The thesis's construction: exact on shadows that are cast exactly, and the thesis's own table for what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.view import plane_points
+from splitknit.model import Camera
+from splitknit_rig.calibration.lights import (
+    BANDS,
+    COLUMNS,
+    Circle,
+    Tip,
+    _largest_angle_deg,
+    by_circle,
+    read_tips,
+    write_tips,
+)
+from splitknit_rig.calibration.lights_found import (
+    LightLimits,
+    _check_nails,
+    _check_tips,
+    _copied_leds,
+    _judge,
+    _refusal,
+)
+
+THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
+CAMERA = Camera(px_per_mm=75.7, image_size=(2200, 3200))
+CIRCLE = Circle(50.0, 140.0)
+
+
+def cast(places, *, leds=7, height=20.0, circle=CIRCLE, camera=CAMERA):
+    """Shadows by hand: the line from the LED over the nail's tip to the plane."""
+    tips = []
+    for k in range(leds):
+        angle = 2 * np.pi * k / leds
+        led = np.array([np.cos(angle), np.sin(angle)]) * circle.radius_mm + circle.centre_mm
+        for number, place in enumerate(np.asarray(places, float), start=1):
+            along = circle.height_mm / (circle.height_mm - height)
+            end = led + (place - led) * along
+            nail_px, tip_px = (
+                (float(x * camera.px_per_mm + 1599.5), float(1099.5 - y * camera.px_per_mm)) for x, y in (place, end)
+            )
+            tips.append(Tip("white", k, number, nail_px, tip_px))
+    return tuple(tips)
+
+
+def table(tips):
+    return write_tips(tips).splitlines()
+
+
+@pytest.fixture(scope="module")
+def thesis():
+    tips = read_tips(THESIS.read_text())
+    centre = plane_points(CAMERA, [[1575, 1174]])[0]
+    return tips, Circle(50.0, 140.0, (float(centre[0]), float(centre[1])))
+
+
+def test_exact_shadows_give_the_leds():
+    circle = Circle(50.0, 140.0, (1.5, -2.0))
+    found, height = by_circle(cast([(-6, -4), (7, 5), (0, 2)], circle=circle), CAMERA, circle)
+    assert height == pytest.approx(20.0)
+    for one in found:
+        angle = 2 * np.pi * one.led / 7
+        assert one.position_mm == pytest.approx([1.5 + 50 * np.cos(angle), -2 + 50 * np.sin(angle), 140], abs=1e-6)
+        arm = np.array([50 * np.cos(angle), 50 * np.sin(angle), 140])
+        assert one.direction == pytest.approx(arm / np.linalg.norm(arm), abs=1e-9)
+        assert one.disagreement_deg == pytest.approx(0.0, abs=1e-6)
+        assert one.nails == (1, 2, 3)
+
+
+def test_the_mean_of_two_positions(thesis):
+    tips, circle = thesis
+    found, _ = by_circle(tips, CAMERA, circle)
+    units = found[0].singles - circle.foot_mm
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    mean = units.sum(axis=0) / np.linalg.norm(units.sum(axis=0))
+    assert found[0].direction == pytest.approx(mean)
+    arm = found[0].position_mm - circle.foot_mm
+    assert arm / np.linalg.norm(arm) == pytest.approx(mean)
+    assert found[0].position_mm[2] == pytest.approx(140.0)
+
+
+def test_the_thesiss_table(thesis):
+    """The figures of its own method, to the digits in which they were worked out by others."""
+    tips, circle = thesis
+    assert len(tips) == 28
+    found, height = by_circle(tips, CAMERA, circle)
+    apart = [one.disagreement_deg for one in found]
+    assert [round(one, 1) for one in apart[:7]] == [8.9, 1.1, 6.3, 0.8, 4.1, 6.9, 6.8]
+    assert [round(one) for one in apart[8:11]] == [32, 19, 15]
+    assert [apart[7], *apart[11:]] == pytest.approx([7.0, 2.5, 9.9, 9.0], abs=0.06)  # NIR 0: 6.947
+    assert _copied_leds(tips, CAMERA) == {("nir", k) for k in range(1, 7)}
+    assert 19 < height < 20
+    named = {(one.band, one.led): one for one in found}
+    verdicts = _judge(named, _copied_leds(tips, CAMERA), set(), 5.0)
+    assert list(verdicts.values()) == [
+        *("disagrees", "ok", "disagrees", "ok", "ok", "disagrees", "disagrees"),
+        *("disagrees", *("copied",) * 6),
+    ]
+    sentence = _refusal(verdicts, named, 5.0)
+    assert sentence is not None
+    for name in ("white 0 (8.9", "white 2", "white 5", "white 6", "NIR 0 (6.9", *(f"NIR {k}" for k in range(1, 7))):
+        assert name in sentence
+    assert "white 1" not in sentence and "`keep`" in sentence
+
+
+def test_directions_are_the_thesiss(thesis):
+    """White 1 and 3, which agree, by hand: azimuths of both positions about the circle's centre."""
+    tips, circle = thesis
+    found, _ = by_circle(tips, CAMERA, circle)
+    for led, azimuths in ((1, (102.6, 99.3)), (3, (-75.7, -73.3))):
+        arms = found[led].singles - circle.foot_mm
+        assert np.degrees(np.arctan2(arms[:, 1], arms[:, 0])) == pytest.approx(azimuths, abs=0.06)
+        assert np.hypot(arms[:, 0], arms[:, 1]) == pytest.approx(50.0)
+
+
+def test_largest_angle_of_several():
+    directions = np.array([[0, 0, 1], [0, np.sin(0.1), np.cos(0.1)], [0, -np.sin(0.2), np.cos(0.2)]])
+    assert _largest_angle_deg(directions) == pytest.approx(np.degrees(0.3))
+    assert _largest_angle_deg(directions[:1]) is None
+
+
+def test_copies_scale_with_the_image():
+    """A repeated tip is found at any scale, a true one is not taken for a copy, however small the image."""
+    for scale in (1.0, 0.1):
+        camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
+        tips = list(cast([(-3, 0), (3, 0)], camera=camera))
+        assert _copied_leds(tips, camera) == set()
+        x, y = tips[4].tip_px
+        tips[5] = replace(tips[5], tip_px=(x + 17 * scale, y))
+        assert _copied_leds(tips, camera) == {("white", 2)}
+
+
+def test_one_position_is_unchecked():
+    found, _ = by_circle(cast([(5, 5)]), CAMERA, CIRCLE)
+    assert found[0].disagreement_deg is None
+    named = {(one.band, one.led): one for one in found}
+    verdicts = _judge(named, set(), set(), 5.0)
+    assert set(verdicts.values()) == {"unchecked"}
+    assert _refusal(verdicts, named, 5.0) is None
+
+
+def test_perspective_moves_the_nails_tip():
+    """The tip of a nail is seen further out; its height comes from the shadows, and the LEDs come out right."""
+    focal = 140 * 75.7
+    matrix = np.array([[focal, 0, 1599.5], [0, focal, 1099.5], [0, 0, 1.0]])
+    camera = Camera(px_per_mm=75.7, image_size=(2200, 3200), model="perspective", matrix=matrix)
+    tips = []
+    for tip in cast([(-6, -4), (7, 5)]):
+        x, y = tip.nail_px
+        out = 140 / (140 - 20)
+        tips.append(replace(tip, nail_px=(1599.5 + (x - 1599.5) * out, 1099.5 + (y - 1099.5) * out)))
+    found, height = by_circle(tips, camera, CIRCLE)
+    assert height == pytest.approx(20.0, abs=1e-3)
+    assert found[3].disagreement_deg == pytest.approx(0.0, abs=1e-3)
+    based, _ = by_circle(tips, camera, CIRCLE, seen="base")
+    assert based[3].disagreement_deg > 1.0
+
+
+def test_a_table_survives_writing():
+    tips = read_tips(THESIS.read_text())
+    assert read_tips(write_tips(tips)) == tips
+    assert [tip.band for tip in tips] == [BANDS[0]] * 14 + [BANDS[1]] * 14
+
+
+def test_spaces_blank_lines_comments_and_further_columns():
+    head = ", ".join([*(name.upper() for name in COLUMNS), "remark"])
+    tips = read_tips(f"\ufeff# typed\n{head}\n\n WHITE , 3, 1, 10, 20.5, 30, 4e1, blurred\n,,,,,,,\n")
+    assert tips == (Tip("white", 3, 1, (10.0, 20.5), (30.0, 40.0)),)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda lines: lines[:1], "no rows"),
+        (lambda lines: [], "is empty"),
+        (lambda lines: [lines[0].replace("tip_y_px", "y"), *lines[1:]], "lacks the column tip_y_px"),
+        (lambda lines: [lines[0], lines[1].replace("white", "red")], "white or nir"),
+        (lambda lines: [lines[0], lines[1].replace("white,0", "white,7")], "led must be 0 to 6"),
+        (lambda lines: [lines[0], lines[1].replace("white,0", "white,-1")], "whole number"),
+        (lambda lines: [lines[0], lines[1].replace("white,0,1", "white,0,one")], "nail must be a whole number"),
+        (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0] + ",?"], "tip_y_px must be a number"),
+        (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0] + ",nan"], "tip_y_px must be a number"),
+        (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0]], "6 fields"),
+        (lambda lines: ["a" * 200_000, *lines], "no line of a CSV table"),
+        (lambda lines: [lines[0], "a" * 200_000], "line 2 is no line of a CSV table"),
+        (lambda lines: [*lines, lines[5]], "lines 6 and 16 are both for white 2, nail 1"),
+    ],
+)
+def test_a_table_that_cannot_be_read(change, words):
+    lines = change(table(cast([(-6, -4), (7, 5)])))
+    with pytest.raises(BadInput, match=words):
+        read_tips("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda tips: [tip for tip in tips if tip.led != 3], "no row for white 3"),
+        (lambda tips: [tip for tip in tips if (tip.led, tip.nail) != (3, 2)], "white 3 at nail 1 only"),
+        (lambda tips: [replace(tips[0], tip_px=(3300.0, 5.0)), *tips[1:]], "white 0, nail 1: .* outside the image"),
+        (lambda tips: [replace(tips[0], nail_px=(5.0, 2300.0)), *tips[1:]], "outside the image"),
+    ],
+)
+def test_an_incomplete_table(change, words):
+    tips = list(cast([(-6, -4), (7, 5)]))
+    _check_tips(tips, CAMERA.image_size)
+    with pytest.raises(BadInput, match=words):
+        _check_tips(change(tips), CAMERA.image_size)
+
+
+def test_a_third_position_may_lack_a_shadow():
+    tips = cast([(-6, -4), (7, 5), (0, 0)])
+    _check_tips([tip for tip in tips if (tip.led, tip.nail) != (3, 2)], CAMERA.image_size)
+
+
+def test_no_shadow_and_outside_the_circle():
+    tips = list(cast([(-6, -4), (7, 5)]))
+    at_nail = [*tips[:3], replace(tips[3], tip_px=tips[3].nail_px), *tips[4:]]
+    with pytest.raises(BadInput, match="white 1, nail 2: there is no shadow"):
+        by_circle(at_nail, CAMERA, CIRCLE)
+    with pytest.raises(BadInput, match=r"white 0, nail 1: .*circle"):
+        by_circle(tips, CAMERA, Circle(5.0, 140.0))
+
+
+def test_a_nail_number_is_one_place():
+    tips = list(cast([(-6, -4), (7, 5)]))
+    _check_nails(tips, CAMERA)
+    x, y = tips[4].nail_px
+    with pytest.raises(BadInput, match=r"nail 1 .* one position"):
+        _check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
+    with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
+        _check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
+
+
+def test_limits_are_checked():
+    with pytest.raises(BadInput):
+        LightLimits(limit_deg=0.0)
+    with pytest.raises(BadInput):
+        Circle(0.0, 140.0)

@@ -1,0 +1,284 @@
+"""Films before LEDs and camera, from simulated photographs of a card and a black ball, and their use on captures."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_channels
+from splitknit.imaging.polarised import aligned, contrast, without_films
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image, write_image
+from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
+from splitknit.model import Band, Capture, Films
+from splitknit_rig.calibration.polarisers import measure_ball
+from splitknit_simulator.bench_photos import behind_films, drawn_films
+from splitknit_simulator.calibration_set import solids
+from splitknit_simulator.calibration_set.bench import BenchSettings
+from splitknit_simulator.rigs import built_rig
+
+SCALE = 0.2
+
+
+def photographed(folder: Path, seed: int, extinction: float) -> Films:
+    """Write the photographs of a rig's films, and return them."""
+    rig = built_rig(seed, scale=SCALE)
+    films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solids, "FINER", 4)  # samples across a pixel of the LEDs' images: less than 12, for time
+        for _, job in behind_films(replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)):
+            job(folder)
+    return films
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Films]]:
+    folder = tmp_path_factory.mktemp("films")
+    yield folder / "polarisers", photographed(folder, 5, 5000.0)
+
+
+def run(*words: Any) -> int:
+    return main(["calibrate", "polarisers", *map(str, words)])
+
+
+def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Films:
+    """Films that the photographs give, compared with the true ones."""
+    out = tmp_path / "rig.json"
+    assert run(folder, "--out", out, "--residuals", tmp_path / "left.png", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    found = read_rig(out).films
+    assert found is not None and found.leds == films.leds
+    assert found.extinction_ratio is not None and films.extinction_ratio is not None
+    low, high = facts["extinction_interval"]
+    close = 1 / 1.3 < found.extinction_ratio / films.extinction_ratio < 1.3
+    assert close or low < films.extinction_ratio < (high or np.inf)
+    np.testing.assert_allclose(found.angle_deg, films.angle_deg, atol=0.3)
+    np.testing.assert_allclose(found.brightness, films.brightness, rtol=0.005)
+    np.testing.assert_allclose(found.shift_px, films.shift_px, atol=0.1)
+    assert found.scale == pytest.approx(films.scale, abs=1e-4)
+    np.testing.assert_allclose(found.leak, films.leak, rtol=0.05, atol=1e-4)
+    assert facts["warnings"] == []
+    assert max(facts["residual_rms_percent"]) < 1.0
+    assert read_image(tmp_path / "left.png").shape[1] > 7 * 240
+    return found
+
+
+@pytest.mark.slow
+def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = check(*bench, tmp_path, capsys)
+    rig = read_rig(tmp_path / "rig.json")
+    assert rig_from_json(json.loads(json.dumps(rig_to_json(rig)))).films == found
+    assert rig.provenance["polarisers"]["inputs"]
+
+
+@pytest.mark.slow
+def test_poor_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    films = photographed(tmp_path, 6, 100.0)
+    check(tmp_path / "polarisers", films, tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_two_positions_give_the_leak_alone(
+    bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("card", "ball"):
+        shutil.copytree(bench[0] / name, tmp_path / "two" / name)
+    assert run(tmp_path / "two", "--out", tmp_path / "rig.json") == 0
+    said = capsys.readouterr().out
+    assert "not measured" in said and "other angles" in said
+    found = read_rig(tmp_path / "rig.json").films
+    assert found is not None and found.extinction_ratio is None and found.angle_deg == ()
+    np.testing.assert_allclose(found.leak, bench[1].leak, rtol=0.05, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
+    folder, films = bench
+    ball = _dark(folder / "ball")
+    _, usual = measure_ball(ball, films)
+    crossed = ball.bands["white_crossed"]
+    moved = replace(
+        crossed, pixels=np.roll(crossed.pixels, (6, 4), (1, 2)), leds=tuple((k + 7,) for (k,) in crossed.leds)
+    )
+    _, light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
+    np.testing.assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
+
+
+def _dark(folder: Path) -> Capture:
+    return read_capture(folder, may_be_dark=True)
+
+
+def _swap(folder: Path) -> None:
+    path = folder / "ball" / "capture.json"
+    document = json.loads(path.read_text())
+    bands = document["bands"]
+    for a, b in zip(bands["white"]["images"], bands["white_crossed"]["images"], strict=True):
+        for key in a:
+            a[key], b[key] = b[key], a[key]
+    path.write_text(json.dumps(document))
+
+
+def _clip(folder: Path) -> None:
+    capture = _dark(folder / "ball")
+    band = capture.bands["white"]
+    row, column = np.unravel_index(int(band.pixels[2, ..., 1].argmax()), capture.shape)
+    image = read_image(folder / "ball" / "white_2.png")
+    image[row, column] = 65535
+    write_image(folder / "ball" / "white_2.png", image)
+
+
+def _dull(folder: Path) -> None:
+    shutil.rmtree(folder / "ball")
+    shutil.copytree(folder / "card", folder / "ball")
+
+
+def _plain(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    for path in (folder / "card").glob("white_*.png"):
+        image = read_image(path)
+        write_image(path, (40000 + rng.normal(0, 300, image.shape)).astype(np.uint16))
+
+
+def _no_exposures(folder: Path) -> None:
+    path = folder / "card" / "capture.json"
+    document = json.loads(path.read_text())
+    for entry in document["bands"]["white_crossed"]["images"]:
+        entry["exposure_s"] *= 9
+    path.write_text(json.dumps(document))
+
+
+def _alone(folder: Path) -> None:
+    path = folder / "card" / "capture.json"
+    document = json.loads(path.read_text())
+    del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
+    path.write_text(json.dumps(document))
+
+
+def _named_wrong(folder: Path) -> None:
+    (folder / "ball_85").rename(folder / "ball_nearly")
+
+
+def _no_card(folder: Path) -> None:
+    shutil.rmtree(folder / "card")
+
+
+def _same_angle(folder: Path) -> None:
+    for turn in (80, 95, 100):
+        shutil.rmtree(folder / f"ball_{turn}")
+    (folder / "ball_85").rename(folder / "ball_90")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_swap, "exchange white and white_crossed"),
+        (_clip, "the highlight is clipped"),
+        (_dull, "no highlight stands out"),
+        (_plain, "no common details"),
+        (_no_exposures, "times as bright in the crossed image"),
+        (_alone, "holds no crossed series"),
+        (_named_wrong, "such as ball_85"),
+        (_no_card, "card does not exist"),
+        (_same_angle, "repeat 0 and 90 degrees"),
+    ],
+)
+def test_refusals(
+    bench: tuple[Path, Films], spoil: Any, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = Path(shutil.copytree(bench[0], tmp_path / "own"))
+    spoil(own)
+    assert run(own, "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png") == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "rig.json").exists() and not (tmp_path / "left.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"leds": [0, 0]}, "different LEDs of the rig"),
+        ({"leak": [0.7]}, "films.leak"),
+        ({"leak": [-0.1]}, "numbers from 0 to 0.499"),
+        ({"brightness": [[1.0, 1.0]]}, "three numbers from 0.01"),
+        ({"brightness": [[1.0, 1.0, 0.0]]}, "0.01 to 100"),
+        ({"scale": 2.0}, "films.scale"),
+        ({"shift_px": [1.0]}, "films.shift_px"),
+    ],
+)
+def test_rig_files_with_wrong_films(change: dict[str, Any], words: str) -> None:
+    rig = replace(built_rig(1, scale=0.05), films=Films((0,), (0.01,), ((1.0, 1.0, 1.0),)))
+    document: Any = rig_to_json(rig)
+    assert rig_from_json(document).films == rig.films
+    document["films"] |= change
+    with pytest.raises(BadInput, match=words):
+        rig_from_json(document)
+
+
+@pytest.mark.slow
+def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, Films], tmp_path: Path) -> None:
+    folder, films = bench
+    capture = _dark(folder / "card")
+    measured, facts = aligned(replace(capture, rig=replace(capture.rig, films=films)))
+    assert facts == {"films": "measured"}
+
+    def apart(of: Capture) -> float:
+        names = ("red", "green", "blue")
+        p, c = (linear_channels(of.bands[name], of.encoding, names) for name in ("white", "white_crossed"))
+        inner = np.s_[..., 20:-20, 20:-20]
+        return float(np.abs(c - p)[inner].mean() / p[inner].mean())
+
+    assert apart(capture) > 0.05
+    assert apart(measured) < 0.01
+    # light that no film has dimmed
+    white = linear_channels(without_films(measured).bands["white"], capture.encoding, ("grey",))
+    alone = linear_channels(measured.bands["white"], capture.encoding, ("grey",))
+    assert abs(float(white.mean() / alone.mean()) - 1.0) < 0.002
+    write_capture(capture, tmp_path / "c")
+    write_rig(replace(capture.rig, films=replace(films, leds=(*films.leds[1:], 12))), tmp_path / "c" / "rig.json")
+    with pytest.raises(BadInput, match="LED 0 lights a polarised image"):
+        aligned(_dark(tmp_path / "c"))
+
+
+@pytest.mark.slow
+def test_films_that_nobody_has_measured(bench: tuple[Path, Films]) -> None:
+    capture = _dark(bench[0] / "card")
+    same, facts = aligned(capture)
+    assert same is capture and facts == {"films": "taken as ideal"}
+    assert (contrast(capture, capture.bands["white"]) == 1.0).all()
+    alone = replace(capture, bands={"white": capture.bands["white"]})
+    assert aligned(alone) == (alone, {})
+
+
+def test_light_that_clips_behind_a_darker_film() -> None:
+    pixels = np.full((3, 4, 4, 3), 200, dtype=np.uint8)
+    full = pixels.copy()
+    full[0] = 255
+    parts = {"leds": ((0,), (1,), (2,)), "exposure": np.ones(3), "black_level": np.zeros(3)}
+    for crossed, clips in ((pixels, False), (full, True)):
+        behind = Band("white_crossed", crossed, transmission=np.full((3, 3), 0.75), **parts)
+        light = linear_channels(Band("white", pixels, crossed=behind, **parts), "linear", ("red",))[0, 0]
+        assert (light >= 0.985).all() == clips
+
+
+@pytest.mark.slow
+def test_contrast_is_that_of_the_highlights(bench: tuple[Path, Films]) -> None:
+    folder, films = bench
+    capture = _dark(folder / "ball")
+    capture = aligned(replace(capture, rig=replace(capture.rig, films=films)))[0]
+    p, c = (linear_channels(capture.bands[name], capture.encoding, ("grey",))[0] for name in ("white", "white_crossed"))
+    for k, expected in enumerate(contrast(capture, capture.bands["white"])):
+        row, column = np.unravel_index(int(p[k].argmax()), p[k].shape)
+        spot = np.s_[row - 8 : row + 9, column - 8 : column + 9]
+        a, b = float(p[k][spot].sum()), float(c[k][spot].sum())
+        assert (a - b) / (a + b) == pytest.approx(expected, abs=0.01)

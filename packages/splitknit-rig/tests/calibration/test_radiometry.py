@@ -1,0 +1,289 @@
+"""A capture of a white card calibrates a rig; a later one is compared with it; what cannot be used is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.io.provenance import canonical_json
+from splitknit.io.rig import rig_from_json, rig_to_json
+from splitknit.model import Rig
+from splitknit_rig.calibration.card_model import CardPlane, card_light
+from splitknit_rig.calibration.radiometry import (
+    PROVENANCE,
+    RadiometrySettings,
+    _median_blocks,
+    card_images,
+    check_card,
+    fit_radiometry,
+    led_name,
+)
+from splitknit_rig.rig.films import with_side_lights
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.rigs import built_rig
+from white_cards import as_placed, photograph, scene_of
+
+EXPOSURES = (6.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return built_rig(5, scale=0.1)
+
+
+@pytest.fixture(scope="module")
+def capture(rig):
+    return photograph(rig, as_placed(rig), exposures=EXPOSURES)
+
+
+@pytest.fixture(scope="module")
+def found(rig, capture):
+    return fit_radiometry(capture, as_placed(rig))
+
+
+def worst(rig, calibrated, height_mm=0.0):
+    """Largest error of the flat field on a card, one factor a band free."""
+    scene = scene_of(rig, 0.0, height_mm=height_mm)
+    rows, columns = np.mgrid[0 : rig.camera.image_size[0] : 9, 0 : rig.camera.image_size[1] : 9]
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(float)
+    errors = []
+    for k, led in enumerate(calibrated.leds):
+        truth = scene.light((k,))[::9, ::9, 0].ravel()
+        errors.append(card_light(calibrated.camera, led, pixels, CardPlane(height_mm)) / truth)
+    ratio = np.stack(errors)
+    halves = [ratio[:7] / np.median(ratio[:7]), ratio[7:] / np.median(ratio[7:])]
+    return max(float(np.abs(half - 1).max()) for half in halves)
+
+
+def test_a_card_calibrates_side_lights(rig):
+    """18 deg above the card: brightness, beam and aim of 21 LEDs, and one that moved by 3 mm is named."""
+    whole = with_side_lights(rig, 7)
+    calibrated = fit_radiometry(photograph(whole, as_placed(whole)), as_placed(whole))
+    ratio = np.array([led.intensity for led in calibrated.rig.leds]) / [led.intensity for led in whole.leds]
+    assert np.abs(ratio / np.median(ratio) - 1).max() < 0.02
+    pixels = np.array([[60.0, 60.0], [160.0, 110.0], [260.0, 160.0]])
+    for k in range(14, 21):
+        truth = card_light(whole.camera, whole.leds[k], pixels)
+        found = card_light(calibrated.rig.camera, calibrated.rig.leds[k], pixels) / ratio[k]
+        assert np.abs(found / truth / np.median(found / truth) - 1).max() < 0.02
+    x, y, z = whole.leds[16].position_mm
+    shifted = (*whole.leds[:16], replace(whole.leds[16], position_mm=(x, y, z + 3.0)), *whole.leds[17:])
+    later = check_card(photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig)
+    assert later["warnings"] == ["LED white 9 is 7 % brighter than at the calibration."]
+
+
+def test_flat_field_within_one_per_cent(rig, found):
+    """Photographs with noise and room light; on the finger plane and at a finger's height."""
+    assert worst(rig, found.rig) < 0.003
+    assert worst(rig, found.rig, 10.0) < 0.004
+
+
+def test_leds_a_millimetre_off(rig):
+    placed = as_placed(rig, 1.0, seed=3)
+    moved = fit_radiometry(photograph(rig, placed, exposures=EXPOSURES), placed)
+    assert worst(rig, moved.rig) < 0.005
+    assert worst(rig, moved.rig, 10.0) < 0.01
+
+
+def test_srgb_files_with_eight_bits(rig):
+    """The room's light is taken off in linear light, not in the values."""
+    placed = as_placed(rig)
+    capture = photograph(rig, placed, exposures=EXPOSURES, sensor=SensorSettings(encoding="srgb"))
+    assert worst(rig, fit_radiometry(capture, placed).rig) < 0.004
+
+
+def test_a_card_on_a_tilted_base(rig):
+    """Known, the tilt does no harm; unknown, it goes into the LEDs' brightness."""
+    tilt = (0.6, -0.5)
+    capture = photograph(
+        rig, as_placed(rig), scene=lambda own: scene_of(own, height_mm=1.5, tilt_deg=tilt), exposures=EXPOSURES
+    )
+    known = fit_radiometry(capture, as_placed(rig), CardPlane(1.5, tilt))
+    assert worst(rig, known.rig) < 0.003
+    unknown = fit_radiometry(capture, as_placed(rig), CardPlane(1.5))
+    assert 0.004 < worst(rig, unknown.rig) < 0.015
+
+
+def test_what_is_written_down(rig, found):
+    facts = found.rig.provenance[PROVENANCE]
+    assert facts is found.facts
+    assert [led["name"] for led in facts["leds"]] == [f"{b} {k}" for b in ("white", "nir") for k in range(7)]
+    assert all(led["verdict"] == "good" and led["rms_percent"] < 0.4 for led in facts["leds"])
+    assert facts["ambient_percent"]["white"] == pytest.approx(0.2, abs=0.05)
+    assert facts["card"]["exposures_given"] is True
+    assert facts["lens"]["corner"] == pytest.approx(1 + sum(rig.camera.shading), abs=0.01)
+    tried = [one["rms_percent"] for one in facts["model"]["tried"]]
+    assert tried[0] > 3
+    assert tried[-1] < 0.4
+    again = rig_from_json(rig_to_json(found.rig))
+    assert canonical_json(again.provenance) == canonical_json(found.rig.provenance)
+    assert again.leds == found.rig.leds
+    assert found.warnings == ()
+
+
+def test_same_card_same_rig(rig, capture, found):
+    """Whatever fall-off the capture's own rig file claims."""
+    bands = {name: replace(band, shading=(-0.3, 0.1)) for name, band in capture.bands.items()}
+    again = fit_radiometry(replace(capture, bands=bands), as_placed(rig))
+    assert canonical_json(rig_to_json(again.rig)) == canonical_json(rig_to_json(found.rig))
+
+
+def test_room_light(rig):
+    placed = as_placed(rig)
+    bright = photograph(rig, placed, scene=lambda own: scene_of(own, 0.08), exposures=EXPOSURES)
+    lit = fit_radiometry(bright, placed)
+    assert any("light from elsewhere is 8" in warning for warning in lit.warnings)
+    assert worst(rig, lit.rig) < 0.004
+    bands = {name: replace(band, ambient=None) for name, band in bright.bands.items()}
+    without = fit_radiometry(replace(bright, bands=bands), placed, settings=RadiometrySettings(limit_percent=5))
+    assert any("there is no ambient image of the band white" in warning for warning in without.warnings)
+    assert worst(rig, without.rig) > 0.005
+
+
+def test_black_level_of_the_dark_frame_serves_where_none_is_given(rig, capture):
+    placed = as_placed(rig)
+    raised = {
+        name: replace(band, pixels=(band.pixels + np.uint16(3000)).clip(max=65535), ambient=None)
+        for name, band in capture.bands.items()
+    }
+    lifted = replace(capture, bands=raised)
+    assert worst(rig, fit_radiometry(lifted, placed, black_level=3000.0).rig) < 0.004
+    ignored = fit_radiometry(lifted, placed, settings=RadiometrySettings(limit_percent=5))
+    assert worst(rig, ignored.rig) > 0.01
+
+
+def test_a_later_card_as_calibrated(rig, found):
+    later = photograph(rig, as_placed(rig), seed=9, exposures=EXPOSURES)
+    check = check_card(later, found.rig)
+    assert check["warnings"] == [] and check["verdict"] == "as calibrated"
+    assert max(abs(led["ratio"] - 1) for led in check["leds"]) < 0.003
+
+
+def test_an_led_that_drifted_is_named(rig, found):
+    later = photograph(rig, as_placed(rig), seed=9, gains={3: 0.88, 12: 1.05}, exposures=EXPOSURES)
+    check = check_card(later, found.rig)
+    assert check["warnings"] == [
+        "LED white 3 is 12 % darker than at the calibration.",
+        "LED nir 5 is 5 % brighter than at the calibration.",
+    ]
+    assert check["leds"][3]["own_ratio"] == pytest.approx(0.88, abs=0.004)
+    assert check["verdict"] == "drifted"
+
+
+def test_all_leds_together_are_no_single_one(rig, found):
+    gains = dict.fromkeys(range(7), 0.9)
+    later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
+    check = check_card(later, found.rig)
+    assert len(check["warnings"]) == 1
+    assert check["warnings"][0].startswith("all white LEDs together are 10 % darker than at the calibration")
+    assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
+
+
+def test_another_exposure_is_no_drift(rig, found):
+    later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
+    assert check_card(later, found.rig)["warnings"] == []
+    unknown = {name: replace(band, exposure=np.ones(7), ambient_exposure=1.0) for name, band in later.bands.items()}
+    check = check_card(replace(later, bands=unknown), found.rig)
+    assert check["warnings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
+
+
+def test_an_led_that_turned_is_named(rig, found):
+    leds = list(rig.leds)
+    x, y, z = leds[8].axis + np.array([0.12, 0.0, 0.0])
+    leds[8] = replace(leds[8], aim=(float(x), float(y), float(z)))
+    later = photograph(Rig(rig.camera, tuple(leds)), as_placed(rig), exposures=EXPOSURES)
+    sentences = check_card(later, found.rig)["warnings"]
+    assert any(sentence.startswith("LED nir 1 lights the card otherwise") for sentence in sentences)
+
+
+def test_a_rig_without_calibration_cannot_be_checked(rig, capture):
+    with pytest.raises(BadInput, match="no radiometric calibration to check against; make one"):
+        check_card(capture, as_placed(rig))
+
+
+def test_each_led_once(rig, capture):
+    placed = as_placed(rig)
+    white = capture.bands["white"]
+    short = replace(white, pixels=white.pixels[:6], leds=white.leds[:6], exposure=white.exposure[:6])
+    short = replace(short, black_level=white.black_level[:6])
+    with pytest.raises(BadInput, match=r"13 images for the rig's 14 LEDs: LED 6 \(white 6\) is missing"):
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": short}), placed)
+    with pytest.raises(BadInput, match=r"LED 7 \(nir 0\), 8 \(nir 1\), .* are missing"):
+        fit_radiometry(replace(capture, bands={"white": white}), placed)
+    twice = replace(white, leds=(*white.leds[:6], (0,)))
+    with pytest.raises(BadInput, match=r"LED 0 \(white 0\) lights two images"):
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": twice}), placed)
+    together = replace(white, leds=(*white.leds[:6], (5, 6)))
+    with pytest.raises(BadInput, match="is lit by 2 LEDs"):
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": together}), placed)
+
+
+def test_images_that_are_black_or_clipped(rig, capture):
+    placed = as_placed(rig)
+
+    def with_image(k, change):
+        white = capture.bands["white"]
+        pixels = white.pixels.copy()
+        pixels[k] = change(pixels[k])
+        names = tuple(f"white_{j}.png" for j in range(7))
+        return replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels, files=names)})
+
+    with pytest.raises(BadInput, match=r"white_3.png is black \(.*\): LED 3 \(white 3\) did not light"):
+        fit_radiometry(with_image(3, lambda image: image // 200), placed)
+    with pytest.raises(BadInput, match=r"white_2.png is clipped: .* at full scale .*; take the card with a shorter"):
+        fit_radiometry(with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")), placed)
+
+
+def test_cards_that_do_not_serve(rig, capture, monkeypatch):
+    placed = as_placed(rig)
+    shadowed = capture.bands["white"].pixels.copy()
+    shadowed[4, :, 100:160] = shadowed[4, :, 100:160] // 10 * 9
+    bands = {**capture.bands, "white": replace(capture.bands["white"], pixels=shadowed)}
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(BadInput, match=r"LED 4 \(white 4\) lights the card otherwise .*rms is \d"),
+    ):
+        patch.setattr("splitknit_rig.calibration.flat_field.DUST_PERCENT", 50.0)
+        fit_radiometry(replace(capture, bands=bands), placed)
+    with pytest.raises(BadInput, match="lights the card otherwise"):
+        fit_radiometry(capture, placed, settings=RadiometrySettings(limit_percent=0.02))
+
+
+def test_rigs_that_do_not_fit(rig, capture):
+    placed = as_placed(rig)
+    with pytest.raises(BadInput, match="220 x 320 pixels, but the rig's camera has 110 x 160"):
+        fit_radiometry(capture, as_placed(built_rig(5, scale=0.05)))
+    with pytest.raises(BadInput, match="a rig of 14 LEDs, but the rig to calibrate has 7"):
+        fit_radiometry(capture, Rig(placed.camera, placed.leds[:7]))
+    distant = replace(placed.leds[0], position_mm=None, direction=(0.0, 0.0, 1.0))
+    with pytest.raises(BadInput, match="LED 0 of the rig has a direction, but no position_mm; calibrate the lights"):
+        fit_radiometry(capture, Rig(placed.camera, (distant, *placed.leds[1:])))
+
+
+def test_names_and_cells(rig, capture):
+    assert led_name(rig.leds, 0) == "white 0" and led_name(rig.leds, 13) == "nir 6"
+    images = card_images(capture, as_placed(rig))
+    assert images.light.shape == (14, images.shape[0] * images.shape[1]) and images.shape[1] == 40
+    stack = np.zeros((1, 6, 9), dtype=np.float32)
+    stack[0, 1, 1] = 100.0  # a speck
+    stack[0, 3:, 3:6] = 2.0
+    assert _median_blocks(stack, 3)[0].tolist() == [[0, 0, 0], [0, 2, 0]]
+    rows, columns = rig.camera.image_size
+    assert images.pixels.mean(axis=0) == pytest.approx([(columns - 1) / 2, (rows - 1) / 2], abs=12)
+
+
+def test_a_mottled_card_is_not_laid_to_an_led(rig, capture):
+    rows, columns = rig.camera.image_size
+    spots = (
+        1
+        + 0.017 * np.sign(np.sin(np.arange(rows) / 6))[:, None, None] * np.sign(np.sin(np.arange(columns) / 7))[:, None]
+    )
+    bands = {
+        name: replace(band, pixels=np.round(band.pixels * spots).astype(np.uint16))
+        for name, band in capture.bands.items()
+    }
+    with pytest.raises(BadInput, match=r"the card is not uniform: it differs by 1\.\d % from place to place"):
+        fit_radiometry(replace(capture, bands=bands), as_placed(rig))

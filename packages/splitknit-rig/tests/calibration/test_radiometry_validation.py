@@ -1,0 +1,53 @@
+"""The script behind the figures of docs/experiments/calibration.md: it runs, and its goal is met on a small rig."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[4] / "validation" / "calibration"
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    names = {file.stem for file in SCRIPTS.glob("*.py")}
+    for name in names & set(sys.modules):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    yield importlib.import_module("radiometry")
+    for name in names & set(sys.modules):
+        del sys.modules[name]
+
+
+def test_the_goal_is_met(script: ModuleType) -> None:
+    """Flat-fielded intensities within 1 %, on the plane and above it, where division by the card is not."""
+    cases = importlib.import_module("radiometry_cards").CASES
+    case = next(one for one in cases if one.name == "LEDs 1 mm off")
+    found, error, residual = script.measure(101, 0.06, case)
+    assert error["worst"] < 0.6 and error["mean"] < 0.15
+    assert residual < 0.5
+    assert len(found.rig.leds) == 14
+    rows = {(row["height_mm"], row["way"]): row for row in script.heights([101], 0.06)}
+    assert rows[10.0, "model"]["worst_percent"]["mean"] < 1.0
+    assert (
+        rows[10.0, "division by the card"]["lights_percent"]["mean"] > 4 * rows[10.0, "model"]["lights_percent"]["mean"]
+    )
+    assert rows[0.0, "no flat field"]["lights_percent"]["mean"] > 5
+
+
+def test_stored_figures_meet_the_goal(script: ModuleType, tmp_path: Path) -> None:
+    """The tables that the page links hold what the script measured."""
+    stored = json.loads((SCRIPTS / "radiometry.json").read_text())
+    rows = {row["case"]: row for row in stored["plane"]}
+    for name in ("places exact", "LEDs 0.5 mm off", "LEDs 1 mm off"):
+        assert rows[name]["refused"] == []
+        assert rows[name]["worst_percent"]["largest"] < 1.0
+    script.write_tables(stored, tmp_path)
+    for table in ("radiometry.csv", "radiometry_heights.csv"):
+        assert (tmp_path / table).read_text() == (SCRIPTS / "tables" / table).read_text(), f"{table} is old"

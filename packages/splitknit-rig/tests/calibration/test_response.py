@@ -1,0 +1,101 @@
+"""Linear, sRGB or neither: exposures tell, noise or none, and what they cannot tell is refused with the reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit_rig.calibration.sensor import fit_response
+from splitknit_simulator.camera.sensor import SensorSettings, record
+
+TIMES = np.array([1.0, 2.0, 4.0, 8.0])
+LIGHT = np.random.default_rng(0).uniform(0.01, 0.12, 400)
+TRUE = TIMES[:, None] * LIGHT
+
+
+def srgb(light):
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+
+
+def noisy(values, sigma=0.0015, seed=1):
+    return values + sigma * np.random.default_rng(seed).standard_normal(values.shape)
+
+
+@pytest.mark.parametrize("black", [0.0, 0.06])
+def test_a_linear_camera(black):
+    found = fit_response(noisy(black + (0.95 - black) * TRUE), TIMES)
+    assert found.encoding == "linear"
+    assert found.linear_percent < 0.4
+    assert found.srgb_percent > 5
+    assert found.black_level == pytest.approx(black, abs=0.004)
+    assert found.residual_percent == pytest.approx(0.13, abs=0.04)
+
+
+def test_an_srgb_camera():
+    found = fit_response(noisy(srgb(0.95 * TRUE)), TIMES)
+    assert found.encoding == "srgb"
+    assert found.srgb_percent < 0.3
+    assert found.linear_percent > 10
+    values, light = found.curve
+    expected = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    scaled = (expected - expected[0]) / (expected[-1] - expected[0]) * (values[-1] - values[0]) + values[0]
+    assert np.abs(light - scaled).max() < 0.01
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.01, 0.02, 0.04])
+def test_the_departure_is_measured(bend):
+    """v = L + b 4 L (1 - L), as a well that fills: a parabola departs from its best line by a third to two thirds."""
+    found = fit_response(noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, limit_percent=5)
+    assert found.linear_percent == pytest.approx(100 * bend * 0.6, abs=0.15 + 20 * bend)
+    if bend:
+        assert found.linear_percent > 100 * bend * 0.35
+
+
+def test_a_curve_of_its_own_is_refused():
+    bent = TRUE + 0.03 * np.sin(2 * np.pi * TRUE)
+    with pytest.raises(BadInput, match=r"neither linear \(it departs by 2\.\d .* nor sRGB .*; switch off the camera's"):
+        fit_response(noisy(bent), TIMES)
+
+
+def test_a_scene_that_moved_is_refused():
+    moved = TRUE * (1 + 0.05 * np.random.default_rng(2).standard_normal(TRUE.shape))
+    with pytest.raises(BadInput, match=r"contradicts itself by 1\.. % of full scale: the scene moved"):
+        fit_response(moved, TIMES)
+
+
+def test_automatic_exposure_is_refused():
+    with pytest.raises(BadInput, match="automatic exposure or gain is on; lock it"):
+        fit_response(noisy(4 * TRUE / TIMES[:, None] ** 0.95), TIMES)
+
+
+def test_series_that_tell_nothing_are_refused():
+    with pytest.raises(BadInput, match="3 different exposures, but at least 4"):
+        fit_response(TRUE, [1.0, 2.0, 4.0, 4.0])
+    with pytest.raises(BadInput, match=r"ratio of 1\.6"):
+        fit_response(TRUE, [5.0, 6.0, 7.0, 8.0])
+    with pytest.raises(BadInput, match="covers 9 % of full scale"):
+        fit_response(0.1 * TRUE, TIMES)
+    with pytest.raises(BadInput, match="0 places that are unclipped"):
+        fit_response(np.ones_like(TRUE), TIMES)
+
+
+def test_clipped_values_are_left_out():
+    clipped = np.minimum(noisy(1.3 * TRUE), 1.0)
+    found = fit_response(clipped, TIMES)
+    assert found.encoding == "linear"
+    assert found.span[1] < 0.98
+
+
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+def test_the_twins_sensor_is_what_it_says(encoding):
+    """8-bit files with the sensor's noise, patches of 8 x 8 pixels."""
+    sensor = SensorSettings(encoding=encoding)
+    light = np.kron(LIGHT.reshape(20, 20), np.ones((8, 8))).astype(np.float32)
+    rows = []
+    for k, time in enumerate(TIMES):
+        shot = record(np.repeat(time * light[..., None], 3, axis=2), "white", np.random.SeedSequence([k]), sensor)
+        rows.append(shot[..., 1].reshape(20, 8, 20, 8).mean(axis=(1, 3)).ravel() / 255)
+    found = fit_response(np.stack(rows), TIMES)
+    assert found.encoding == encoding
+    assert min(found.linear_percent, found.srgb_percent) < 0.5

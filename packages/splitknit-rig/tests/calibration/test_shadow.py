@@ -1,0 +1,112 @@
+"""Tips in photographs: against the places that the twin knows, with texture, dots and noise; and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.model import default_rig
+from splitknit_rig.calibration.shadow import _hull_distance, _Shape, find_nail
+from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.solids import NailScene
+from splitknit_simulator.rigs import built_rig
+
+SCALE = 0.15
+NAMES = [f"white_{k}.png" for k in range(7)]
+PITCH_MM = 1 / (75.7 * SCALE)
+
+
+def photographs(scene, seed=0):
+    exposure = well_exposed(scene, [[k] for k in range(7)])
+    images = [photograph_bench(scene, [k], 100 * seed + k, exposure=exposure) for k in range(7)]
+    return np.stack([image.mean(axis=2) for image in images]).astype(np.float32) / 255
+
+
+@pytest.fixture(scope="module")
+def shot():
+    rig = built_rig(4, scale=SCALE)
+    scene = NailScene(
+        camera=rig.camera, leds=rig.leds, position_mm=(5, -3), tilt_deg=tuple(rig.provenance["base_tilt_deg"])
+    )
+    return scene, photographs(scene)
+
+
+def off_mm(view, scene):
+    return (
+        np.linalg.norm(view.tips_px - scene.shadow_tips_px()[:7], axis=1) * PITCH_MM,
+        float(np.linalg.norm(view.nail_px - scene.tip_px())) * PITCH_MM,
+    )
+
+
+def test_tips_of_a_built_rig(shot):
+    """Full-scale pixels are 0.013 mm: the tips are found within two of them in the mean at a seventh of the scale."""
+    scene, stack = shot
+    tips, nail = off_mm(find_nail(stack, scene.camera.px_per_mm, NAMES), scene)
+    assert tips.mean() < 0.015 and tips.max() < 0.04
+    assert nail < 0.02
+
+
+def test_texture_and_dots_on_the_ground(shot):
+    """What lies on the ground is there under every LED: grain, and the black dots of the calibration disc."""
+    scene, stack = shot
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0.7, 1.0, stack.shape[1:]).astype(np.float32)
+    ground[40:52, 60:72] = 0.05
+    ground[250:262, 400:412] = 0.05
+    tips, nail = off_mm(find_nail(stack * ground, scene.camera.px_per_mm, NAMES), scene)
+    assert tips.mean() < 0.03
+    assert nail < 0.1
+
+
+def test_an_orthographic_camera_and_another_nail():
+    rig = default_rig(SCALE)
+    scene = NailScene(
+        camera=rig.camera, leds=rig.leds, position_mm=(-4, 3), nail_mm=18.0, base_radius_mm=2.0, tip_radius_mm=0.3
+    )
+    tips, nail = off_mm(find_nail(photographs(scene), rig.camera.px_per_mm, NAMES), scene)
+    assert tips.mean() < 0.03 and nail < 0.02
+
+
+def test_a_shadow_that_leaves_the_picture():
+    rig = default_rig(SCALE)
+    scene = NailScene(camera=rig.camera, leds=rig.leds, position_mm=(-17, 0))
+    view = find_nail(photographs(scene), rig.camera.px_per_mm, NAMES)
+    true = scene.shadow_tips_px()[:7, 0]
+    assert np.array_equal(np.isnan(view.tips_px[:, 0]), true < 3)
+    assert np.isnan(view.tips_px[0]).all()
+
+
+def test_an_image_without_shadow_is_named(shot):
+    scene, stack = shot
+    flat = stack.copy()
+    flat[3] = stack.max(axis=0)
+    with pytest.raises(BadInput, match=r"white_3.png shows no shadow"):
+        find_nail(flat, scene.camera.px_per_mm, NAMES)
+
+
+def test_no_nail():
+    rng = np.random.default_rng(0)
+    card = np.clip(rng.normal(0.6, 0.01, (7, 120, 160)), 0, 1).astype(np.float32)
+    with pytest.raises(BadInput, match="no nail"):
+        find_nail(card, 8.0, NAMES)
+    with pytest.raises(BadInput, match="black"):
+        find_nail(np.zeros((7, 120, 160), np.float32), 8.0, NAMES)
+
+
+def test_distance_to_the_hull_of_two_circles():
+    """Against the distance to the nearest of many circles between the two."""
+    rng = np.random.default_rng(1)
+    places, other = rng.uniform(-4, 12, (500, 2)), np.array([6.0, 5.0])
+    t = np.linspace(0, 1, 4001)
+    middles, radii = t[:, None] * other, 2.5 + t * (0.4 - 2.5)
+    slow = (np.linalg.norm(places[:, None] - middles, axis=2) - radii).min(axis=1)
+    fast = _hull_distance(places, other, 2.5, 0.4)
+    assert fast[slow > 0] == pytest.approx(slow[slow > 0], abs=1e-3)
+    assert np.all(fast[slow < -0.01] < 0)
+
+
+def test_darkness_of_a_shape():
+    shape = _Shape(np.array([60.0, 20.0]), 2.0, 3.0, np.array([20.0, 20.0]), 10.0, 0.9)
+    dark = shape.darkness(np.array([[30.0, 20.0], [20.0, 40.0], [70.0, 20.0]]))
+    assert dark == pytest.approx([0.9, 0.0, 0.0], abs=1e-6)

@@ -1,0 +1,125 @@
+"""Balls shaded and mirrored by hand, and those of the twin's bench."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.model import Rig, default_rig, nominal_rig
+from splitknit_rig.calibration.lights_job import _Lying
+from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit_rig.capture.pins import led_names
+from splitknit_rig.rig.films import with_side_lights
+from splitknit_simulator.calibration_set.solids import SphereScene
+
+BALL = Ball(81.3, 58.6, 41.5)
+SIZE = (120, 160)
+
+
+def lights(count=6):
+    angles = 2 * np.pi * np.arange(count) / count
+    return np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(count, np.sqrt(1 - 0.16))])
+
+
+def errors_deg(found, truth):
+    return np.degrees(np.linalg.norm(found - truth / np.linalg.norm(truth, axis=1, keepdims=True), axis=1))
+
+
+def shaded(directions, strengths):
+    normals = np.nan_to_num(BALL.normals(SIZE))
+    light = np.einsum("hwc,lc->lhw", normals, directions) * np.asarray(strengths)[:, None, None]
+    return np.clip(light, 0, 1).astype(np.float32)
+
+
+def test_shading_gives_direction_and_strength():
+    strengths = np.linspace(0.4, 0.8, 6)
+    found, strong = grey_directions(shaded(lights(), strengths), BALL)
+    assert errors_deg(found, lights()).max() < 1e-3
+    assert strong == pytest.approx(strengths, rel=1e-4)
+
+
+def test_gloss_clipping_and_noise():
+    stack = shaded(lights(), np.full(6, 1.15))
+    stack += np.random.default_rng(0).normal(0, 0.01, stack.shape).astype(np.float32)
+    stack[:, 40:46, 80:86] = 1.0
+    found, _ = grey_directions(np.clip(stack, 0, 1), BALL)
+    assert errors_deg(found, lights()).max() < 0.3
+
+
+def test_highlights_give_directions():
+    """The highlight lies where the normal halves the angle to the view."""
+    stack = np.zeros((6, *SIZE), np.float32)
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    for k, light in enumerate(lights()):
+        half = light + np.array([0, 0, 1])
+        half /= np.linalg.norm(half)
+        column, row = BALL.column + half[0] * BALL.radius_px, BALL.row - half[1] * BALL.radius_px
+        stack[k] = 0.02 + 0.9 * np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 8)
+    assert errors_deg(chrome_directions(stack, BALL), lights()).max() < 0.2
+    stack[2] = 0.02
+    with pytest.raises(BadInput, match="image 2: no highlight"):
+        chrome_directions(stack, BALL)
+
+
+def test_the_outline_of_a_mask_and_of_a_ball():
+    inside = np.isfinite(BALL.normals(SIZE)[..., 2])
+    for found in (ball_of_mask(inside), find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32))):
+        assert (found.column, found.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
+        assert found.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
+
+
+@pytest.mark.parametrize("chrome", [True, False])
+def test_balls_of_the_bench(chrome):
+    """The LEDs are near, so that a highlight's direction holds at the ball's surface, and shading is biased."""
+    rig = default_rig(0.15)
+    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=chrome)
+    stack = np.stack([scene.light([k]).mean(axis=2) for k in range(7)])
+    stack = (0.9 * stack / (np.percentile(stack, 99.9) if not chrome else stack.max())).astype(np.float32)
+    edge = scene.outline_px()
+    ball = Ball(*edge.mean(axis=0), float(np.ptp(edge[:, 0]) / 2))
+    found = chrome_directions(stack, ball) if chrome else grey_directions(stack, ball)[0]
+    place = scene.highlights_mm()[:7] if chrome else scene.middle_mm
+    truth = np.array([led.position_mm for led in rig.leds[:7]]) - place
+    assert errors_deg(found, truth).max() < (0.6 if chrome else 2.6)
+
+
+def test_bad_balls():
+    with pytest.raises(BadInput, match="empty"):
+        ball_of_mask(np.zeros(SIZE, bool))
+    bar = np.zeros(SIZE, bool)
+    bar[50:60] = True
+    with pytest.raises(BadInput, match="no disc"):
+        ball_of_mask(bar)
+    with pytest.raises(BadInput, match="`mask`"):
+        find_ball(np.repeat(bar[None].astype(np.float32), 2, axis=0))
+    with pytest.raises(BadInput, match="image 0"):
+        grey_directions(np.zeros((1, *SIZE), np.float32), BALL)
+    with pytest.raises(BadInput, match="outside"):
+        chrome_directions(np.ones((1, *SIZE), np.float32), Ball(1000.0, 1000.0, 5.0))
+
+
+@pytest.mark.parametrize("chrome", [True, False])
+@pytest.mark.parametrize("make", [default_rig, nominal_rig])
+def test_a_ball_finds_near_lights_and_those_at_the_side(make, chrome):
+    """Rings stand 21 deg, side lights 72 deg off the axis; taken as far away they are found 2 to 7 deg beside."""
+    rig = with_side_lights(make(0.2), 7)
+    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=chrome, radius_mm=5.0, position_mm=(3.0, -2.0))
+    stack = np.stack([scene.light([k])[..., 1] for k in range(0, 21, 2)])
+    stack = np.clip(stack / stack.max(axis=(1, 2), keepdims=True), 0, 0.97)
+    edge = scene.outline_px()
+    ball = Ball(*edge.mean(axis=0), np.ptp(edge[:, 0]) / 2)
+    leds = [rig.leds[k] for k in range(0, 21, 2)]
+    lying = _Lying.of(Rig(rig.camera, tuple(leds)), ball, led_names(Rig(rig.camera, tuple(leds))), lying=True)
+    assert lying.middle_mm == pytest.approx(scene.middle_mm, abs=0.02)
+    find = chrome_directions if chrome else lambda *words, **near: grey_directions(*words, **near)[0]
+    truth = np.array([led.position_mm for led in leds]) - scene.middle_mm
+    found = find(stack, ball, eye=lying.eye, away=lying.away)
+    assert errors_deg(found, truth).max() < 0.8
+    assert errors_deg(find(stack, ball), truth)[7:].max() > 1.5
+    for k in range(7, len(leds)):
+        assert lying.aside(k)
+        assert math.dist(lying.place(k, found[k], 140.0), leds[k].position_mm) < 1.2
+    assert lying.place(0, found[0], 140.0)[2] == pytest.approx(140.0)

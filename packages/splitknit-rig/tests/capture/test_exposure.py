@@ -1,0 +1,93 @@
+"""Exposure is found on the brightest LED, clipping handled, within what the camera can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.devices import ExposureRange, Frame
+from splitknit.errors import BadInput
+from splitknit_rig.capture.exposure import ExposureSettings, _level_of, _split, find_exposure, survey, typical_level
+from splitknit_rig.capture.shots import _clipped_fraction
+
+CAMERA = ExposureRange(1e-4, 0.2, 1.0, 8.0)
+SETTINGS = ExposureSettings()
+REGION = np.zeros((20, 20), dtype=bool)
+REGION[5:15, 5:15] = True
+
+
+class Bench:
+    """A grey patch that LED k lights with `light[k]` a second; counts what is looked at."""
+
+    def __init__(self, light, room=0.0):
+        self.light, self.room, self.looks = light, room, []
+
+    def __call__(self, led, exposure_s, gain):
+        self.looks.append((led, exposure_s, gain))
+        value = np.clip(255 * (self.light[led] + self.room) * exposure_s * gain, 0, 255)
+        pixels = np.zeros((20, 20, 3), dtype=np.uint8)
+        pixels[REGION] = np.rint(value * np.array([1.0, 0.8, 0.5]))
+        return Frame(pixels, exposure_s, gain)
+
+    def find(self, settings=SETTINGS):
+        seen = survey(self, list(self.light), CAMERA, settings)
+        dark = self.room * seen.exposure_s * seen.gain * 2.3 / 3
+        lit = {led: typical_level(frame, REGION) - dark for led, frame in seen.frames.items()}
+        return find_exposure(self, seen, REGION, CAMERA, settings).promising(seen, lit)
+
+
+@pytest.mark.parametrize("strength", [0.35, 2.0, 20.0, 200.0, 2000.0])
+def test_the_brightest_led_reaches_the_target_whatever_the_light(strength):
+    bench = Bench({4: strength, 5: 1.4 * strength, 6: 0.5 * strength})
+    found = bench.find()
+    assert found.brightest == 5
+    reached = 1.4 * strength * found.exposure_s * found.gain
+    if strength > 1.0:
+        assert reached == pytest.approx(0.7, rel=0.08)
+        assert found.level == pytest.approx(reached, abs=0.01)
+    else:  # all that the camera can
+        assert (found.exposure_s, found.gain) == (0.066, 8.0)
+    assert found.expected[4] == pytest.approx(found.expected[5] / 1.4, rel=0.1)
+    assert len(bench.looks) < 40
+
+
+def test_time_comes_before_gain():
+    assert _split(0.05, CAMERA, SETTINGS) == (0.05, 1.0)
+    assert _split(0.3, CAMERA, SETTINGS) == (0.066, pytest.approx(0.3 / 0.066))
+    assert _split(1e-9, CAMERA, SETTINGS) == (1e-4, 1.0)
+    assert _split(9.0, CAMERA, SETTINGS) == (0.066, 8.0)
+
+
+def test_what_is_always_clipped_or_dark_is_refused():
+    with pytest.raises(BadInput, match=r"overexposed even with the shortest.*lid"):
+        Bench({0: 5e4, 1: 5e4}).find()
+    with pytest.raises(BadInput, match="nothing is seen under any LED"):
+        Bench({0: 1e-3, 1: 1e-3}).find()
+    with pytest.raises(BadInput, match="too dark: with 66 ms at gain 8"):
+        Bench({0: 0.3, 1: 0.3}).find()
+
+
+def test_the_target_can_be_set_and_the_room_is_taken_off_expectations():
+    found = Bench({0: 10.0, 1: 9.0}, room=2.0).find(ExposureSettings(target=0.4))
+    assert found.level == pytest.approx(0.4, rel=0.07)
+    assert found.expected[0] == pytest.approx(10.0 * found.exposure_s * 2.3 / 3, rel=0.05)
+
+
+def test_levels_count_black_and_the_brightest_channel():
+    pixels = np.full((20, 20, 3), (30, 130, 80), dtype=np.uint8)
+    assert _level_of(Frame(pixels, 1.0, 1.0, black_level=30.0), REGION) == pytest.approx(100 / 225)
+
+
+def test_a_pixel_is_clipped_if_two_channels_are():
+    pixels = np.zeros((20, 20, 3), dtype=np.uint8)
+    pixels[5:10, 5:15, 0] = 255
+    assert _clipped_fraction(pixels, REGION) == 0.0
+    pixels[5:10, 5:15, 1] = 254
+    assert _clipped_fraction(pixels, REGION) == 0.5
+    assert _clipped_fraction(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])
+def test_settings_are_checked(wrong):
+    with pytest.raises(BadInput, match="exposure"):
+        ExposureSettings(**wrong)

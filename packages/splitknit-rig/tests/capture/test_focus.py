@@ -1,0 +1,75 @@
+"""Focus: peaks when sharp, whatever brightness and noise."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit_rig.capture.exposure import Focus, FocusWatch, grey_light, measure_focus
+
+PX = 40.0
+
+
+def skin(blur_px: float = 0.0, noise: float = 0.0, light: float = 0.5, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    x = np.arange(400) / PX
+    ridges = 1 + 0.02 * np.sin(2 * np.pi * x / 0.45)[None, :] * np.ones((400, 1))
+    texture = sum(size * cv2.GaussianBlur(rng.standard_normal((400, 400)), (0, 0), size) for size in (1.5, 3.0, 6.0))
+    image = (light * ridges * (1 + 0.02 * texture)).astype(np.float32)
+    if blur_px:
+        image = cv2.GaussianBlur(image, (0, 0), blur_px)
+    return image + rng.normal(0, noise, image.shape).astype(np.float32)
+
+
+EVERYWHERE = np.ones((400, 400), dtype=bool)
+
+
+def test_the_sharpest_picture_has_the_highest_value():
+    values = [measure_focus(skin(blur), EVERYWHERE, PX).sharpness for blur in (0.0, 0.7, 1.5, 3.0, 6.0)]
+    assert all(a > 1.1 * b for a, b in itertools.pairwise(values))
+
+
+@pytest.mark.parametrize("blur", [0.0, 1.5])
+def test_noise_and_brightness_change_little(blur):
+    quiet = measure_focus(skin(blur), EVERYWHERE, PX).sharpness
+    noisy = measure_focus(skin(blur, noise=0.003), EVERYWHERE, PX)
+    dim = measure_focus(skin(blur, light=0.1), EVERYWHERE, PX).sharpness
+    assert noisy.sharpness == pytest.approx(quiet, rel=0.12)
+    assert dim == pytest.approx(quiet, rel=0.02)
+    assert noisy.snr < 1e6
+
+
+def test_noise_alone_is_no_detail():
+    focus = measure_focus(skin(40.0, noise=0.01), EVERYWHERE, PX)
+    assert focus.snr < 0.1
+    assert focus.sharpness < 0.4 * measure_focus(skin(), EVERYWHERE, PX).sharpness
+
+
+def test_only_the_region_counts():
+    image = skin()
+    image[:, :200] = 0.5
+    region = EVERYWHERE.copy()
+    region[:, 190:] = False
+    assert measure_focus(image, region, PX).sharpness < 0.01
+    with pytest.raises(BadInput, match="empty"):
+        measure_focus(image, np.zeros_like(region), PX)
+
+
+def test_a_live_measurement_ends_when_it_has_stopped_rising():
+    watch = FocusWatch()
+    ended = [watch.add(Focus(value, 1.0)) for value in (1.0, 2.0, *(1.9, 2.03) * 4)]
+    assert ended == [False] * 9 + [True]
+    assert watch.best == 2.03
+    assert watch.measured == 10
+    rising = FocusWatch()
+    assert [rising.add(Focus(1.1**k, 1.0)) for k in range(400)] == [False] * 399 + [True]
+
+
+def test_grey_light_is_the_mean_above_black():
+    pixels = np.full((2, 3, 3), (10, 20, 30), dtype=np.uint8)
+    np.testing.assert_allclose(grey_light(pixels, 4.0), 16 / 255, rtol=1e-6)
+    np.testing.assert_allclose(grey_light(np.full((2, 2, 1), 65535, dtype=np.uint16)), 1.0)

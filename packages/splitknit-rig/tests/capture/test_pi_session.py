@@ -1,0 +1,154 @@
+"""The whole verb on a Raspberry Pi whose camera and pins are of our making, around a finger of the twin."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from types import SimpleNamespace
+
+import gpiozero
+import numpy as np
+import pytest
+from test_contract_pi import PINS, mock_pins
+from test_streams import SimulatedStream
+
+from fake_picamera2 import FakePicamera2, FakeRequest, World
+from splitknit.cli.main import main
+from splitknit.io.capture import read_capture
+from splitknit.io.enrolment import PlannedCapture
+from splitknit.io.rig import write_rig
+from splitknit.model import default_rig
+from splitknit_rig.capture import pi
+from splitknit_rig.capture.exposure import Focus, FocusWatch
+from splitknit_rig.cli import capture as capture_verb
+
+CAMERA = ("--set", "pi.image_size=[220, 320]")
+
+
+class SceneCamera(FakePicamera2):
+    """Sees the finger under whatever the pins light."""
+
+    scene = None
+
+    def capture_request(self):
+        request = super().capture_request()
+        request.__class__ = SceneRequest
+        return request
+
+
+class SceneRequest(FakeRequest):
+    def make_array(self, name):
+        pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
+        lit = [k for k, pin in enumerate(pins) if pin.function == "output" and pin.state]
+        fraction = self.shot.exposure_us * 1e-6 * self.shot.gain * 500
+        rng = np.random.default_rng(self.shot.at_ns)
+        light = 255 * fraction * self.camera.scene.light(lit)
+        return np.clip(np.rint(light + rng.normal(0, 0.7, light.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def rig_of_pi(monkeypatch, finger, tmp_path):
+    """A Raspberry Pi with a finger; returns the command's first words, and the world."""
+    world = World()
+    monkeypatch.setattr(SceneCamera, "world", world)
+    monkeypatch.setattr(SceneCamera, "scene", finger)
+    monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=SceneCamera))
+    monkeypatch.setattr(pi.time, "clock_gettime_ns", lambda clock: world.now_ns)
+    monkeypatch.setattr(pi.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
+    mock_pins()
+    write_rig(default_rig(0.1, 0), tmp_path / "rig.json")
+    yield ["capture", "--device", "pi", "--rig", str(tmp_path / "rig.json"), *CAMERA], world
+    pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
+    assert not any(pin.state for pin in pins if pin.function == "output")
+    gpiozero.Device.pin_factory.reset()
+    gpiozero.Device.pin_factory = None
+
+
+def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
+    words, world = rig_of_pi
+    before = world.now_ns
+    assert main([*words, "--out", str(tmp_path / "c"), "--subject", "S03", "--finger", "right_index", "--json"]) == 0
+    capture = read_capture(tmp_path / "c")
+    assert capture.subject == {"id": "S03", "session": 1, "finger": "right_index"}
+    assert capture.captured_at is not None
+    assert capture.truth is None
+    assert len(capture.bands["white"].pixels) == len(capture.bands["nir"].pixels) == 7
+    out, _ = capsys.readouterr()
+    assert '"device": "pi"' in out
+    assert (world.now_ns - before) * 1e-9 < 20
+    facts = json.loads(out)
+    assert facts["seconds"] < 7  # stale frames, late settings and settling LEDs included
+    assert facts["notes"] == [f"the imx219 camera was {pi.UNTESTED}"]
+    assert all(shot["discarded"] >= 1 for shot in facts["shots"])
+
+
+class SceneStream(SimulatedStream):
+    """A simulated camera of another maker before a finger."""
+
+    image_size = (220, 320)
+
+    def pixels_of(self, began, ended, exposure_s, gain):
+        pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
+        lit = [k for k, pin in enumerate(pins) if pin.function == "output" and pin.state]
+        rng = np.random.default_rng(began)
+        light = 255 * exposure_s * gain * 500 * SceneCamera.scene.light(lit)
+        return np.clip(np.rint(light + rng.normal(0, 0.7, light.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("camera", ["genicam", "uvc"])
+def test_a_session_with_a_camera_of_another_maker(rig_of_pi, tmp_path, capsys, monkeypatch, camera):
+    words, world = rig_of_pi
+    kind = {"genicam": "triggered", "uvc": "blind"}[camera]
+    stream = SceneStream(world, kind)
+    monkeypatch.setattr(pi, f"open_{camera}", lambda number: stream)
+    out = ["--out", str(tmp_path / "c"), "--set", f"pi.camera={camera}", "--json"]
+    assert main([*words[: -len(CAMERA)], *out]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["notes"] == [f"the {camera} camera was {pi.UNTESTED}"]
+    assert len(read_capture(tmp_path / "c").bands["nir"].pixels) == 7
+    least = {"triggered": 0, "blind": 5}[kind]
+    assert min(shot["discarded"] for shot in facts["shots"]) == least
+    assert stream.closed == 1
+
+
+def test_a_camera_of_another_size_than_the_rig_files(rig_of_pi, tmp_path, capsys):
+    words, _ = rig_of_pi
+    assert main([*words[:-2], "--set", "pi.image_size=[64, 96]", "--out", str(tmp_path / "c")]) == 2
+    assert "another camera: its images have 220 x 320" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()
+
+
+def test_an_enrolment_asks_for_every_finger(rig_of_pi, tmp_path, capsys, monkeypatch):
+    words, _ = rig_of_pi
+    answers = io.StringIO("\ns\nq\n")
+    answers.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdin", answers)
+    folder = tmp_path / "e"
+    plan = ["--subjects", "1", "--sessions", "1", "--fingers", "right_index,right_middle,left_thumb"]
+    assert main([*words, "--enrolment", str(folder), *plan]) == 0
+    out, err = capsys.readouterr()
+    assert "S01, session 1, right index: lay it down" in err
+    assert "Skipped: S01/session_1/right_middle" in out
+    assert "1 of 3 are finished" in out
+    assert [file.parent.name for file in folder.rglob("capture.json")] == ["right_index"]
+
+
+def test_the_terminal_says_why_a_finger_is_asked_for_again(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
+    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), "the finger moved") == "go"
+    err = capsys.readouterr().err
+    assert "Not yet: the finger moved" in err
+    assert "S01, session 2, left ring" in err
+    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), None) == "stop"  # nobody answers any more
+
+
+def test_the_focus_bar_shows_the_best_and_ends_at_enter(monkeypatch, capsys):
+    watch = FocusWatch()
+    watch.add(Focus(2.0, 5.0))
+    monkeypatch.setattr(capture_verb.sys.stdin, "isatty", lambda: False, raising=False)
+    bar = capture_verb._FocusBar()
+    assert not bar(Focus(1.0, 5.0), watch)
+    shown = capsys.readouterr().err
+    assert "1.00 %, best  2.00" in shown
+    assert shown.count("#") == 15

@@ -1,0 +1,258 @@
+"""A whole session on the twin: what it takes, what it notices, what it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from faulty_scene import Faults, FaultyScene
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack
+from splitknit.model import default_rig
+from splitknit_rig.capture.exposure import ExposureSettings
+from splitknit_rig.capture.session import SessionSettings, _check_fit, run_session
+from splitknit_rig.capture.shots import CheckSettings
+from splitknit_rig.rig.films import with_side_lights
+from splitknit_simulator.camera.device import TwinDeviceSettings
+from splitknit_simulator.twin import FingerScene
+from twin_bench import twin_devices
+
+# photographs of a session that measures focus once
+FOCUS, WHITE_AMBIENT, WHITE, NIR_AMBIENT, NIR = 0, 1, 2, 9, 10
+
+
+@pytest.fixture(scope="module")
+def done(finger):
+    """An undisturbed session, and its devices."""
+    camera, lights, clock = twin_devices(finger)
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig)
+        assert lights.lit == frozenset()
+    return session, clock
+
+
+def captured(finger, faulty, settings=None, **faults):
+    camera, lights, _ = faulty(**faults)
+    try:
+        return run_session(camera, lights, finger.rig, settings)
+    finally:
+        assert lights.lit == frozenset()
+        lights.close()
+
+
+def test_an_ambient_frame_and_every_led_of_both_bands(done, finger):
+    session, _ = done
+    assert session.verdict == ()
+    names = [shot.name for shot in session.shots]
+    assert names == (
+        ["white ambient", *(f"white {k}" for k in range(7)), "nir ambient", *(f"nir {k}" for k in range(7))]
+    )
+    assert session.frames_taken == 16
+    for band, first in (("white", 0), ("nir", 7)):
+        one = session.bands[band]
+        assert one.pixels.shape == (7, 220, 320, 3)
+        assert one.leds == tuple((first + k,) for k in range(7))
+        assert (one.exposure == one.exposure[0]).all()
+        assert one.exposure[0] == one.ambient_exposure == pytest.approx(session.exposures[band].exposure_s)
+        assert one.ambient[finger.surface.mask].mean() < 0.05 * one.pixels[:, finger.surface.mask].mean()
+    assert session.exposures["white"] != session.exposures["nir"]
+
+
+def test_the_brightest_image_reaches_the_target(done, finger):
+    session, _ = done
+    for band in ("white", "nir"):
+        pixels = session.bands[band].pixels[:, finger.surface.mask]
+        levels = np.percentile(pixels, 99.9, axis=1).max(axis=-1) / 255
+        brightest = session.exposures[band].brightest - (7 if band == "nir" else 0)
+        assert levels[brightest] == pytest.approx(0.7, abs=0.06)
+        assert levels.max() == pytest.approx(levels[brightest], abs=0.02)
+        assert (pixels < 255).mean() > 0.999
+
+
+def test_images_are_lit_by_the_led_that_is_named(done, finger):
+    """Each image, ambient taken off, is the twin's light of its LED."""
+    session, _ = done
+    for band, first in (("white", 0), ("nir", 7)):
+        stack = linear_stack(session.bands[band], "linear", "green")
+        for k in (0, 3, 6):
+            light = finger.light([first + k])[..., 1] - finger.light([])[..., 1]
+            fits = finger.surface.mask & (light < 0.5 * np.percentile(light, 99.9))
+            scale = TwinDeviceSettings().sensitivity_per_s
+            assert np.corrcoef(stack[k][fits], light[fits])[0, 1] > 0.99
+            assert np.median(stack[k][fits] / light[fits]) == pytest.approx(scale, rel=0.02)
+
+
+def test_fourteen_frames_in_seven_seconds_by_the_devices_clock(done):
+    session, clock = done
+    assert session.seconds < 4.0  # without what the Raspberry Pi's processor needs, see docs/experiments/performance.md
+    times = [shot.at_s for shot in session.shots]
+    assert (np.diff(times) > 0.09).all()
+    assert session.shots[0].discarded == 4  # the new exposure: three frames, and the one under way
+    assert session.shots[1].discarded == 1
+    assert clock.now_s < 12.0  # focus and exposure included
+
+
+def test_the_slowest_exposure_is_fast_enough_too(finger):
+    """The longest exposure that is chosen before the gain goes up."""
+    camera, lights, _ = twin_devices(finger, TwinDeviceSettings(sensitivity_per_s=40.0))
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig)
+    assert session.exposures["white"].exposure_s == pytest.approx(0.066, rel=0.01)
+    assert session.exposures["white"].gain > 1.8
+    assert session.seconds < 4.5
+    assert session.verdict == ()
+
+
+def test_a_finger_that_moves_and_stays_is_to_be_captured_again(finger, faulty):
+    session = captured(finger, faulty, moves_mm={WHITE + 4: (0.4, 0.3)})
+    assert session.verdict == ("the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again",)
+    moved = {shot.name: shot for shot in session.shots}
+    assert moved["white 4"].moved_mm == pytest.approx(0.5, abs=0.07)
+    assert moved["white 4"].retries == 2
+    assert moved["white 5"].moved_mm < 0.2
+    assert session.frames_taken == 18
+
+
+def test_shadows_of_side_lights_are_no_motion_and_motion_under_them_is_noticed(finger):
+    settings = finger.settings
+    side = FingerScene(3, "whorl", replace(settings, rig=with_side_lights(finger.rig, 7)))
+    for moves, words in (({}, ""), ({WHITE + 9: (0.4, 0.3)}, "the finger moved by 0.5 mm between")):  # seen in NIR
+        camera, lights, _ = twin_devices(FaultyScene(side, Faults(moves_mm=moves)))
+        with lights, camera:
+            session = run_session(camera, lights, side.rig)
+        assert [shot.name for shot in session.shots][7:10] == ["white 6", "white 7", "white 8"]
+        assert session.verdict == () if not moves else words in session.verdict[0], session.verdict
+
+
+def test_a_finger_that_moves_between_the_bands_is_noticed(finger, faulty):
+    session = captured(finger, faulty, moves_mm={NIR_AMBIENT: (-0.5, 0.0)})
+    assert session.verdict == ("the finger moved by 0.5 mm between white 6 and nir 0: hold still and capture again",)
+
+
+def test_a_twitch_that_goes_back_is_taken_again_and_forgiven(finger, faulty):
+    session = captured(finger, faulty, moves_mm={WHITE + 4: (0.0, 0.5), WHITE + 5: (0.0, -0.5)})
+    assert session.verdict == ()
+    assert [shot.retries for shot in session.shots if shot.name == "white 4"] == [1]
+    assert session.frames_taken == 17
+
+
+def test_a_slow_drift_is_noticed_though_no_two_neighbours_show_it(finger, faulty):
+    drift = {NIR + k: (0.11, 0.0) for k in range(1, 7)}
+    session = captured(finger, faulty, SessionSettings(checks=CheckSettings(moved_mm=0.3)), moves_mm=drift)
+    assert len(session.verdict) == 1
+    assert "drifted" in session.verdict[0]
+    assert "nir" in session.verdict[0]
+
+
+def test_a_finger_that_leaves_is_noticed(finger, faulty):
+    session = captured(finger, faulty, moves_mm={WHITE + 3: (30.0, 0.0)})
+    assert any("white 3" in words for words in session.verdict)
+
+
+def test_an_led_that_flickers_is_taken_again(finger, faulty):
+    session = captured(finger, faulty, flickers_at=frozenset({WHITE + 2}))
+    assert session.verdict == ()
+    assert [shot.retries for shot in session.shots if shot.name == "white 2"] == [1]
+
+
+def test_an_led_that_dies_is_named(finger, faulty):
+    session = captured(finger, faulty, dies_at={5: FOCUS + 1})
+    assert session.verdict == ("white 5 did not light: check its wiring and capture again",)
+
+
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        ({"dead": frozenset({3})}, r"^white 3 did not light; check its wiring"),
+        ({"dead": frozenset({8, 12})}, r"^nir 1 and nir 5 did not light; check their wiring"),
+        ({"dead": frozenset(range(14))}, "nothing is seen under any white LED"),
+        ({"room": 0.05}, "light although all LEDs are off .*close the lid"),
+    ],
+)
+def test_what_no_session_can_start_with(finger, faulty, faults, words):
+    with pytest.raises(BadInput, match=words):
+        captured(finger, faulty, **faults)
+
+
+def test_no_finger_is_no_capture(finger, faulty):
+    with pytest.raises(BadInput, match="no finger is seen"):
+        captured(finger, faulty, moves_mm={-1: (60.0, 0.0)})
+
+
+def test_light_that_comes_on_later_overexposes(finger, faulty):
+    camera, lights, _ = faulty()
+    camera._scene.faults = Faults()
+    scene = camera._scene
+
+    def begins(number):
+        scene.faults = Faults(room=0.3 if number == WHITE + 3 else 0.0)
+
+    scene.frame_begins = begins
+    session = run_session(camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0)))
+    assert any("white 3 is overexposed on " in words for words in session.verdict)
+
+
+@pytest.mark.slow
+def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
+    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
+    with lights, camera:
+        session = run_session(camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings()))
+    assert any("out of focus" in words for words in session.verdict)
+    camera, lights, _ = twin_devices(sharp_finger)
+    with lights, camera:
+        session = run_session(camera, lights, sharp_finger.rig)
+    assert session.verdict == ()
+    assert session.focus.snr > 1
+
+
+def test_focus_is_watched_until_somebody_says_stop(finger, faulty):
+    camera, lights, _ = faulty(blur_mm={0: 0.3, 1: 0.2, 2: 0.1, 3: 0.0})
+    seen = []
+
+    def watch(focus, watching):
+        seen.append(focus.sharpness)
+        return len(seen) == 5
+
+    run_session(camera, lights, finger.rig, watch_focus=watch)
+    assert len(seen) == 5
+    seen.clear()
+    camera, lights, _ = faulty()
+    run_session(camera, lights, finger.rig, watch_focus=lambda focus, watching: seen.append(1))  # never says stop
+    assert 5 < len(seen) < 20
+
+
+def test_leds_are_off_after_an_interrupt(finger, faulty):
+    camera, lights, _ = faulty()
+    camera.capture = lambda: (_ for _ in ()).throw(KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run_session(camera, lights, finger.rig)
+    assert lights.lit == frozenset()
+
+
+def test_a_target_needs_no_finger(faulty, finger):
+    session = captured(finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)})
+    assert session.verdict == ()
+    assert session.capture(finger.rig, material="opaque").material == "opaque"
+
+
+def test_a_rig_that_does_not_fit_is_refused(finger):
+    camera, lights, _ = twin_devices(finger)
+    rig = finger.rig
+    with pytest.raises(BadInput, match=r"another camera: its images have 440 x 640 .* 220 x 320"):
+        _check_fit(camera, lights, default_rig(0.2))
+    with pytest.raises(BadInput, match="13 LEDs, but 14 are connected"):
+        _check_fit(camera, lights, replace(rig, leds=rig.leds[1:]))
+    with pytest.raises(BadInput, match=r"2 white LEDs.*three"):
+        _check_fit(camera, lights, replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]))
+    with pytest.raises(BadInput, match="band 'uv'"):
+        _check_fit(camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv"))))
+    white = replace(rig, leds=tuple(replace(led, band="white") for led in rig.leds))
+    assert list(_check_fit(camera, lights, white)) == ["white"]
+
+
+@pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])
+def test_settings_are_checked(wrong):
+    with pytest.raises(BadInput, match="checks"):
+        CheckSettings(**wrong)

@@ -1,0 +1,411 @@
+"""Every kind of bad input through the command line: one sentence, code 2, nothing half-written."""
+
+from __future__ import annotations
+
+import codecs
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from small_capture import copy_of, edit, repaint
+from splitknit.cli.main import main
+from splitknit.io.images import read_image, write_image
+
+Damage = Callable[[Path], object]
+Captured = pytest.CaptureFixture[str]
+
+
+def of_capture(change: Callable[[Any], object]) -> Damage:
+    return lambda folder: edit(folder / "capture.json", change)
+
+
+def of_rig(change: Callable[[Any], object]) -> Damage:
+    return lambda folder: edit(folder / "rig.json", change)
+
+
+def of_image(name: str, change: Callable[[Any], Any]) -> Damage:
+    return lambda folder: repaint(folder / name, change)
+
+
+def of_all(change: Callable[[Any], Any]) -> Damage:
+    def damage(folder: Path) -> None:
+        for file in sorted(folder.glob("*.png")):
+            repaint(file, change)
+
+    return damage
+
+
+def resized(document: Any, shape: tuple[int, int]) -> None:
+    document["camera"]["image_size"] = list(shape)
+
+
+def too_close(folder: Path) -> None:
+    """The finger goes on to the left, to the right and below; only around its tip the background shows."""
+    of_all(lambda pixels: pixels[:, 175:285])(folder)
+    of_rig(lambda document: resized(document, (330, 110)))(folder)
+
+
+def noise(level: int, spread: int) -> Damage:
+    def damage(folder: Path) -> None:
+        rng = np.random.default_rng(0)
+        of_all(lambda pixels: rng.integers(level, level + spread, pixels.shape).astype(np.uint8))(folder)
+
+    return damage
+
+
+def mask_of(shape: tuple[int, int], rows: slice, columns: slice) -> Damage:
+    def damage(folder: Path) -> None:
+        mask = np.zeros((*shape, 1), dtype=np.uint8)
+        mask[rows, columns] = 255
+        write_image(folder / "given.png", mask)
+        of_capture(lambda document: document.update(mask="given.png"))(folder)
+
+    return damage
+
+
+def in_one_plane(document: Any) -> None:
+    for k, led in enumerate(document["leds"]):
+        led["position_mm"] = [10.0 * k - 60.0, 0.0, 140.0]
+
+
+def twice(document: Any) -> None:
+    document["leds"][1]["position_mm"] = document["leds"][0]["position_mm"]
+
+
+def exchanged(one: str, other: str) -> Damage:
+    def damage(folder: Path) -> None:
+        both = (folder / one).read_bytes(), (folder / other).read_bytes()
+        for name, data in zip((other, one), both, strict=True):
+            (folder / name).write_bytes(data)
+
+    return damage
+
+
+def all_under_one_light(folder: Path) -> None:
+    first, rng = read_image(folder / "nir_0.png").astype(np.float64), np.random.default_rng(0)
+    for k in range(7):
+        noisy = np.clip(first + rng.normal(0, 1.5, first.shape), 0, 255).astype(np.uint8)
+        repaint(folder / f"nir_{k}.png", lambda pixels, noisy=noisy: noisy)
+
+
+def shrunk(pixels: Any) -> Any:
+    """The finger of another: two thirds as wide."""
+    small = cv2.resize(pixels, None, fx=0.66, fy=1.0, interpolation=cv2.INTER_AREA).reshape(
+        len(pixels), -1, pixels.shape[2]
+    )
+    beside = (pixels.shape[1] - small.shape[1]) // 2
+    return np.pad(small, ((0, 0), (beside, pixels.shape[1] - small.shape[1] - beside), (0, 0)), mode="edge")
+
+
+def cut_short(name: str, keep: float) -> Damage:
+    def damage(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: int(keep * len(data))])
+
+    return damage
+
+
+def linked_out(folder: Path) -> None:
+    shutil.move(folder / "white_2.png", folder.parent / "white_2.png")
+    (folder / "white_2.png").symlink_to(folder.parent / "white_2.png")
+
+
+def truth_of_another(folder: Path) -> None:
+    np.savez(folder / "truth.npz", height_mm=np.ones((4, 5)), shape_mm=np.ones((4, 5)), mask=np.ones((4, 5)))
+    of_capture(lambda document: document.update(truth="truth.npz"))(folder)
+
+
+def white(document: Any) -> Any:
+    return document["bands"]["white"]
+
+
+# name: (what is done to a good capture, words that the sentence must hold)
+KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
+    "missing image": (lambda folder: (folder / "white_3.png").unlink(), ("white_3.png", "does not exist")),
+    "missing ambient": (lambda folder: (folder / "ambient_nir.png").unlink(), ("ambient_nir.png", "does not exist")),
+    "missing rig": (lambda folder: (folder / "rig.json").unlink(), ("rig.json", "does not exist")),
+    "no capture.json": (lambda folder: (folder / "capture.json").unlink(), ("capture.json", "capture folder")),
+    "truncated image": (cut_short("nir_2.png", 0.6), ("nir_2.png",)),
+    "empty image": (cut_short("white_0.png", 0.0), ("white_0.png", "empty")),
+    "image that is text": (lambda folder: (folder / "white_1.png").write_text("hello"), ("white_1.png",)),
+    "all black": (of_image("white_4.png", np.zeros_like), ("white_4.png", "black", "LED 4", "capture it again")),
+    "one unlit": (of_image("nir_5.png", lambda pixels: pixels // 60), ("nir_5.png", "black", "LED 12")),
+    "saturated": (
+        of_image("white_5.png", lambda pixels: np.where(pixels > 30, 255, pixels).astype(np.uint8)),
+        ("white_5.png", "overexposed", "shorter exposure"),
+    ),
+    "all white": (of_image("white_5.png", lambda pixels: np.full_like(pixels, 255)), ("white_5.png",)),
+    "one of another size": (of_image("nir_1.png", lambda pixels: pixels[:-1]), ("nir_1.png", "329", "330")),
+    "one of another depth": (
+        of_image("white_1.png", lambda pixels: pixels.astype(np.uint16) * 257),
+        ("white_1.png", "16"),
+    ),
+    "rig for another camera": (of_rig(lambda document: resized(document, (440, 640))), ("rig", "640", "480")),
+    "two images": (
+        of_capture(lambda document: white(document).update(images=["white_0.png", "white_1.png"], leds=[0, 1])),
+        ("capture.json", "2 images", "three"),
+    ),
+    "fewer images than leds": (
+        of_capture(lambda document: white(document)["images"].pop()),
+        ("capture.json", "6 images", "7"),
+    ),
+    "no white band": (of_capture(lambda document: document["bands"].pop("white")), ("capture.json", "white")),
+    "led not in the rig": (
+        of_capture(lambda document: white(document)["leds"].__setitem__(0, 20)),
+        ("LED 20", "0 to 13"),
+    ),
+    "led of the other band": (
+        of_capture(lambda document: white(document)["leds"].__setitem__(0, 9)),
+        ("LED 9", "nir"),
+    ),
+    "lights in one plane": (of_rig(in_one_plane), ("leds", "coplanar")),
+    "two lights in one place": (of_rig(twice), ("leds", "same direction")),
+    "light that is not a number": (
+        lambda folder: (folder / "rig.json").write_text((folder / "rig.json").read_text().replace("140.0", "NaN", 2)),
+        ("rig.json", "NaN"),
+    ),
+    "light below the finger": (
+        of_rig(lambda document: document["leds"][3].update(position_mm=[1.0, 2.0, -5.0])),
+        ("rig.json", "leds[3]"),
+    ),
+    "dark light": (of_rig(lambda document: document["leds"][2].update(intensity=0.0)), ("rig.json", "leds[2]")),
+    "broken capture.json": (cut_short("capture.json", 0.5), ("capture.json", "not valid JSON")),
+    "broken rig.json": (cut_short("rig.json", 0.5), ("rig.json", "not valid JSON")),
+    "list as capture.json": (lambda folder: (folder / "capture.json").write_text("[1]"), ("capture.json", "object")),
+    "another format": (of_capture(lambda document: document.update(format="x")), ("capture.json", "format")),
+    "a later version": (of_capture(lambda document: document.update(version=2)), ("capture.json", "version")),
+    "unknown encoding": (of_capture(lambda document: document.update(encoding="rec709")), ("capture.json", "srgb")),
+    "unknown material": (of_capture(lambda document: document.update(material="wax")), ("capture.json", "opaque")),
+    "path above the folder": (
+        of_capture(lambda document: white(document)["images"].__setitem__(0, "../white_0.png")),
+        ("capture.json", "../white_0.png"),
+    ),
+    "absolute path": (
+        of_capture(lambda document: white(document)["images"].__setitem__(0, "/etc/passwd")),
+        ("capture.json", "/etc/passwd"),
+    ),
+    "link out of the folder": (linked_out, ("white_2.png",)),
+    "three borders": (too_close, ("capture", "touches 3 borders", "mask")),
+    "darkness": (noise(0, 3), ("white_0.png", "black")),
+    "no finger": (noise(20, 30), ("capture", "no finger", "mask")),
+    "mask of another size": (mask_of((100, 100), np.s_[:], np.s_[:]), ("given.png", "100")),
+    "empty mask": (mask_of((330, 480), np.s_[:0], np.s_[:]), ("given.png", "empty")),
+    "mask too small": (mask_of((330, 480), np.s_[200:202], np.s_[240:242]), ("capture", "mask", "small")),
+    "a scale of a microscope": (
+        of_rig(lambda document: document["camera"].update(px_per_mm=1000 * document["camera"]["px_per_mm"])),
+        ("px/mm", "possible"),
+    ),
+    "values that wrapped round": (of_all(lambda pixels: pixels * np.uint8(10)), ("capture", "do not fit the lights")),
+    "NIR exchanged": (exchanged("nir_0.png", "nir_3.png"), ("nir_0.png and nir_3.png", "deg (median)", "--keep")),
+    "white exchanged": (exchanged("white_0.png", "white_1.png"), ("white_0.png and white_1.png", "--keep")),
+    "NIR turned": (of_image("nir_2.png", lambda pixels: pixels[::-1, ::-1]), ("nir_2.png does not", "--keep")),
+    "white noise": (
+        of_image("white_2.png", lambda p: np.random.default_rng(0).integers(10, 200, p.shape).astype(np.uint8)),
+        ("white_2.png does not", "--keep"),
+    ),
+    "images flipped": (of_all(lambda pixels: pixels[:, ::-1]), ("x pointing left", "--keep")),
+    "one light": (all_under_one_light, ("nir_0.png to nir_6.png are all under one light", "--keep")),
+    "NIR of another finger": (
+        lambda folder: [repaint(folder / f"nir_{k}.png", shrunk) for k in range(7)],
+        ("rim", "of one finger", "--keep"),
+    ),
+    "a copy": (
+        lambda folder: shutil.copyfile(folder / "white_3.png", folder / "white_4.png"),
+        ("same pixels", "white_3.png", "white_4.png"),
+    ),
+    "lights in micrometres": (
+        of_rig(lambda d: [one.update(position_mm=[1e3 * v for v in one["position_mm"]]) for one in d["leds"]]),
+        ("position_mm", "possible"),
+    ),
+    "truth of another capture": (truth_of_another, ("capture", "truth")),
+    "truth that is missing": (
+        of_capture(lambda document: document.update(truth="truth.npz")),
+        ("truth.npz", "does not exist"),
+    ),
+}
+
+
+def refused(arguments: list[str], capsys: Captured, words: tuple[str, ...] = ()) -> str:
+    """Run the command line; return the one sentence with which it refuses."""
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("splitknit: error: ")
+    sentence = said.err.removeprefix("splitknit: error: ").removesuffix("\n")
+    assert "\n" not in sentence
+    assert sentence.endswith((".", "?"))
+    assert ". " not in sentence.replace("e.g. ", ""), "more than one sentence"
+    assert "? " not in sentence
+    assert "Traceback" not in sentence
+    assert "Error" not in sentence
+    for word in words:
+        assert word in sentence, sentence
+    return sentence
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bad_captures(kind: str, twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    damage, words = KINDS[kind]
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    damage(folder)
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    more = ["--json"] if len(kind) % 2 else []  # the sentence is the same with and without
+    more += ["--preset", "ea"] if kind.startswith("truth") else []  # quicker: refused after the reconstruction
+    refused(["reconstruct", str(folder), "--out", str(tmp_path / "deep" / "result"), *more], capsys, words)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
+    twin_folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    KINDS["white exchanged"][0](folder)
+    words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
+    assert main([*words, "--keep"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("The surface is spoilt: the photographs seem to be under other lights")
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["facts"]["spoilt"] == 1
+    shutil.rmtree(tmp_path / "out")
+    refused([*words, "--keep", "--strict"], capsys, ("under other lights", "--strict"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_lights_of_other_brightness_are_refused_or_estimated(
+    twin_folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    edit(folder / "rig.json", lambda rig: [led.update(intensity=1.0) for led in rig["leds"]])
+    for k, part in enumerate((0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74)):
+        repaint(folder / f"white_{k}.png", lambda image, part=part: np.round(image * part).astype(np.uint8))
+    words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
+    refused(words, capsys, ("not as bright as is stated", "white_", "calibrate their brightness"))
+    assert main([*words, "--keep"]) == 0
+    assert "leaves open by some degrees" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "report.json").read_text())["facts"]["light_brightness"]
+    assert found[0] < 0.95 * found[1] and found[5] < 0.8 * found[4]
+
+
+@pytest.mark.slow
+def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
+    for quality in (0, 75):
+        folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
+
+        def through_jpeg(image: NDArray[Any], quality: int = quality) -> NDArray[Any]:
+            data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED)).reshape(image.shape)
+
+        for file in folder.glob("[wn]*_*.png") if quality else ():
+            repaint(file, through_jpeg)
+        assert main(["reconstruct", str(folder), "--out", str(tmp_path / f"result_{quality}")]) == 0
+        assert ("saved as JPEG" in capsys.readouterr().out) == (quality > 0)
+        with np.load(tmp_path / f"result_{quality}" / "height.npz") as saved:
+            over = saved["uncertainty_um"][saved["mask"]] / np.abs(1000.0 * saved["ridge_mm"][saved["mask"]])
+        assert (float(np.nanmin(over)) > 0.299) == (quality > 0)
+
+
+@pytest.mark.parametrize("preset", ["metric", "ea"])
+def test_a_mask_helps_where_the_finger_touches_three_borders(
+    preset: str, twin_folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    too_close(folder)
+    mask_of((330, 110), np.s_[120:], np.s_[:])(folder)
+    out = tmp_path / "result"
+    assert main(["reconstruct", str(folder), "--out", str(out), "--preset", preset, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["facts"]["mask"] == "given"
+    with np.load(out / "height.npz") as arrays:
+        assert arrays["mask"].sum() == 210 * 110
+        assert np.array_equal(np.isfinite(arrays["height_mm"]), arrays["mask"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--set", "nowhere.field=1"], ("nowhere.field", "there is no setting")),
+        (["--set", "knit.mehtod=addition"], ("did you mean 'knit.method'",)),
+        (["--set", "knit.method=glue"], ("knit.method", "crossover")),
+        (["--set", "normals.rounds=many"], ("normals.rounds", "whole number")),
+        (["--set", "mask.fine_px_per_mm=0"], ("mask.fine_px_per_mm",)),
+        (["--set", "metric.working_pitch_mm=NaN"], ("metric.working_pitch_mm",)),
+        (["--set", "metric.rounds=" + "1" * 400], ("metric.rounds must be", "...")),
+        (["--set", "metric.rounds=0x" + "f" * 5000], ("metric.rounds must be", "thousands of digits")),
+        (["--set", "mask"], ("--set", "stage.field=value")),
+        (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
+    ],
+)
+def test_wrong_settings_are_refused_before_the_work(
+    arguments: list[str], words: tuple[str, ...], tmp_path: Path, capsys: Captured
+) -> None:
+    """Even before the capture is looked for."""
+    refused(["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *arguments], capsys, words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_preset(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    arguments = ["reconstruct", str(twin_folder), "--out", str(tmp_path / "out"), "--preset", "best"]
+    assert main(arguments) == 2
+    assert "metric" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_others_is_left_alone(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "dear.txt").write_text("x")
+    refused(
+        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters")], capsys, ("letters", "another folder")
+    )
+    refused(["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters" / "dear.txt")], capsys, ("dear.txt",))
+    assert [path.name for path in tmp_path.rglob("*")] == ["letters", "dear.txt"]
+
+
+@pytest.mark.parametrize("given", ["nowhere", "notes.txt", "a\0b"])
+def test_what_is_no_capture(given: str, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "notes.txt").write_text("x")
+    refused(["reconstruct", str(tmp_path / given), "--out", str(tmp_path / "out")], capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.fixture
+def nobody(tmp_path: Path) -> Iterator[None]:
+    """Root gives up its rights for a while; others have none to give up."""
+    own = [tmp_path, *tmp_path.parents]
+    for parent in own[: own.index(Path(tempfile.gettempdir()))]:
+        parent.chmod(0o777)
+    if os.geteuid() != 0:
+        yield
+        return
+    codecs.lookup("utf-8-sig")  # nobody may not be allowed to read Python's own folder
+    import splitknit.cli.reconstruct
+
+    assert splitknit.cli.reconstruct
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.fixture
+def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) -> Iterator[Path]:
+    """A capture of which one file, or the folder itself, may not be read."""
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    mode = (folder / request.param).stat().st_mode
+    (folder / request.param).chmod(0)
+    yield folder
+    (folder / request.param).chmod(mode)
+
+
+@pytest.mark.parametrize("closed", [".", "white_3.png", "rig.json"], indirect=True)
+def test_what_may_not_be_read(closed: Path, tmp_path: Path, nobody: None, capsys: Captured) -> None:
+    refused(["reconstruct", str(closed), "--out", str(tmp_path / "out")], capsys, ("capture", "ermission denied"))
+    assert [path.name for path in tmp_path.iterdir()] == ["capture"]

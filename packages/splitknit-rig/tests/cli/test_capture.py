@@ -1,0 +1,346 @@
+"""``splitknit capture`` through the command line, on the twin and on a Raspberry Pi that is not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from faulty_scene import Faults, FaultyScene
+from splitknit.cli.main import main
+from splitknit.io.capture import read_capture
+from splitknit.io.rig import write_rig
+from splitknit.model import default_rig
+from splitknit_rig.rig import devices
+from splitknit_simulator.twin import FingerScene
+
+SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
+Captured = pytest.CaptureFixture[str]
+
+
+def run(*words: object) -> int:
+    return main(["capture", "--device", "twin", *map(str, words)])
+
+
+def refused(capsys: Captured, *words: object, device: str = "twin") -> str:
+    """Sentence with which a command is refused."""
+    assert main(["capture", "--device", device, *map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("splitknit: error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("capture") / "one"
+    assert run("--out", folder, *SMALL, "--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session", 2) == 0
+    return folder
+
+
+@pytest.fixture
+def faults(monkeypatch: pytest.MonkeyPatch):
+    """Let the twin's scenes have faults."""
+
+    def spoil(**given: object) -> None:
+        class Spoilt(FingerScene):
+            def __init__(self, *args: object, **options: object) -> None:
+                super().__init__(*args, **options)
+                self._faulty = FaultyScene(self._plain(), Faults(**given))
+
+            def _plain(self):
+                scene = self
+
+                class Plain:
+                    camera, leds = scene.camera, scene.leds
+
+                    @staticmethod
+                    def light(lit):
+                        return FingerScene.light(scene, lit)
+
+                return Plain()
+
+            def light(self, lit):
+                return self._faulty.light(lit)
+
+            def frame_begins(self, number):
+                self._faulty.frame_begins(number)
+
+        monkeypatch.setattr(devices, "FingerScene", Spoilt)
+
+    return spoil
+
+
+def test_a_folder_that_reads_back_with_truth_and_session(done: Path):
+    capture = read_capture(done)
+    assert capture.subject == {"id": "S01", "finger": "left_ring", "session": 2}
+    assert capture.shape == (220, 320)
+    assert capture.captured_at is None  # a simulated capture is the same at any time
+    for band in capture.bands.values():
+        assert band.pixels.shape[0] == 7
+        assert band.ambient is not None
+        assert 0.001 < band.exposure[0] < 0.1
+        assert len(set(band.exposure)) == 1
+    assert capture.truth is not None
+    with np.load(capture.truth) as truth:
+        assert {"height_mm", "shape_mm", "mask", "normals"} <= set(truth.files)
+    facts = json.loads((done / "session.json").read_text())
+    assert facts["device"] == "twin"
+    assert [shot["name"] for shot in facts["shots"]][:3] == ["white ambient", "white 0", "white 1"]
+    assert facts["seconds"] < 7
+    assert facts["settings"]["twin"]["scale"] == 0.1
+    assert facts["verdict"] == []
+
+
+def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
+    again = tmp_path / "again"
+    assert run("--out", again, *SMALL, "--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session", 2) == 0
+    names = sorted(file.name for file in done.iterdir())
+    assert names == sorted(file.name for file in again.iterdir())
+    for name in names:
+        assert (done / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_reconstruct_compares_with_the_truth(done: Path, tmp_path: Path, capsys: Captured):
+    assert main(["reconstruct", str(done), "--out", str(tmp_path / "result"), "--preset", "ea", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["comparison"]["ea"]["surface_rms_mm"] < 2.0
+
+
+def test_json_is_one_object(tmp_path: Path, capsys: Captured):
+    assert run("--out", tmp_path / "c", *SMALL, "--json", "--set", "capture.exposure.target=0.5") == 0
+    out, err = capsys.readouterr()
+    facts = json.loads(out)
+    assert err == ""
+    assert facts["exposure"]["white"]["level"] == pytest.approx(0.5, rel=0.1)
+    assert facts["images"] == 14
+    assert facts["subject"]["id"] == "anonymous"
+
+
+def test_people_are_told_what_comes_next(tmp_path: Path, capsys: Captured):
+    assert run("--out", tmp_path / "c", *SMALL) == 0
+    out, _ = capsys.readouterr()
+    assert "14 images of 320 x 220 pixels" in out
+    assert "splitknit reconstruct" in out
+
+
+@pytest.mark.parametrize("what", [(), ("nail",)])
+def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
+    assert run("--target", *what, "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["verdict"] == []
+    assert len(facts["notes"]) == 1  # what stood there, and where
+    capture = read_capture(tmp_path / "c")
+    assert capture.material == "opaque"
+    assert capture.subject == {}
+    assert capture.truth is None
+    means = capture.bands["white"].pixels.mean(axis=(1, 2, 3))
+    assert (means > 2).all()
+
+
+@pytest.mark.parametrize("name", devices.TARGETS)
+def test_every_target_is_there(name):
+    scene, words = devices._target_scene(name, default_rig(0.05), 1)
+    assert words
+    assert scene.light([0]).mean() > scene.light([]).mean()
+    if name == "board":  # what 'rig target' draws and 'calibrate camera' expects
+        assert (scene.board.columns, scene.board.rows) == (9, 6) and "(board 9x6)" in words
+
+
+def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):
+    assert "no target 'teapot'; it has card" in refused(capsys, "--target", "teapot", "--out", tmp_path / "c")
+
+
+def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
+    rig = default_rig(0.08, seed=4)
+    write_rig(rig, tmp_path / "rig.json")
+    assert run("--out", tmp_path / "c", "--rig", tmp_path / "rig.json") == 0
+    capture = read_capture(tmp_path / "c")
+    assert capture.shape == rig.camera.image_size
+    assert [led.intensity for led in capture.rig.leds] == [led.intensity for led in rig.leds]
+
+
+def test_a_finger_that_moved_is_not_written_and_the_verdict_is_said(tmp_path: Path, capsys: Captured, faults):
+    faults(moves_mm={6: (0.5, 0.0)})
+    said = refused(capsys, "--out", tmp_path / "c", *SMALL)
+    assert "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again." in said
+    assert list(tmp_path.iterdir()) == []
+    assert run("--out", tmp_path / "c", *SMALL, "--keep", "--json") == 2
+    out, err = capsys.readouterr()
+    assert "kept in" in err
+    assert json.loads((tmp_path / "c" / "session.json").read_text())["verdict"] != []
+    read_capture(tmp_path / "c")
+    assert json.loads(out)["verdict"] == ["the finger moved by 0.5 mm between white 3 and white 4: hold still and "
+                                          "capture again"]  # fmt: skip
+
+
+def test_a_dead_led_is_named(tmp_path: Path, capsys: Captured, faults):
+    faults(dead=frozenset({9}))
+    assert "nir 2 did not light; check its wiring" in refused(capsys, "--out", tmp_path / "c", *SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_path: Path, capsys: Captured):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "diary.txt").write_text("x")
+    assert "mine" in refused(capsys, "--out", tmp_path / "mine", *SMALL)
+    assert "not an earlier capture" in refused(capsys, "--out", tmp_path / "mine", *SMALL, "--overwrite")
+    assert (tmp_path / "mine" / "diary.txt").read_text() == "x"
+    before = (done / "white_0.png").read_bytes()
+    assert "exists and is not empty" in refused(capsys, "--out", done, *SMALL)
+    assert (done / "white_0.png").read_bytes() == before
+    assert run("--out", tmp_path / "a", "--scale", 0.05) == 0
+    assert run("--out", tmp_path / "a", "--scale", 0.05, "--overwrite", "--seed", 2) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "--out DIR for one finger, or --enrolment DIR for many"),
+        (("--out", "a", "--enrolment", "b"), "not both"),
+        (("--out", "a", "--subject", "Anna Meier"), "never a name"),
+        (("--out", "a", "--finger", "toe"), "'toe' is no finger"),
+        (("--out", "a", "--session", "0"), "numbered from 1"),
+        (("--out", "a", "--subjects", "3"), "--subjects belongs to --enrolment"),
+        (("--enrolment", "e", "--next", "0"), "--next"),
+        (("--enrolment", "e", "--fingers", "right_index,toe"), "'toe' is no finger"),
+        (("--enrolment", "e", "--subjects", "0"), "1 to 9999 subjects"),
+        (("--enrolment", "e", "--overwrite"), "replaces nothing"),
+        (("--out", "a", "--set", "capture.exposure.target=3"), "exposure.target"),
+        (("--out", "a", "--set", "capture.nonsense=3"), "nonsense"),
+        (("--out", "a", "--set", "skin.nonsense=3"), "nonsense"),
+        (("--out", "a", "--rig", "missing.json"), "missing.json"),
+    ],
+)
+def test_what_is_refused(words, said, tmp_path: Path, monkeypatch, capsys: Captured):
+    monkeypatch.chdir(tmp_path)
+    assert said in refused(capsys, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [("--scale", "0"), ("--scale", "two"), ("--seed", "-1"), ("--device", "webcam")])
+def test_numbers_that_are_none_are_refused(words, tmp_path: Path, capsys: Captured):
+    assert run("--out", tmp_path / "a", *words) == 2
+    assert words[0] in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rig_of_another_camera_or_with_too_few_leds(tmp_path: Path, capsys: Captured):
+    from dataclasses import replace
+
+    rig = default_rig(0.05)
+    write_rig(rig, tmp_path / "rig.json")
+    said = refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1)
+    assert "another camera: its images have 110 x 160" in said
+    write_rig(replace(rig, leds=rig.leds[:2] + rig.leds[7:]), tmp_path / "few.json")
+    assert "2 white LEDs" in refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "few.json")
+
+
+class TestEnrolment:
+    PLAN = ("--subjects", 2, "--sessions", 2, "--fingers", "right_index,left_thumb")
+
+    def enrol(self, folder: Path, *words: object) -> int:
+        return run("--enrolment", folder, "--scale", 0.05, *words)
+
+    @pytest.mark.slow
+    def test_stops_and_goes_on_until_all_are_done(self, tmp_path: Path, capsys: Captured, faults, monkeypatch):
+        folder = tmp_path / "e"
+        assert self.enrol(folder, *self.PLAN, "--next", 3, "--json") == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert (facts["finished"], facts["total"]) == (3, 8)
+        assert facts["next"] == "S02/session_1/left_thumb"
+        kept = folder / "S01" / "session_1" / "right_index"
+        stamp = (kept / "white_0.png").stat().st_mtime_ns
+
+        with monkeypatch.context():
+            faults(dead=frozenset({0}))
+            said = refused(capsys, "--enrolment", folder, "--scale", 0.05)
+            assert "S02, session 1, left thumb" in said
+            assert "white 0 did not light" in said
+        monkeypatch.undo()
+        assert len(list(folder.rglob("capture.json"))) == 3
+
+        assert self.enrol(folder, "--subject", "S02", "--session", 2, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["captured"] == [
+            "S02/session_2/right_index",
+            "S02/session_2/left_thumb",
+        ]
+        assert self.enrol(folder) == 0
+        assert "All fingers are captured." in capsys.readouterr().out
+        assert (kept / "white_0.png").stat().st_mtime_ns == stamp
+        assert len(list(folder.glob("S*/session_*/*/capture.json"))) == 8
+        capture = read_capture(folder / "S02" / "session_2" / "left_thumb")
+        assert capture.subject == {"id": "S02", "finger": "left_thumb", "session": 2}
+        assert self.enrol(folder, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["captured"] == []
+
+        skin, height = {}, {}
+        for file in folder.rglob("truth.npz"):
+            subject, session, finger = file.relative_to(folder).parts[:3]
+            with np.load(file) as truth:
+                skin[subject, session, finger] = float(truth["skin_melanin"])
+                height[subject, session, finger] = np.nan_to_num(truth["height_mm"]).tobytes()
+        assert len(set(skin.values())) == 4  # of every finger, the same in both sessions
+        assert skin["S01", "session_1", "left_thumb"] == skin["S01", "session_2", "left_thumb"]
+        assert len(set(height.values())) == 8  # laid down anew every time
+
+    def test_a_folder_of_something_else_is_refused(self, done: Path, capsys: Captured):
+        assert "it is no enrolment" in refused(capsys, "--enrolment", done)
+
+
+class TestPi:
+    """On a computer that is no Raspberry Pi."""
+
+    def test_missing_hardware_is_one_sentence(self, tmp_path: Path, capsys: Captured, monkeypatch):
+        monkeypatch.setitem(sys.modules, "picamera2", None)
+        from gpiozero import Device
+        from gpiozero.pins.mock import MockFactory
+
+        monkeypatch.setattr(Device, "pin_factory", MockFactory())
+        said = refused(capsys, "--out", tmp_path / "c", device="pi")
+        assert "picamera2" in said
+        assert list(tmp_path.iterdir()) == []
+        assert not any(pin.state for pin in Device.pin_factory.pins.values())
+
+    def test_a_pi_without_a_camera(self, tmp_path: Path, capsys: Captured, monkeypatch):
+        from types import SimpleNamespace
+
+        from gpiozero import Device
+        from gpiozero.pins.mock import MockFactory
+
+        none = SimpleNamespace(Picamera2=SimpleNamespace(global_camera_info=list))
+        monkeypatch.setitem(sys.modules, "picamera2", none)
+        monkeypatch.setattr(Device, "pin_factory", MockFactory())
+        assert "no camera was found" in refused(capsys, "--out", tmp_path / "c", device="pi")
+        assert not any(pin.state for pin in Device.pin_factory.pins.values())
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        "words", [("--scale", "0.5"), ("--seed", "3"), ("--pattern", "loop"), ("--set", "skin.melanin=0.1")]
+    )
+    def test_settings_of_the_twin_are_refused(self, words, tmp_path: Path, capsys: Captured):
+        assert "twin" in refused(capsys, "--out", tmp_path / "c", *words, device="pi")
+
+
+def test_sigterm_leaves_nothing_half_written(tmp_path: Path):
+    out = tmp_path / "c"
+    code = "import sys; from splitknit.cli.main import main; sys.exit(main())"
+    words = ["capture", "--device", "twin", "--out", str(out), "--scale", "0.3"]
+    process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.3)  # in the middle of the session
+    os.kill(process.pid, signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert b"interrupted" in err
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handmade import capture_of, finger
+from splitknit.cli.main import main
+from splitknit.io.capture import read_capture
+from splitknit.model import Capture, Reconstruction
+from splitknit.report.result import FILES
+from splitknit_simulator import demo as demo_module
+
+
+@pytest.fixture
+def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a hand-made finger in the place of the twin and the pipeline."""
+    result, truth = finger()
+
+    def reconstruct(capture: Capture, preset: str) -> Reconstruction:
+        return finger(preset=preset)[0]
+
+    def simulate(seed: int, pattern: str | None, settings: Any) -> tuple[Capture, dict[str, Any]]:
+        return capture_of(result), truth
+
+    monkeypatch.setattr(demo_module, "reconstruct", reconstruct)
+    monkeypatch.setattr(demo_module, "simulate_capture", simulate)
+
+
+@pytest.mark.usefixtures("short_cut")
+def test_demo_writes_everything_and_says_where(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo"]) == 0
+    said = capsys.readouterr().out
+    out = tmp_path / "demo"
+    assert read_capture(out / "capture").shape == (440, 640)
+    for preset in ("metric", "ea"):
+        assert {path.name for path in (out / preset).iterdir()} >= set(FILES)
+        assert json.loads((out / preset / "report.json").read_text())["comparison"][preset]
+        assert f"demo/{preset}" in said
+    facts = json.loads((out / "report.json").read_text())
+    assert set(facts["comparison"]) == {"metric", "ea"}
+    page = (out / "report.html").read_text()
+    assert "Ridge error, metric" in page
+    assert "Ridge error, ea" in page
+    assert "Open demo/report.html" in said
+
+
+@pytest.mark.usefixtures("short_cut")
+def test_demo_can_be_repeated_and_its_results_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "demo")
+    assert main(["demo", "--out", out]) == 0
+    assert main(["demo", "--out", out, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))
+    assert facts["written"]["capture"]
+    (tmp_path / "demo" / "notes.txt").write_text("mine")
+    assert main(["demo", "--out", out]) == 2
+    assert (tmp_path / "demo" / "notes.txt").read_text() == "mine"

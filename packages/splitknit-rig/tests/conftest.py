@@ -1,0 +1,3 @@
+"""Fixtures of the simulator."""
+
+from twin_fixtures import *

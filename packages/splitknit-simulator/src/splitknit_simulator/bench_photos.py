@@ -1,0 +1,330 @@
+"""All photographs that calibrate a rig, of a simulated one, so that calibration is measured without hardware."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit import (
+    Band,
+    Camera,
+    Capture,
+    Films,
+    Led,
+    PixelArray,
+    Progress,
+    Rig,
+    atomic_folder,
+    check_capture,
+    no_progress,
+    nominal_rig,
+    require,
+    write_capture,
+    write_image,
+    write_rig,
+)
+from splitknit_simulator.calibration_set.bench import (
+    Array,
+    BenchSettings,
+    DarkScene,
+    SightLines,
+    photograph_bench,
+    well_exposed,
+)
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
+from splitknit_simulator.calibration_set.solids import Lines, NailScene, SphereScene, directions, mirrored, unit
+from splitknit_simulator.camera.device import LitScene
+from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
+from splitknit_simulator.light.films import reflected_through
+from splitknit_simulator.rigs import built_rig
+
+MARKER = "rig_true.json"
+NAIL_MM = 13.0
+NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
+"""Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
+BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
+EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
+PUPIL_MM = 1.6
+"""A lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels."""
+_LONGEST = EXPOSURES_S[-1]
+_EXPOSED = 0.9
+ANALYSER_DEG = (80, 85, 95, 100)
+"""Positions of the analyser between those of polarised captures, 0 and 90."""
+_LONGER = 64.0
+"""The ball behind a crossed analyser is exposed longer, up to so many times."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchPhotos:
+    """How many photographs of what."""
+
+    boards: int = 15
+    """Photographs of the checkerboard that is held in the hand, at least 3."""
+    nails: int = 4
+    """Places of the nail, 1 to 4; at each it is photographed under every LED."""
+    dark: int = 2
+    """Dark frames, photographs without any light, at least 1."""
+    polarisers: bool = False
+    """Also a printed card and a glossy black ball behind polarising films."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.boards >= 3, f"a bench needs at least 3 photographs of the board, but {self.boards} were asked for."
+        )
+        require(
+            1 <= self.nails <= len(NAIL_PLACES_MM),
+            f"the nail can stand in 1 to {len(NAIL_PLACES_MM)} places, but {self.nails} were asked for.",
+        )
+        require(self.dark >= 1, "a bench needs at least one dark frame.")
+
+
+def bench_to_folder(
+    out: Path,
+    *,
+    seed: int,
+    scale: float = 0.5,
+    photos: BenchPhotos | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Photograph everything that calibrates the rig that person `seed` built.
+
+    Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
+    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
+    exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
+    calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
+    """
+    photos = photos or BenchPhotos()
+    check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
+    rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
+    count = photos.boards + photos.nails + 3 + (2 + len(ANALYSER_DEG)) * photos.polarisers
+    ball = None
+    if photos.polarisers:
+        films, ball = drawn_films(rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM))
+        rig = replace(rig, films=films)
+    with atomic_folder(out, overwrite=overwrite) as target:
+        write_rig(rig, target / MARKER)
+        write_rig(drawn, target / "rig_drawn.json")
+        # one scene after another: each keeps arrays of the picture's size
+        jobs = _jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))
+        behind = () if ball is None else behind_films(rig, ball, np.random.SeedSequence([seed, 0xF2]))
+        for k, (stage, job) in enumerate(chain(jobs, behind)):
+            progress(stage, k / count)
+            job(target)
+    progress("done", 1.0)
+    return {
+        "out": str(out),
+        "seed": seed,
+        "image_size": list(rig.camera.image_size),
+        "board": f"{BOARD.columns}x{BOARD.rows}",
+        "square_mm": BOARD.square_mm,
+        "nail_mm": NAIL_MM,
+        "boards": photos.boards,
+        "nails": photos.nails,
+    }
+
+
+def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Iterator[tuple[str, Callable[[Path], None]]]:
+    tilt = tuple(rig.provenance["base_tilt_deg"])
+    under: dict[str, Any] = {"camera": rig.camera, "leds": rig.leds, "bench": BenchSettings(aperture_mm=PUPIL_MM)}
+    white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
+    of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
+    board_seed = int(of_boards.generate_state(1)[0])
+    for k, pose in enumerate(board_poses(board_seed, photos.boards, rig.camera, BOARD)):
+        scene = BoardScene(**under, board=BOARD, **pose)
+        yield "board", partial(_one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png")
+    turn = np.deg2rad(tilt)
+    plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
+    yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
+    under["tilt_deg"] = tilt
+    disc = DiscScene(**under, rotation_deg=3.0, shift_mm=(1.0, -0.7))
+    yield "disc", partial(_one, disc, white, of_plane.spawn(1)[0], Path("disc.png"))
+    for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
+        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
+        yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
+    yield "card", partial(_card, CardScene(**under), rig, of_card, photos.dark)
+
+
+def behind_films(
+    rig: Rig, ball: BlackBallScene, seed: np.random.SeedSequence
+) -> Iterator[tuple[str, Callable[[Path], None]]]:
+    """The printed card and the ball with the analyser parallel and crossed, and the ball at positions between."""
+    assert rig.films is not None
+    tilt = np.deg2rad(rig.provenance["base_tilt_deg"])
+    pose = (float(tilt[0]), float(tilt[1]), 0.0)
+    card = BoardScene(camera=rig.camera, leds=rig.leds, bench=ball.bench, board=BOARD, rotation_vector=pose)
+    away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
+    series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
+    yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
+    longest = _LONGER * _EXPOSED / float(ball.light([rig.films.leds[0]]).max())
+    series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
+    yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
+    for turn in ANALYSER_DEG:
+        series = {"white": replace(ball, analyser_deg=float(turn))}
+        yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / f"ball_{turn}", turn=turn)
+
+
+def _polarised(  # noqa: PLR0917
+    series: Mapping[str, LitScene],
+    rig: Rig,
+    seed: np.random.SeedSequence,
+    longest: float,
+    folder: Path,
+    target: Path,
+    turn: float | None = None,
+) -> None:
+    """A capture folder of what is behind films under every white LED, each image with its own exposure."""
+    films, bands, sensor = rig.films, {}, SensorSettings(bits=16)
+    assert films is not None
+    for name, scene in series.items():
+        pixels, exposures = [], []
+        for k, led in enumerate(films.leds):
+            crossed = float(name == "white_crossed") if turn is None else np.sin(np.deg2rad(turn)) ** 2
+            tint = 1.0 + crossed * (np.array(films.brightness[k]) - 1.0)  # of a lens that polarises a little
+            light = scene.light([led]) * tint.astype(np.float32)
+            exposures.append(min(0.7 / float(light.max()), longest))
+            light = light * np.float32(exposures[-1])
+            pixels.append(record(light, "white", seed.spawn(1)[0], sensor, binning_scale(scene.camera)))
+        polarisation = "" if len(series) == 1 else "parallel" if name == "white" else "crossed"
+        bands[name] = _band(name, pixels, films.leds, exposures, polarisation=polarisation)
+    drawn = nominal_rig(rig.camera.image_size[0] / 2200)
+    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True)
+
+
+def _band(
+    name: str, images: Sequence[PixelArray], leds: Sequence[int], exposures: Sequence[float], **more: Any
+) -> Band:
+    groups, black = tuple((led,) for led in leds), np.zeros(len(images))
+    return Band(name, np.stack(images), groups, np.array(exposures), black, **more)  # type: ignore[arg-type]
+
+
+def _one(scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:
+    pixels = photograph_bench(scene, lit, seed, exposure=well_exposed(scene, [lit]))
+    (target / name).parent.mkdir(exist_ok=True, parents=True)
+    write_image(target / name, pixels)
+
+
+def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path, target: Path) -> None:
+    """One photograph under every LED, each band at its own exposure."""
+    (target / folder).mkdir(parents=True, exist_ok=True)
+    for band in ("white", "nir"):
+        members = [k for k, led in enumerate(scene.leds) if led.band == band]
+        exposure = well_exposed(scene, [[k] for k in members])
+        for number, k in enumerate(members):
+            pixels = photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=band)
+            write_image(target / folder / f"{band}_{number}.png", pixels)
+
+
+def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, dark: int, target: Path) -> None:
+    """A capture folder of the card, dark frames and an exposure series."""
+    bands = {}
+    for name in ("white", "nir"):
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        exposure = well_exposed(scene, [[k] for k in members])
+        images = [photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=name) for k in members]
+        ambient = photograph_bench(scene, [], seed.spawn(1)[0], exposure=exposure, band=name)
+        bands[name] = _band(name, images, members, [1.0] * len(members), ambient=ambient)
+    # the folder's rig is the one that is known before the calibration: the drawing's
+    drawn = replace(nominal_rig(rig.camera.image_size[0] / 2200), provenance={"source": "as drawn"})
+    folder = target / "card"
+    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
+    names = [f"dark_{k}.png" for k in range(dark)]
+    darkness = DarkScene(camera=scene.camera, leds=scene.leds)
+    for name in names:
+        write_image(folder / name, photograph_bench(darkness, [], seed.spawn(1)[0], exposure=1.0))
+    steps = []
+    brightest = well_exposed(scene, [[0]], _EXPOSED)
+    for k, seconds in enumerate(EXPOSURES_S):
+        pixels = photograph_bench(scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST)
+        write_image(folder / f"step_{k}.png", pixels)
+        steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
+    document = {"format": "splitknit-radiometry", "version": 1, "dark": names, "exposures": steps}
+    (folder / "radiometry.json").write_text(json.dumps(document, indent=2) + "\n", encoding="ascii")
+
+
+# Polarising films: a glossy black ball reflects an LED's light with Fresnel's signed amplitudes; cards and the ball's
+# body return it depolarised.
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BlackBallScene(SphereScene):
+    """A glossy ball whose body and ground return a few per cent of the light, half of which passes the analyser."""
+
+    radius_mm: float = 14.0
+    chrome: bool = True
+    reflectance: float | None = 0.01
+    ground: float = 0.025
+    extinction: float = 1000.0
+    """Extinction of both films together; each is twice as good."""
+    angle_deg: tuple[float, ...] = ()
+    """Angle of each LED's polariser, from the image's columns towards up."""
+    analyser_deg: float = 0.0
+
+    def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float) -> Array:
+        rays, view = mirrored(lines, seen), -directions(lines)
+        image = self._matt(leds, *seen, reflectance)
+        for led in leds:
+            face = self._led_in_mirror(led, lines, rays)
+            lit = face > 0.0
+            image[lit] += face[lit] * self._passed(led, rays[1][lit], view[lit])
+        return image
+
+    def _passed(self, led: Led, towards: Array, view: Array) -> Array:
+        """Fraction of an LED's light that passes both films and is reflected, of the directions (..., 3) to both."""
+        to_led, to_camera = (np.moveaxis(way, -1, 0) for way in (towards, view))
+        polariser, analyser = (float(np.deg2rad(a)) for a in (self.angle_deg[self.leds.index(led)], self.analyser_deg))
+        leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))  # of both films 2 leak / (1 + leak^2)
+        return 0.5 * reflected_through(to_led, to_camera, polariser, analyser, leak)
+
+    def highlight(self, index: int) -> tuple[float, float]:
+        """Turn in degrees of an LED's reflection towards the camera, and what of it is left when films are crossed."""
+        point, led = self.highlights_mm()[index], self.leds[index]
+        ways = unit(np.asarray(led.position_mm) - point), unit(self._towards_camera(point))
+        level, up, slant = (float(replace(self, analyser_deg=a)._passed(led, *ways)) for a in (0.0, 90.0, 45.0))
+        return float(np.rad2deg(0.5 * np.arctan2(2.0 * slant - level - up, level - up))), up / (level + up)
+
+
+def drawn_films(
+    rig: Rig, seed: np.random.SeedSequence, bench: BenchSettings, extinction: float | None = None
+) -> tuple[Films, BlackBallScene]:
+    """Films as a person cuts and mounts them, as calibration should find them, and the ball behind them.
+
+    The extinction ratio is drawn between 100 and 5000 where it is not given.
+    """
+    rng = np.random.default_rng(seed)
+    leds = tuple(k for k, led in enumerate(rig.leds) if led.band == "white")
+    angles = rng.normal(0.0, 1.0) + rng.normal(0.0, 1.0, len(rig.leds))
+    drawn = float(np.exp(rng.uniform(np.log(100.0), np.log(5000.0))))
+    extinction = drawn if extinction is None else extinction
+    turned = tuple(float(angle) for angle in angles)
+    ball = BlackBallScene(camera=rig.camera, leds=rig.leds, bench=bench, extinction=extinction, angle_deg=turned)
+    turns, leak = zip(*(ball.highlight(k) for k in leds), strict=True)
+    tint = rng.uniform(0.93, 1.02, 3) * rng.uniform(0.95, 1.05, (len(leds), 1))
+    x, y = rng.uniform(-2.0, 2.0, 2)
+    films = Films(
+        leds=leds,
+        leak=leak,
+        brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
+        shift_px=(float(x), float(y)),
+        scale=float(1.0 + rng.normal(0.0, 5e-4)),
+        extinction_ratio=extinction,
+        angle_deg=turns,
+    )
+    return films, ball
+
+
+def behind_analyser(camera: Camera, films: Films) -> Camera:
+    """The camera whose image the turned analyser moves and stretches about its middle."""
+    assert camera.matrix is not None
+    middle = (np.array(camera.image_size[::-1]) - 1.0) / 2.0
+    moved = np.eye(3)
+    moved[[0, 1], [0, 1]] = films.scale
+    moved[:2, 2] = middle * (1.0 - films.scale) + films.shift_px
+    return replace(camera, matrix=moved @ camera.matrix)

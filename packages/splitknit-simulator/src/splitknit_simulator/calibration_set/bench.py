@@ -1,0 +1,299 @@
+"""The bench: things under the rig to calibrate it, as the simulated camera sees and photographs them.
+
+A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on. See
+docs/explain/simulator.md, "The bench".
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from splitknit import Camera, Checked, FloatArray, Led, Limits, PixelArray, require
+from splitknit_simulator.camera import lens
+from splitknit_simulator.camera.device import LitScene
+from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
+from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
+from splitknit_simulator.light.lighting import irradiance
+
+Array = NDArray[np.float64]
+
+
+class SightLines(NamedTuple):
+    """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
+
+    x: Array
+    """(h, w) mm, where the line meets z = 0."""
+    y: Array
+    slope_x: Array
+    """(h, w) mm sideways per mm downwards; zero for parallel rays."""
+    slope_y: Array
+
+
+def _sight(camera: Camera) -> SightLines:
+    height, width = camera.image_size
+    columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+    if camera.model == "orthographic":
+        x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
+        return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
+    slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
+    return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneFrame:
+    """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
+
+    middle: Array
+    """(3,) mm."""
+    axes: Array
+    """(3, 3): the columns are u, v and n."""
+
+    def hit(self, sight: SightLines) -> tuple[Array, Array, Array]:
+        """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
+        normal = self.axes[:, 2]
+        steepness = normal[2] - normal[0] * sight.slope_x - normal[1] * sight.slope_y
+        require(
+            float(steepness.min()) > 0.05, "the camera sees the plane edge-on or from behind; tilt it less than 80 deg."
+        )
+        z = (float(normal @ self.middle) - normal[0] * sight.x - normal[1] * sight.y) / steepness
+        x, y = sight.x - sight.slope_x * z - self.middle[0], sight.y - sight.slope_y * z - self.middle[1]
+        lift = z - self.middle[2]
+        u, v = (x * axis[0] + y * axis[1] + lift * axis[2] for axis in (self.axes[:, 0], self.axes[:, 1]))
+        return u, v, z
+
+    def points(self, u: Any, v: Any, w: Any = 0.0) -> Array:
+        """Points (..., 3) of the rig's frame at u, v and w above the plane, all in mm."""
+        own = np.stack(np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (u, v, w))), axis=-1)
+        return np.asarray(own @ self.axes.T + self.middle)
+
+    def own(self, points: Any) -> Array:
+        """Points (..., 3) of the rig's frame in the plane's own u, v and height above it: inverse of :meth:`points`."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.middle) @ self.axes)
+
+
+def facing_plane(rotation_vector: Any, middle_mm: Any) -> PlaneFrame:
+    """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about `middle_mm`."""
+    rotation, middle = (np.asarray(vector, dtype=np.float64) for vector in (rotation_vector, middle_mm))
+    return PlaneFrame(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
+
+
+def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> PlaneFrame:
+    """Return the rig's base at `height_mm`, turned by two small angles about x and y."""
+    return facing_plane((*np.deg2rad(tilt_deg), 0.0), (0.0, 0.0, height_mm))
+
+
+def steps(length: Array) -> tuple[Array, Array]:
+    """How far a length (h, w) on the ground moves from row to row and from column to column."""
+    row, column = np.gradient(length)
+    return np.asarray(row), np.asarray(column)
+
+
+def edge_coverage(distance: Array, step: tuple[Array, Array] | None = None, blur: float = 0.0) -> Array:
+    """Fraction of each pixel that lies inside a straight edge, whose `distance` (h, w) inwards from the pixel's middle
+    is given, with its :func:`steps` where it was measured, and the standard deviation `blur` of the edge itself in its
+    unit.
+
+    The edge is averaged over the square pixel: the longer of the pixel's two steps exactly and the shorter one as a
+    Gaussian of the same variance, so that edges along rows or columns are exact.
+    """
+    row, column = np.abs(step or steps(distance))
+    half = np.maximum(np.maximum(column, row), 1e-9) / 2.0
+    spread = np.sqrt(np.minimum(column, row) ** 2 / 12.0 + blur * blur + (1e-4 * half) ** 2)
+    fraction = np.asarray(distance > 0.0, dtype=np.float64)
+    near = np.abs(distance) < half + 6.0 * spread
+    distance, half, spread = distance[near], half[near], spread[near]
+    fraction[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
+    return fraction
+
+
+def _ramp(distance: Array, spread: Array) -> Array:
+    """Integral of the normal distribution function."""
+    along = distance / spread
+    return np.asarray(distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi))
+
+
+def seen_at(camera: Camera, points: Array) -> Array:
+    """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or outside it."""
+    return np.stack(lens.pixels_of_points(camera, *np.moveaxis(points, -1, 0)), axis=-1)
+
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+# What all scenes share: LEDs, ambient light, focus, and a flat ground that they light.
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSettings(Checked):
+    """What surrounds the things that are photographed."""
+
+    ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
+    """Ambient light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
+    led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
+    """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
+    aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
+    """Diameter of the camera's pupil; 0 is a pinhole, sharp at every depth."""
+    focus_mm: Annotated[float, Limits(-50.0, 50.0)] = 0.0
+    """z of the plane in focus."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroundScene(ABC):
+    """A flat ground in front of the camera; its kinds define where it lies and how bright it is."""
+
+    camera: Camera
+    leds: tuple[Led, ...]
+    bench: BenchSettings = field(default_factory=BenchSettings)
+
+    @property
+    @abstractmethod
+    def plane(self) -> PlaneFrame:
+        """Where the ground lies."""
+
+    @abstractmethod
+    def albedo(self, u: Array, v: Array) -> Array:
+        """Reflectance (h, w) at u and v (mm on the plane), averaged over a pixel."""
+
+    def fraction_lit(self, led: Led) -> Array | float:
+        """Fraction (H, W) of the LED that the ground sees past what stands on it."""
+        return 1.0
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """Noise-free linear light (H, W, 3) at the sensor with the LEDs `lit` on, the lens's fall-off included.
+
+        White-balanced, in the rig's units: a facing white card 100 mm from an LED of intensity one is 1/pi. Raises
+        BadInput if `lit` names an LED that the rig does not have.
+        """
+        grey = self._grey(tuple(_switched_on(self.leds, lit)))
+        image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
+        if self.bench.aperture_mm > 0.0:
+            image = defocus(image, self._blur)
+        return np.asarray(image * self._fall_off[..., None], dtype=np.float32)
+
+    def _grey(self, leds: tuple[Led, ...]) -> Array:
+        """(H, W) radiance before lens and sensor."""
+        received = np.zeros(self.camera.image_size)
+        for led in leds:
+            received += irradiance(led, self._points, self.plane.axes[:, 2]) * self.fraction_lit(led)
+        return np.asarray(self.albedo(*self._hit[:2]) * (received / np.pi + self.ambient_light))
+
+    @property
+    def ambient_light(self) -> float:
+        """Radiance of a white surface with all LEDs off."""
+        return self.bench.ambient * float(np.mean([card_radiance(led) for led in self.leds]))
+
+    def pixels_between(self, low: Array, high: Array) -> Window | None:
+        """Rows and columns that see the ground between two (u, v), with six pixels to spare; None if none do."""
+        spare = 6.0 / self.camera.px_per_mm
+        u, v, _ = self._hit
+        near = (u > low[0] - spare) & (u < high[0] + spare) & (v > low[1] - spare) & (v < high[1] + spare)
+        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        if rows.size < 2 or columns.size < 2:
+            return None
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+    @cached_property
+    def _sight(self) -> SightLines:
+        return _sight(self.camera)
+
+    @cached_property
+    def _hit(self) -> tuple[Array, Array, Array]:
+        return self.plane.hit(self._sight)
+
+    @cached_property
+    def _points(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        z, lines = self._hit[2], self._sight
+        x, y = lines.x - lines.slope_x * z, lines.y - lines.slope_y * z
+        return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
+
+    @cached_property
+    def _fall_off(self) -> FloatArray:
+        return fall_off(self.camera)
+
+    @cached_property
+    def _blur(self) -> FloatArray:
+        camera, bench = self.camera, self.bench
+        pitch = px_per_mm_at(camera, bench.focus_mm)
+        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
+
+    @property
+    def _depth(self) -> Array:
+        """(H, W) height z of what each pixel sees: of the ground, or of what stands on it."""
+        return self._hit[2]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BaseScene(GroundScene):
+    """The rig's base and what lies or stands on it."""
+
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """Tilt of the base against the camera, about x, then y."""
+
+    @property
+    def plane(self) -> PlaneFrame:
+        """Where the base lies."""
+        return base_plane(self.tilt_deg)
+
+
+def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
+    for index in lit:
+        require(
+            0 <= index < len(leds), f"LED {index} is not in the rig, which has {len(leds)} LEDs (0 to {len(leds) - 1})."
+        )
+        yield leds[index]
+        yield from leds[index].also
+
+
+def card_radiance(led: Led) -> float:
+    """Radiance of a white card at the origin that faces the camera."""
+    origin = (np.zeros(1, np.float32),) * 3
+    return float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DarkScene:
+    """The lens cap is on: no light, whatever is switched on."""
+
+    camera: Camera
+    leds: tuple[Led, ...]
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """(H, W, 3) of zeros."""
+        tuple(_switched_on(self.leds, lit))
+        return np.zeros((*self.camera.image_size, 3), dtype=np.float32)
+
+
+def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
+    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale."""
+    brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)
+    require(brightest > 0.0, "exposing needs some light, but all images are black.")
+    return level / brightest
+
+
+def photograph_bench(
+    scene: LitScene,
+    lit: Sequence[int],
+    seed: int | np.random.SeedSequence,
+    *,
+    exposure: float,
+    sensor: SensorSettings | None = None,
+    band: str = "white",
+) -> PixelArray:
+    """Photograph a scene, (H, W, 3) uint8 or uint16, with the LEDs `lit` on; `sensor.exposure` is not used.
+
+    `exposure`: full scales per unit of light, see :func:`well_exposed`; `band`: how the sensor responds. Raises
+    BadInput if `exposure`, `band` or `lit` cannot be.
+    """
+    seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
+    light = scene.light(lit) * np.float32(exposure)
+    return record(light, band, seeds, sensor, binning_scale(scene.camera))

@@ -1,0 +1,379 @@
+"""A person's finger, how it is laid down, and the surface a camera sees of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splitknit import BoolArray, Camera, Checked, Limits, require
+from splitknit_simulator.camera.lens import picture_on_plane
+from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
+from splitknit_simulator.finger.shape import FingerBody, FingerShape
+from splitknit_simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
+from splitknit_simulator.surface import SimulatedSurface
+
+Array = NDArray[np.float64]
+
+FREQUENCIES = {
+    "arch": 0.037,
+    "tented_arch": 0.029,
+    "left_loop": 0.338,
+    "right_loop": 0.317,
+    "whorl": 0.229,
+    "twin_loop": 0.05,
+}
+"""Natural frequencies of the classes (Wilson, Candela and Watson 1994; twin loops from the whorls)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFinger:
+    """Everything of one finger that does not depend on its pose."""
+
+    seed: int
+    pattern: str
+    shape: FingerShape = field(default_factory=FingerShape)
+    skin: SkinRelief = field(default_factory=SkinRelief)
+    print_settings: MasterPrintSettings = field(default_factory=MasterPrintSettings)
+    printed: MasterPrint | None = None
+    """Its ridges where they are a real print's, see
+    :func:`splitknit_simulator.finger.master_print.master_of_print`; None: drawn."""
+
+    def master(self) -> MasterPrint:
+        """Draw the finger's master print (the same at every call)."""
+        return self.printed or master_print(self.pattern, self.seed, self.print_settings)
+
+
+@dataclass(frozen=True, slots=True)
+class FingerPose(Checked):
+    """How a finger lies under the camera. It enters from the lower image border, tip towards row 0.
+
+    The finger turns about its axis (roll), then about x (pitch), then about the camera's axis (yaw).
+    """
+
+    yaw_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
+    """Counter-clockwise in the image: the tip turns to the left. Up to 0.35 (20 deg)."""
+    pitch_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
+    """Positive lifts the tip towards the camera. Up to 0.14 (8 deg)."""
+    roll_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
+    """Positive turns the pad to the right. Up to 0.35 (20 deg)."""
+    x_mm: Annotated[float, Limits()] = 0.0
+    """Where the middle of the distal phalanx lies beside the image centre."""
+    insertion_mm: Annotated[float, Limits(0.0, above=True)] = 32.0
+    """From the lower image border to the tip, along the rows, as measured on the finger plane."""
+    height_mm: Annotated[float, Limits()] = 0.0
+    """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the pad."""
+
+    def rotation(self) -> Array:
+        """(3, 3) from the finger's frame to the camera's."""
+        cy, sy = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        cp, sp = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+        cr, sr = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+        pitch = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+        roll = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+        return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
+
+
+# What makes fingers look like their owner's: forms of the pad, creases and ridge depths, with their spread.
+
+
+@dataclass(frozen=True, slots=True)
+class _Trait:
+    """A normally distributed number that is cut off."""
+
+    mean: float
+    spread: float
+    low: float
+    high: float
+    sided: bool = False
+    """Whether the left hand has it mirrored."""
+
+
+TRAITS: Mapping[str, _Trait] = {
+    "thickness": _Trait(0.80, 0.05, 0.68, 0.92),
+    "squareness": _Trait(0.18, 0.09, 0.02, 0.40),
+    "tip_length": _Trait(1.02, 0.12, 0.78, 1.30),
+    "tip_squareness": _Trait(0.12, 0.10, 0.0, 0.38),
+    "taper": _Trait(0.06, 0.025, 0.01, 0.12),
+    "pad_bulge": _Trait(0.06, 0.025, 0.01, 0.12),
+    "pad_center": _Trait(0.50, 0.06, 0.38, 0.62),
+    "neck": _Trait(0.03, 0.012, 0.005, 0.06),
+    "arching_per_mm": _Trait(0.0015, 0.0010, -0.0005, 0.004),
+    "sideways_mm": _Trait(0.0, 0.35, -0.9, 0.9, sided=True),
+    "skew": _Trait(0.0, 0.03, -0.08, 0.08, sided=True),
+    "tip_drop": _Trait(2.0, 0.5, 0.8, 3.2),
+    "ridge_depth": _Trait(65.0, 13.0, 40.0, 95.0),
+    "depth_variation": _Trait(0.12, 0.03, 0.05, 0.2),
+    "pore_depth": _Trait(25.0, 6.0, 10.0, 45.0),
+    "pore_darkening": _Trait(0.06, 0.02, 0.0, 0.12),
+    "first_depth": _Trait(0.38, 0.09, 0.2, 0.6),
+    "first_width": _Trait(0.28, 0.05, 0.18, 0.42),
+    "first_tilt": _Trait(0.0, 0.04, -0.1, 0.1, sided=True),
+    "first_bow": _Trait(0.003, 0.006, -0.01, 0.015),
+    "first_reach": _Trait(10.5, 1.2, 8.0, 13.0),
+    "first_darkening": _Trait(0.22, 0.06, 0.08, 0.4),
+    "second_depth": _Trait(0.48, 0.08, 0.3, 0.6),
+    "second_width": _Trait(0.34, 0.05, 0.2, 0.5),
+    "second_tilt": _Trait(0.0, 0.03, -0.1, 0.1, sided=True),
+    "second_bow": _Trait(0.0, 0.005, -0.01, 0.01),
+    "second_reach": _Trait(11.5, 1.2, 8.0, 14.0),
+    "second_darkening": _Trait(0.25, 0.06, 0.08, 0.4),
+}
+"""Those of :func:`draw_finger` and of people; the tip's drop (for a finger 13.5 mm thick) is our choice: a fingertip
+ends near its nail, not half-way down."""
+
+
+def shape_of(trait: Callable[[str], float], length_mm: float, width_mm: float, flatter: float = 1.0) -> FingerShape:
+    """The form of a pad of this size from its traits; its thickness is `flatter` times the trait's."""
+    as_drawn = ("tip_squareness", "taper", "pad_bulge", "pad_center", "neck", "arching_per_mm", "sideways_mm", "skew")
+    return FingerShape(
+        length_mm=length_mm,
+        width_mm=width_mm,
+        thickness_mm=width_mm * trait("thickness") * flatter,
+        squareness=trait("squareness"),
+        tip_length_mm=min(0.5 * width_mm * trait("tip_length"), 13.8),
+        **{name: trait(name) for name in as_drawn},
+    )
+
+
+def crease_of(
+    trait: Callable[[str], float], which: str, v_mm: float, side_lines: Callable[[], int], broad: float = 1.0
+) -> FlexionCrease:
+    """The ``first`` or ``second`` crease of a finger that is `broad` times as broad as the mean."""
+    return FlexionCrease(
+        v_mm=v_mm,
+        depth_mm=trait(f"{which}_depth"),
+        width_mm=trait(f"{which}_width"),
+        tilt=trait(f"{which}_tilt"),
+        bow_per_mm=trait(f"{which}_bow"),
+        reach_mm=trait(f"{which}_reach") * broad,
+        side_lines=side_lines(),
+        darkening=trait(f"{which}_darkening"),
+    )
+
+
+def relief_of(trait: Callable[[str], float], creases: tuple[FlexionCrease, ...]) -> SkinRelief:
+    """Depths on the skin of a finger from its traits."""
+    return SkinRelief(
+        ridge_depth_um=trait("ridge_depth"),
+        depth_variation=trait("depth_variation"),
+        pore_depth_um=trait("pore_depth"),
+        pore_darkening=trait("pore_darkening"),
+        creases=creases,
+    )
+
+
+def draw_finger(
+    seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None
+) -> SimulatedFinger:
+    """Draw one finger of the population; `pattern` as in :func:`splitknit_simulator.finger.master_print.master_print`,
+    None draws it with its natural frequency.
+
+    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal phalanx). Maeno et al. 1998;
+    Misumi and Akiyoshi 1984 (ridge height).
+    """
+    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)]
+    if pattern is None:
+        pattern = str(draws[0].choice(list(FREQUENCIES), p=list(FREQUENCIES.values())))
+    if pattern == "loop":
+        pattern = str(draws[0].choice(("left_loop", "right_loop")))
+    rng = draws[1]
+    size = float(np.clip(rng.standard_normal(), -2, 2))
+
+    def around(mean: float, spread: float, low: float, high: float, shared: float = 0.0) -> float:
+        own = float(rng.standard_normal())
+        return float(np.clip(mean + spread * (shared * size + np.sqrt(1 - shared**2) * own), low, high))
+
+    width = around(16.8, 1.4, 14.0, 20.0, shared=0.8)
+
+    def trait(name: str) -> float:
+        kind = TRAITS[name]
+        return around(kind.mean, kind.spread, kind.low, 100.0 if name == "ridge_depth" else kind.high)
+
+    shape = shape_of(trait, around(25.0, 1.5, 22.0, 28.0, shared=0.7), width)
+    rng = draws[2]
+    first = crease_of(trait, "first", 0.0, lambda: int(rng.integers(0, 4)))
+    v_mm = -around(23.0, 1.5, 19.5, 26.0, shared=0.7)
+    second = crease_of(trait, "second", v_mm, lambda: int(rng.integers(1, 5)))
+    skin = relief_of(trait, (first, second))
+    return SimulatedFinger(seed, pattern, shape, skin, print_settings or MasterPrintSettings())
+
+
+def finger_surface(
+    finger: SimulatedFinger, pose: FingerPose, camera: Camera, *, workers: int = 2, skin: SkinMap | None = None
+) -> SimulatedSurface:
+    """Show one posed finger to a camera, with `skin` over the body instead of the finger's own where it is given.
+
+    The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
+    through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
+    the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
+    gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
+    neighbours. The result does not depend on `workers`, threads. A print made of this finger is the mirror image of
+    what the camera sees. Raises BadInput if the camera sees nothing of the finger, or a perspective camera does not
+    stand above it.
+    """
+    body = FingerBody(finger.shape)
+    finger = replace(finger, printed=finger.master())
+    skin = skin_map(finger.master(), finger.skin) if skin is None else skin
+    placement = placement_of(body, pose, camera)
+    top = above(body, placement)
+    require(
+        camera.model == "orthographic" or camera.height_mm > top + 5.0,
+        f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
+        "raise camera.height_mm.",
+    )
+    surface = finger_in_view(PlacedFinger(body, skin, placement), camera, workers)
+    return replace(surface, landmarks=_find_landmarks(finger, pose, surface, skin))
+
+
+def placement_of(body: FingerBody, pose: FingerPose, camera: Camera) -> Placement:
+    """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
+    shape = body.shape
+    rotation = pose.rotation()
+    y, side = np.meshgrid(np.linspace(1.0, shape.length_mm, 121), np.linspace(-1.0, 1.0, 81), indexing="ij")
+    x = side * 0.55 * shape.width_mm
+    z = body.top(x, y)
+    seen = np.isfinite(z)
+    # `top` works in unskewed sections: undo the axis bend and the skew to find the true point.
+    axis, drop = body.axis_line(y)
+    points = np.stack([x + axis + shape.skew * (z - drop), y, z], -1)[seen]
+    turned = np.einsum("ij,nj->ni", rotation, points)
+    along = 0.5 * shape.length_mm
+    bend, dip = (float(part[0]) for part in body.axis_line(np.array([along])))
+    middle = np.einsum("ij,j->i", rotation, np.array([bend, along, dip]))
+    tip = float(turned[:, 1].max())
+    centre, lower_border, _ = picture_on_plane(camera)
+    right, up = centre + pose.x_mm - middle[0], lower_border + pose.insertion_mm - tip
+    shift = np.array([right, up, pose.height_mm - float(turned[:, 2].max())])
+    return Placement(rotation, shift)
+
+
+# What the simulated finger knows about itself, in pixels.
+
+
+def _find_landmarks(
+    finger: SimulatedFinger, pose: FingerPose, surface: SimulatedSurface, skin: SkinMap
+) -> dict[str, Any]:
+    """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view."""
+    mask, chart, master, camera = surface.mask, surface.chart, finger.master(), surface.camera
+    assert chart is not None
+    lattice = _Lattice(mask, chart, max(1, int(0.35 * camera.px_per_mm)))
+
+    def pixels(points: Any) -> Array:
+        return lattice.find(np.asarray(points, dtype=np.float64).reshape(-1, 2))
+
+    def visible(points: Any) -> Array:
+        found = pixels(points)
+        return np.asarray(found[np.isfinite(found).all(axis=1)])
+
+    creases = [visible(line[::8]) for line in skin.crease_lines]
+    minutiae = pixels(master.minutiae[:, :2]) if len(master.minutiae) else np.zeros((0, 2))
+    # (N, 2) places of the pores on the chart
+    rows, columns = np.nonzero((master.pores > 0.25) & (master.pores >= cv2.dilate(master.pores, np.ones((3, 3)))))
+    pores_mm = np.stack([master.u_mm[columns], master.v_mm[rows]], axis=1)
+    return {
+        "tip_px": _tip(mask, pose),
+        "crease_px": creases,
+        "cores_px": pixels(master.cores_mm),
+        "deltas_px": pixels(master.deltas_mm),
+        "minutiae_px": minutiae[np.isfinite(minutiae).all(axis=1)],
+        "pores_px": visible(pores_mm),
+        "seed": finger.seed,
+        "pattern": master.pattern,
+        **asdict(pose),
+        "period_mm": master.period_mm,
+    }
+
+
+class _Lattice:
+    """Finds the pixel that shows a point of the chart."""
+
+    def __init__(self, mask: BoolArray, chart: NDArray[np.float32], step: int) -> None:
+        rows, columns = np.nonzero(mask[::step, ::step])
+        self.seeds = np.stack([columns, rows], 1).astype(np.float64) * step
+        self.chart = chart
+        self.tree = cKDTree(chart[rows * step, columns * step].astype(np.float64)) if len(rows) else None
+
+    def find(self, points: Array) -> Array:
+        """Return (N, 2) columns and rows by Newton steps from the nearest seed; NaN where nothing shows the point."""
+        if self.tree is None or not len(points):
+            return np.full(points.shape, np.nan)
+        guess = self.seeds[self.tree.query(points)[1]]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for _ in range(6):
+                here, along_x, along_y = self._sample(guess)
+                miss = points - here
+                cross = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0]
+                right = (miss[:, 0] * along_y[:, 1] - miss[:, 1] * along_y[:, 0]) / cross
+                down = (along_x[:, 0] * miss[:, 1] - along_x[:, 1] * miss[:, 0]) / cross
+                guess = guess + np.clip(np.stack([right, down], 1), -60.0, 60.0)
+            here, _, _ = self._sample(guess)
+        good = np.abs(points - here).max(axis=1) < 0.01
+        return np.where(good[:, None], guess, np.nan)
+
+    def _sample(self, pixels: Array) -> tuple[Array, Array, Array]:
+        """Chart and its steps per column and per row at (N, 2) positions; NaN outside the finger."""
+        rows, columns = self.chart.shape[:2]
+        inside = np.isfinite(pixels).all(axis=1)
+        inside &= (pixels >= 0).all(axis=1) & (pixels[:, 0] <= columns - 1) & (pixels[:, 1] <= rows - 1)
+        safe = np.where(inside[:, None], pixels, 0.0)
+        j = np.clip(safe[:, 0].astype(np.intp), 0, max(columns - 2, 0))
+        i = np.clip(safe[:, 1].astype(np.intp), 0, max(rows - 2, 0))
+        i1, j1 = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
+        a, b = self.chart[i, j].astype(np.float64), self.chart[i, j1].astype(np.float64)
+        c, d = self.chart[i1, j].astype(np.float64), self.chart[i1, j1].astype(np.float64)
+        fx, fy = (safe[:, 0] - j)[:, None], (safe[:, 1] - i)[:, None]
+        along_x = (1 - fy) * (b - a) + fy * (d - c)
+        along_y = (1 - fx) * (c - a) + fx * (d - b)
+        here = a + fx * (b - a) + fy * (c - a) + fx * fy * (a - b - c + d)
+        here[~inside] = np.nan
+        return here, along_x, along_y
+
+
+def _tip(mask: BoolArray, pose: FingerPose) -> Array:
+    """(column, row) of the outline's farthest point along the finger."""
+    top = np.argmax(mask, axis=0)
+    columns = np.nonzero(mask.any(axis=0))[0]
+    along = -np.sin(pose.yaw_rad) * columns - np.cos(pose.yaw_rad) * top[columns]
+    best = columns[along > along.max() - 0.75]
+    return np.array([best.mean(), top[best].mean()])
+
+
+# How people lay their fingers down.
+
+
+@dataclass(frozen=True, slots=True)
+class PoseRanges:
+    """Ranges from which a finger's pose is drawn, evenly."""
+
+    yaw_deg: tuple[float, float] = (-10.0, 10.0)
+    """Turn about the camera's axis, counter-clockwise in the image (the tip turns to the left); 34 deg at most."""
+    pitch_deg: tuple[float, float] = (-4.0, 4.0)
+    """Turn about the x axis, positive lifts the tip towards the camera; 34 deg at most."""
+    roll_deg: tuple[float, float] = (-8.0, 8.0)
+    """Turn about the finger's own axis, positive turns the pad to the right; 34 deg at most."""
+    x_mm: tuple[float, float] = (-2.5, 2.5)
+    """Where the middle of the distal phalanx lies beside the image centre."""
+    insertion_mm: tuple[float, float] = (25.0, 28.0)
+    """From the lower image border to the tip; cut to what the picture holds."""
+    height_mm: tuple[float, float] = (-0.5, 0.5)
+    """z of the highest point of the pad."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in asdict(self).items():
+            require(bool(np.isfinite([low, high]).all()) and low <= high, f"pose range {name} must be (low, high).")
+
+    def draw(self, rng: np.random.Generator, camera: Camera) -> FingerPose:
+        """Return one pose; every range takes one number from `rng`, in a fixed order."""
+        ranges = (self.yaw_deg, self.pitch_deg, self.roll_deg, self.x_mm, self.insertion_mm, self.height_mm)
+        yaw, pitch, roll, x, insertion, height = (float(low + (high - low) * rng.random()) for low, high in ranges)
+        yaw, pitch, roll = (float(np.deg2rad(turn)) for turn in (yaw, pitch, roll))
+        _, lower, upper = picture_on_plane(camera)
+        return FingerPose(yaw, pitch, roll, x, min(insertion, upper - lower - 0.6), height)

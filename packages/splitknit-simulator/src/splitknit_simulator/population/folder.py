@@ -1,0 +1,205 @@
+"""What ``splitknit simulate population`` does: a population in a folder, resumable, by several workers.
+
+The folder is laid out as an enrolment by the devices: ``enrolment.json`` (the plan), ``population.json`` (settings and
+their hash) and ``S01/session_1/right_index/``, a capture folder with truth and ``impression.json`` each. Capture
+folders appear whole or not at all; what is finished is read off them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitknit import (
+    PLAN_FILE,
+    Enrolment,
+    PlannedCapture,
+    Progress,
+    atomic_folder,
+    check_file,
+    csv_text,
+    differing,
+    hold,
+    json_text,
+    no_progress,
+    open_enrolment,
+    plain_json,
+    plan_enrolment,
+    provenance,
+    read_json,
+    refusing,
+    require,
+    run_jobs,
+    settings_hash,
+    sweep,
+    write_capture,
+    write_file,
+)
+from splitknit_simulator.population.prints import RealPrint, RealPrints, choose_prints
+from splitknit_simulator.population.sessions import DRAWS, PopulationSettings, population_capture
+
+POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
+_FORMAT, _VERSION = "splitknit-population", 1
+
+_Job = tuple[PlannedCapture, ...]
+"""The waiting captures of one finger: its print is drawn once for all of them."""
+
+
+def simulate_population(
+    out: Path,
+    settings: PopulationSettings,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
+    prints: Path | None = None,
+    workers: int = 2,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Simulate what is not there yet; return the facts. Raises BadInput if the folder holds something else or a
+    population with other settings, another run writes it, the plan would shrink, or `prints` holds no usable prints or
+    not those that the population began with.
+
+    subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
+    prints : folder of real prints, of whose ridges :func:`splitknit_simulator.population.prints.choose_prints` gives a
+        third of the fingers; fingers that are planned later have none
+    """
+    started = time.perf_counter()
+    require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    check_file(out / TABLE_FILE, "the table of a population", lambda data: data.startswith(b"folder,"))
+    earlier = _earlier(out)
+    plan = plan_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers).plan
+    real = RealPrints()
+    if prints is not None:
+        dealt: dict[str, RealPrint] | None = None  # prints of the population's fingers, as it was begun
+        if earlier is not None:
+            with refusing(_DAMAGED.format(out / POPULATION_FILE)):
+                dealt = {finger: RealPrint(**one) for finger, one in earlier.get("prints", {}).items()}
+                require(all(one.sound() for one in dealt.values()), "")
+        real = choose_prints(prints, settings.seed, plan.subject_ids(), plan.fingers, dealt)
+    document = {
+        "format": _FORMAT,
+        "format_version": _VERSION,
+        "draws": DRAWS,
+        **provenance(settings),
+        **({"prints": plain_json(real.of_finger)} if real.of_finger else {}),
+        "settings_sha256": _population_hash(settings, real),
+    }
+    if earlier is not None:
+        _check_settings(out, earlier, document)
+    enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
+    if not (out / POPULATION_FILE).is_file():
+        write_file(out / POPULATION_FILE, json_text(document).encode("ascii"))
+    with (out / POPULATION_FILE).open("rb") as stream:
+        hold(stream, f"another run is simulating into '{out}'; wait for it, or stop it.")
+        sweep(out)
+        waiting = enrolment.waiting()
+        before = enrolment.plan.total - len(waiting)
+        progress("simulating", 0.0)
+        work, done = partial(_simulate_job, settings=settings, real=real, folder=out), 0
+        for job, captures in run_jobs(work, _jobs_of(waiting), workers, f"what is finished in '{out}'"):
+            done += captures
+            progress(f"{job[0].subject} {job[0].finger}", done / max(len(waiting), 1))
+        _write_table(enrolment)
+    seconds = time.perf_counter() - started
+    return {
+        "out": str(out),
+        "seed": settings.seed,
+        "scale": settings.scale,
+        "subjects": enrolment.plan.subjects,
+        "sessions": enrolment.plan.sessions,
+        "fingers": list(enrolment.plan.fingers),
+        "prints": len(real.of_finger),
+        "prints_mirrored": sum(one.mirrored for one in real.of_finger.values()),
+        "workers": workers,
+        "simulated": len(waiting),
+        "found": before,
+        "total": enrolment.plan.total,
+        "settings_sha256": document["settings_sha256"],
+        "table": str(out / TABLE_FILE),
+        "total_s": seconds,
+        "seconds_per_capture": seconds / len(waiting) if waiting else None,
+    }
+
+
+def _population_hash(settings: PopulationSettings, real: RealPrints | None = None) -> str:
+    """SHA-256 of everything that the captures follow from; the number of threads is not."""
+    render = replace(settings.render, workers=1)
+    prints = {"prints": real.of_finger} if real is not None and real.of_finger else {}
+    return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)} | prints)
+
+
+def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, folder: Path) -> int:
+    """Simulate the captures of one finger into the enrolment `folder`; return how many."""
+    place = job[0]
+    person = settings.person(int(place.subject.removeprefix("S")))
+    finger = person.fingers[place.finger].finger
+    master, printed = real.master(f"{place.subject}/{place.finger}", finger)
+    for place in job:
+        target = folder / place.folder
+        shown = population_capture(settings, person, place.finger, place.session, master=master)
+        with atomic_folder(target, overwrite=False) as made:
+            write_capture(shown.capture, made, shown.truth, overwrite=True)
+            text = json_text(shown.facts | {"print": printed})
+            (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
+    return len(job)
+
+
+def _jobs_of(waiting: Sequence[PlannedCapture]) -> list[_Job]:
+    """The waiting captures by finger, subject by subject."""
+    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
+    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
+        by_finger.setdefault((place.subject, place.finger), []).append(place)
+    return [tuple(places) for places in by_finger.values()]
+
+
+def _earlier(out: Path) -> dict[str, Any] | None:
+    """What the population in `out` was begun with; None if none was. Raises BadInput where it holds something else."""
+    file = out / POPULATION_FILE
+    if not file.is_file():
+        taken = out.is_dir() and any(out.glob("S*/session_*/*"))
+        require(
+            not taken or not (out / PLAN_FILE).is_file(),
+            f"'{out}' holds captures of something else than a simulated population; name another folder.",
+        )
+        return None
+    damaged = _DAMAGED.format(file)
+    document, _ = read_json(file, damaged)
+    with refusing(damaged):
+        known = document["format"] == _FORMAT and document["format_version"] == _VERSION
+    require(known, f"'{file}' is of another version.")
+    return dict(document)
+
+
+_DAMAGED = "'{}' cannot be read: it is damaged; name another folder for the population."
+
+
+def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]) -> None:
+    with refusing(_DAMAGED.format(out / POPULATION_FILE)):
+        same = earlier["settings_sha256"] == document["settings_sha256"]
+        names = differing(earlier["settings"], document["settings"])
+        names += [] if earlier.get("prints") == document.get("prints") else ["prints"]
+    where = f" ({', '.join(names[:4])})" if names else ""
+    require(
+        same,
+        f"the population in '{out}' was simulated with other settings{where}; use the same, or name another folder.",
+    )
+
+
+def _write_table(enrolment: Enrolment) -> None:
+    """One line for each finished capture: its folder and the facts of its ``impression.json``."""
+    rows: list[dict[str, Any]] = []
+    for place in enrolment.places():
+        file = enrolment.path(place) / IMPRESSION_FILE
+        if file.is_file():
+            damaged = f"'{file}' is damaged; remove its folder and run the same again."
+            facts, _ = read_json(file, damaged)
+            require(isinstance(facts, dict), damaged)
+            rows.append({"folder": place.folder} | facts)
+    names = list(rows[0]) if rows else []
+    text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
+    write_file(enrolment.folder / TABLE_FILE, text.encode("utf-8"))

@@ -1,0 +1,316 @@
+"""A population: people, their ten fingers, and captures of them in several sessions, with the truth.
+
+Every capture follows from the settings and its own place (person, finger, session) alone: it is the same whatever else
+is simulated, in whatever order and by however many workers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from splitknit import Camera, Capture, Checked, Limits, Rig, default_rig, require
+from splitknit_simulator.camera.lens import picture_on_plane
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.finger.deformation import deformed, draw_deformation
+from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
+from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.light.films import FilmSettings
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.population.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.twin import photograph
+
+# What changes from one session to the next: how a finger is laid down, its skin, the camera and the lights.
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionRanges(Checked):
+    """From what impressions are drawn; sources and reasons: ``docs/explain/population.md``."""
+
+    _group = "sessions"
+
+    yaw_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 5.0
+    """Standard deviation of the finger's turn about the camera's axis; no turn is beyond twice that. 0 to 10."""
+    pitch_sd_deg: Annotated[float, Limits(0.0, 4.0)] = 2.0
+    """The same for the lift of the tip towards the camera; 0 to 4."""
+    roll_sd_deg: Annotated[float, Limits(0.0, 12.0)] = 6.0
+    """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
+    x_mm: Annotated[Range, Limits(-8.0, 8.0)] = (-3.0, 3.0)
+    """Where the middle of the finger lies beside the image centre."""
+    insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (26.0, 28.4)
+    """From the lower image border to the tip; cut to what the picture holds."""
+    partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
+    """Fraction of impressions that are laid down too short."""
+    partial_insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (18.0, 22.0)
+    """From the lower image border to the tip of those; 12 to 40."""
+    height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
+    """z of the pad's highest point."""
+    swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
+    """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
+    swelling_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
+    """Fraction of its variance that all fingers of a person have in common."""
+    flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
+    """What a resting finger gains in breadth and loses in thickness."""
+    deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
+    """Largest shift of the skin against the body."""
+    deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
+    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
+    moisture_common: Annotated[float, Limits(0.0, 1.0)] = 0.6
+    """Fraction of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
+    glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
+    """Weight of the surface reflection of dry and of moist skin."""
+    roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
+    """GGX alpha of dry and of moist skin."""
+    ridge_contrast: Annotated[Range, Limits(0.2, 1.5)] = (0.88, 1.08)
+    """Depth of ridges and pores relative to the finger's own, dry and moist."""
+    blood_sd: Annotated[float, Limits(0.0, 0.6)] = 0.25
+    """Logarithmic standard deviation of the blood content (warmth, pressure)."""
+    blood_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
+    """Fraction of its variance that a person's fingers have in common."""
+    oxygenation: Annotated[Range, Limits(0.3, 1.0)] = (0.6, 0.85)
+    """Oxygenated fraction of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
+    exposure: Annotated[Range, Limits(0.1, 0.95)] = (0.5, 0.8)
+    """Fraction of full scale that the brightest skin reaches."""
+    full_well_e: Annotated[Range, Limits(500.0, 100000.0)] = (2500.0, 4700.0)
+    """Electrons at full scale: fewer with a higher gain."""
+    read_noise_e: Annotated[Range, Limits(0.0, 50.0)] = (2.5, 4.0)
+    """Standard deviation of the noise of reading out, electrons; 0 to 50."""
+    led_drift_sd: Annotated[float, Limits(0.0, 0.05)] = 0.007
+    """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
+    ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
+    """Ambient light relative to one LED."""
+    hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
+    """Fraction of the light that the hand takes away at the finger's base; 0 to 1."""
+    dust_per_cm2: Annotated[Range, Limits(0.0, 20.0)] = (0.0, 0.6)
+    """Bright specks on the background, for each square centimetre; 0 to 20."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Impression:
+    """One finger in one session."""
+
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    x_mm: float
+    insertion_mm: float
+    height_mm: float
+    partial: bool
+    """Whether it was laid down too short."""
+    swelling: float
+    flattening: float
+    deformation_mm: float
+    moisture: float
+    glare: float
+    roughness: float
+    ridge_contrast: float
+    blood_factor: float
+    oxygenation: float
+    exposure: float
+    full_well_e: float
+    read_noise_e: float
+    ambient: float
+    hand_shadow: float
+    dust_per_cm2: float
+
+    def pose(self) -> FingerPose:
+        """How the finger lies."""
+        yaw, pitch, roll = (float(np.deg2rad(angle)) for angle in (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        return FingerPose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
+
+
+def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> _Impression:
+    """Draw how a finger is laid down; `place`: seed of the population, number of the person, session from 1.
+
+    What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for the person.
+    """
+    seed, number, session = place
+    require(session >= 1, f"sessions are numbered from 1, but this is {session}.")
+    day = np.random.default_rng(np.random.SeedSequence([seed, 0x5E51, number, session]))
+    which = FINGERS.index(own.name)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E52, number, which, session]))
+
+    def normal() -> float:
+        return float(np.clip(rng.standard_normal(), -2.0, 2.0))
+
+    def between(limits: Range, fraction: float) -> float:
+        return float(limits[0] + (limits[1] - limits[0]) * fraction)
+
+    def even(limits: Range) -> float:
+        return between(limits, rng.random())
+
+    def shared(common: float) -> float:
+        both = np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
+        return float(np.clip(both, -2.0, 2.0))
+
+    swelling = ranges.swelling_sd * shared(ranges.swelling_common)
+    moisture = float(ndtr(shared(ranges.moisture_common)))
+    full_well, read_noise = (between(limits, day.random()) for limits in (ranges.full_well_e, ranges.read_noise_e))
+    partial = bool(rng.random() < ranges.partial_share)
+    full, short = even(ranges.insertion_mm), even(ranges.partial_insertion_mm)
+    _, lower, upper = picture_on_plane(camera)
+    return _Impression(
+        yaw_deg=ranges.yaw_sd_deg * normal(),
+        pitch_deg=ranges.pitch_sd_deg * normal(),
+        roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
+        x_mm=even(ranges.x_mm),
+        insertion_mm=min(short if partial else full, upper - lower - 0.6),
+        height_mm=even(ranges.height_mm),
+        partial=partial,
+        swelling=swelling,
+        flattening=even(ranges.flattening),
+        deformation_mm=even(ranges.deformation_mm),
+        moisture=moisture,
+        glare=between(ranges.glare, moisture),
+        roughness=between(ranges.roughness, moisture),
+        ridge_contrast=between(ranges.ridge_contrast, moisture),
+        blood_factor=float(np.exp(ranges.blood_sd * shared(ranges.blood_common))),
+        oxygenation=between(ranges.oxygenation, day.random()),
+        exposure=even(ranges.exposure),
+        full_well_e=full_well,
+        read_noise_e=read_noise,
+        ambient=even(ranges.ambient),
+        hand_shadow=even(ranges.hand_shadow),
+        dust_per_cm2=even(ranges.dust_per_cm2),
+    )
+
+
+DRAWS = 1
+"""Version of the draws: it rises when the same settings give other captures."""
+
+LARGE = ("normals", "glare_white", "glare_nir")
+"""Arrays of the truth that only ``truth = "full"`` keeps."""
+
+
+@dataclass(frozen=True, slots=True)
+class PopulationSettings(Checked):
+    """A whole population; how many people, fingers and sessions of it are simulated is not part of it."""
+
+    seed: Annotated[int, Limits(0)] = 0
+    """What all people, fingers and captures are drawn from: the same number gives the same bytes. 0 or more."""
+    scale: Annotated[float, Limits(0.05, 1.0)] = 0.5
+    """Size of the images relative to the full frame of 2200 x 3200 pixels."""
+    rig_seed: int | None = 0
+    """Seed of the LEDs' individual intensities; None makes them equal."""
+    people: PeopleRanges = field(default_factory=PeopleRanges)
+    sessions: SessionRanges = field(default_factory=SessionRanges)
+    render: RenderSettings = field(default_factory=lambda: RenderSettings(workers=1))
+    films: FilmSettings = field(default_factory=FilmSettings)
+    """Polarising films: none unless `films.kind` is analyser or leds."""
+    truth: Literal["surface", "full"] = "surface"
+    """``surface``: heights, shape, relief, mask, landmarks; ``full``: normals and glare, too (five times as large)."""
+
+    def rig(self) -> Rig:
+        """The rig as it was calibrated."""
+        return default_rig(self.scale, self.rig_seed)
+
+    def person(self, number: int) -> Person:
+        """Draw the person `number`, from 1."""
+        return draw_person(self.seed, number, self.people)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """One capture of the population."""
+
+    capture: Capture
+    truth: dict[str, NDArray[Any]]
+    facts: dict[str, Any]
+    """Who, which finger and session, how it lay, how its skin was: plain numbers and words."""
+
+
+def population_capture(
+    settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
+) -> _Shown:
+    """Simulate one capture; `session` from 1, `master` of this finger where it was drawn already."""
+    require(finger in person.fingers, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+    own = person.fingers[finger]
+    rig = settings.rig()
+    impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))
+    place = [settings.seed, 0x5E53, person.number, FINGERS.index(finger), session]
+    skin_seed, drift_seed, photo_seed = np.random.SeedSequence(place).spawn(3)
+    master = master or own.finger.master()
+    amplitude_mm, smooth_mm = impression.deformation_mm, settings.sessions.deformation_smooth_mm
+    rng = np.random.default_rng(skin_seed)
+    deformation = draw_deformation(rng, master, amplitude_mm, smooth_mm, impression.swelling)
+    today = finger_of_today(own.finger, impression)
+    worn = replace(today, printed=deformed(master, deformation))
+    surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
+    lit = _drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
+    skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
+    capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
+    subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}
+    facts = {"subject": subject["id"], "finger": finger, "session": session}
+    facts |= _facts(person, own, today, master, impression)
+    if settings.truth == "surface":
+        truth = {name: value for name, value in truth.items() if name not in LARGE}
+    truth["master_minutiae_mm"] = master.minutiae
+    truth["deformation_shift_mm"] = deformation.shift_mm
+    truth["deformation_u_mm"], truth["deformation_v_mm"] = deformation.u_mm, deformation.v_mm
+    truth |= {f"impression_{name}": np.asarray(value) for name, value in facts.items()}
+    return _Shown(replace(capture, rig=rig, subject=subject), truth, facts)
+
+
+def finger_of_today(finger: SimulatedFinger, impression: _Impression) -> SimulatedFinger:
+    """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture makes them."""
+    shape, skin = finger.shape, finger.skin
+    width_mm = shape.width_mm * (1.0 + impression.swelling + impression.flattening)
+    thickness_mm = shape.thickness_mm * (1.0 + impression.swelling - impression.flattening)
+    ridge_um, pore_um = (depth * impression.ridge_contrast for depth in (skin.ridge_depth_um, skin.pore_depth_um))
+    shape = replace(shape, width_mm=width_mm, thickness_mm=thickness_mm)
+    return replace(finger, shape=shape, skin=replace(skin, ridge_depth_um=ridge_um, pore_depth_um=pore_um))
+
+
+def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
+    """The optics of the finger's skin, as moist and as full of blood as in this impression."""
+    return replace(
+        own.optics,
+        blood=float(np.clip(own.optics.blood * impression.blood_factor, 0.002, 0.02)),
+        oxygenation=impression.oxygenation,
+        glare=impression.glare,
+        roughness=impression.roughness,
+    )
+
+
+def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
+    """The rig as it is: LEDs a little brighter or darker than when they were calibrated."""
+    changes = 1.0 + spread * np.clip(rng.standard_normal(len(rig.leds)), -2.5, 2.5)
+    lit = zip(rig.leds, changes, strict=True)
+    return replace(rig, leds=tuple(replace(led, intensity=float(led.intensity * change)) for led, change in lit))
+
+
+def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
+    return TwinSettings(
+        render=settings.render,
+        films=settings.films,
+        background=BackgroundSettings(
+            ambient=impression.ambient, hand_shadow=impression.hand_shadow, dust_per_cm2=impression.dust_per_cm2
+        ),
+        sensor=SensorSettings(
+            exposure=impression.exposure, full_well_e=impression.full_well_e, read_noise_e=impression.read_noise_e
+        ),
+    )
+
+
+def _facts(
+    person: Person, own: OwnFinger, today: SimulatedFinger, master: MasterPrint, impression: _Impression
+) -> dict[str, Any]:
+    return {
+        "sex": person.sex,
+        "pattern": master.pattern,
+        "print_seed": own.finger.seed,
+        "width_mm": today.shape.width_mm,
+        "length_mm": today.shape.length_mm,
+        "thickness_mm": today.shape.thickness_mm,
+        "period_mm": master.period_mm,
+        "ridge_depth_um": today.skin.ridge_depth_um,
+        "minutiae": len(master.minutiae),
+    } | asdict(impression)

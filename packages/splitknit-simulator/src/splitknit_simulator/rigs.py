@@ -1,0 +1,347 @@
+"""Rigs that the simulator photographs with: as a person builds them, with coloured LEDs, with mirrors.
+
+The rig as it is drawn is :func:`splitknit.model.default_rig`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    COLOURS,
+    CROSSTALK,
+    HALF_ANGLE_DEG,
+    Camera,
+    Checked,
+    Led,
+    Limits,
+    Mirror,
+    Rig,
+    check_fields,
+    default_rig,
+    lobe_exponent,
+    nominal_rig,
+    require,
+    shared_exposures,
+)
+
+Array = NDArray[np.float64]
+
+
+SIDE_ARC_DEG, SIDE_MM = (-25.0, 205.0), (90.0, 30.0)
+"""Azimuths of the first and the last light to the side; distance from the axis, and height above the finger plane."""
+
+
+def with_side_lights(rig: Rig, count: int) -> Rig:
+    """The rig with `count` further white LEDs to the side of the finger, as bright at the origin as a ring's."""
+    if count == 0:
+        return rig
+    (away, up), height = SIDE_MM, rig.camera.height_mm
+    intensity = round((away**2 + up**2) / height**2, 6)
+    added = []
+    for azimuth in np.deg2rad(np.linspace(*SIDE_ARC_DEG, count) if count > 1 else [90.0] * count):
+        place = float(away * np.cos(azimuth)), float(away * np.sin(azimuth)), up
+        added.append(Led(band="white", position_mm=place, intensity=intensity))
+    return replace(rig, leds=(*rig.leds, *added))
+
+
+# As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
+
+
+@dataclass(frozen=True, slots=True)
+class _Tolerances:
+    """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
+
+    led_position_mm: float = 0.7
+    """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
+    off its lens's axis and 1 mm along it from lot to lot."""
+    led_beam_deg: float = 2.0
+    """Per axis: data sheets of 5 mm LEDs allow the beam +-5 deg against the package (2 deg as a deviation); the seat
+    adds half a degree."""
+    led_half_angle: float = 0.08
+    """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
+    led_intensity: float = 0.1
+    """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
+    focal_length: float = 0.01
+    """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
+    camera_height_mm: float = 0.5
+    """Uncertainty of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing
+    lacks."""
+    camera_tilt_deg: float = 0.3
+    """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
+    camera_shift_mm: float = 0.3
+    """Per axis, of the camera against the LEDs' circle: the play of its screws."""
+    principal_point: float = 0.005
+    """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
+    corner_distortion: float = 0.005
+    """Largest shift of the image's corners by distortion, relative (evenly drawn, either sign): long lenses distort by
+    well below 1 %."""
+    corner_vignetting: tuple[float, float] = (0.10, 0.20)
+    """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
+
+
+def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
+    """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
+    every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
+
+    The camera stands on z and looks straight down it, so that an oblique camera moves the LEDs. `provenance` has
+    ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
+    """
+    require(seed >= 0, f"seed must not be negative, but it is {seed}.")
+    tolerances = tolerances or _Tolerances()
+    drawn = nominal_rig(scale)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
+    camera = _built_camera(drawn.camera, tolerances, rng)
+    shift = np.array([*(tolerances.camera_shift_mm * _normal(rng, 2)), 0.0])
+    tilt_deg = tolerances.camera_tilt_deg * _normal(rng, 2)
+    # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned about the camera
+    turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
+    seat = np.array([0.0, 0.0, camera.height_mm])
+    leds = tuple(_built_led(led, tolerances, rng, (turn, seat, shift)) for led in drawn.leds)
+    tilt = [round(float(t), 6) for t in tilt_deg]
+    provenance = {"source": "digital twin", "rig": "as built", "seed": seed, "base_tilt_deg": tilt}
+    return Rig(camera=camera, leds=leds, provenance=provenance)
+
+
+def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generator) -> Camera:
+    assert drawn.matrix is not None
+    rows, columns = drawn.image_size
+    focal, height, *offset = _normal(rng, 4)
+    distortion, vignetting = rng.random(2)
+    focal_px = float(drawn.matrix[0, 0]) * (1.0 + tolerances.focal_length * focal)
+    height_mm = drawn.height_mm + tolerances.camera_height_mm * height
+    middle = np.array([columns - 1, rows - 1]) / 2 + tolerances.principal_point * columns * np.array(offset)
+    matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
+    corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)  # squared tangent of the field angle at the corners
+    low, high = tolerances.corner_vignetting
+    lost = low + (high - low) * vignetting
+    return replace(
+        drawn,
+        px_per_mm=float(focal_px / height_mm),
+        height_mm=float(height_mm),
+        matrix=matrix,
+        distortion=(float(tolerances.corner_distortion * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
+        # cos^4 = (1 + tan^2)^-2 = 1 - 2 tan^2 + 3 tan^4 - ..., and vignetting, which sets in late
+        shading=(float(-2.0 * corner2), float(3.0 * corner2**2 - lost)),
+    )
+
+
+def _built_led(
+    drawn: Led, tolerances: _Tolerances, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
+) -> Led:
+    turn, seat, shift = seen_from_camera
+    position = np.asarray(drawn.position_mm) + tolerances.led_position_mm * _normal(rng, 3) + shift
+    position = turn @ (position - seat) + seat
+    first, second = np.tan(np.deg2rad(tolerances.led_beam_deg * _normal(rng, 2)))
+    aim = turn @ drawn.axis
+    across = np.cross(aim, (0.0, 0.0, 1.0))
+    across /= np.linalg.norm(across)
+    aim = aim + first * across + second * np.cross(aim, across)
+    aim /= np.linalg.norm(aim)
+    half_angle, intensity = _normal(rng, 2)
+    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + tolerances.led_half_angle * half_angle)
+    return replace(
+        drawn,
+        position_mm=(float(position[0]), float(position[1]), float(position[2])),
+        aim=(float(aim[0]), float(aim[1]), float(aim[2])),
+        lobe_exponent=round(lobe_exponent(angle), 6),
+        intensity=round(float(1.0 + tolerances.led_intensity * intensity), 6),
+    )
+
+
+def _normal(rng: np.random.Generator, count: int) -> Array:
+    """Normal deviates, cut at 2.5: parts that are further off are thrown away."""
+    return np.clip(rng.standard_normal(count), -2.5, 2.5)
+
+
+CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
+"""Intensities by which light skin fills the three channels about equally."""
+
+
+# With coloured LEDs.
+
+
+def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
+    """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
+    plain = default_rig(scale, seed, intensity_spread)
+    count = 3 * exposures
+    colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}
+    deviations = np.zeros(count) if seed is None else _normal(np.random.default_rng([seed, 0xC0]), count)
+    leds = []
+    for k, deviation in enumerate(deviations):
+        azimuth = 2.0 * np.pi * k / count
+        position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
+        intensity = round(float(CURRENTS[colours[k]] * (1.0 + intensity_spread * deviation)), 6)
+        leds.append(Led(band="white", position_mm=position, intensity=intensity, colour=colours[k]))
+    camera = replace(plain.camera, crosstalk=np.array(CROSSTALK))
+    invisible = tuple(led for led in plain.leds if led.band == "nir")
+    return replace(plain, camera=camera, leds=(*leds, *invisible))
+
+
+SIDES = ("left", "right", "tip")
+
+_Length = Annotated[float, Limits(0.0, 200.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class _MirrorParts(Checked):
+    """The printed parts that carry the mirrors, mm: those of a rig whose mirrors show the whole side of most fingers,
+    larger than ``splitknit rig cad`` draws them by default (``docs/explain/simulator.md`` names its options).
+    """
+
+    _group = "mirrors.parts"
+
+    long_mm: _Length = 30.0
+    """Length of a mirror, along its lower edge."""
+    wide_mm: _Length = 30.0
+    """Width of a mirror, up its slope."""
+    thick_mm: _Length = 2.0
+    """Thickness of a mirror's glass."""
+    gap_mm: _Length = 1.0
+    """Between the groove's block and a holder."""
+    lip_mm: _Length = 0.8
+    """How much of the mirror's lower edge the holder's lip covers."""
+    clearance_mm: _Length = 0.2
+    """Clearance of all joints."""
+    wall_mm: _Length = 2.4
+    """Thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
+    pad_height_mm: _Length = 21.2
+    """Height of the finger plane over the groove's bottom."""
+    widest_mm: _Length = 22.0
+    """Width of the widest finger."""
+    finger_clearance_mm: _Length = 2.0
+    """Between the widest finger and the walls of the groove, both sides together."""
+    tip_margin_mm: _Length = 27.0
+    """From the fingertip's stop to the picture's upper border."""
+    phalanx_mm: _Length = 30.0
+    """Length of the last phalanx, tip to crease: in a large picture its centre is the picture's."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(
+            self.wide_mm > self.lip_mm + 1.0 and self.long_mm > 1.0,
+            "mirrors.parts.wide_mm must be at least 1 mm more than what the lip covers, and long_mm above 1.",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorSettings(Checked):
+    """What the twin's mirrors are; without names there are none."""
+
+    _group = "mirrors"
+
+    names: tuple[str, ...] = ()
+    """Any of ``left``, ``right`` and ``tip``. A given rig with mirrors keeps its own."""
+    reflectance: Annotated[float, Limits(1e-6, 1.0)] = 0.9
+    """Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
+    turn_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 1.0
+    """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
+    rocks in its seat."""
+    shift_sd_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
+    """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to 10."""
+    pose_seed: int | None = None
+    """Seed of the true poses; None: they follow from the finger's seed, and are the same in all its impressions."""
+    px_per_mm: Annotated[float, Limits(1.0, 200.0)] = 43.0
+    """Scale of the full frame: all views must fit."""
+    image_size: Annotated[tuple[int, int], Limits(64)] = (2464, 3280)
+    """Rows and columns of the full frame: all of the IMX219."""
+    model: Literal["orthographic", "perspective"] = "orthographic"
+    """Model of the camera: ``orthographic``, or ``perspective`` from 140 mm with a lens without distortion. A given
+    `rig` has its own camera."""
+    nir: bool = True
+    """Whether the rig has its NIR LEDs: mirrors can do without."""
+    ridges_to_deg: Annotated[float, Limits(60.0, 180.0)] = 112.0
+    """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all around."""
+    dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
+    """Bright specks on the mirrors."""
+    truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
+    """Spacing of the grid around the finger in the truth."""
+    parts: _MirrorParts = field(default_factory=_MirrorParts)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        known = all(name in SIDES for name in self.names) and len(set(self.names)) == len(self.names)
+        require(known, f"mirrors.names are some of left, right and tip, each once, but they are {list(self.names)}.")
+
+
+# With mirrors, as it is drawn.
+
+_HALF = math.sqrt(0.5)
+_LIP_WALL_MM, _GROOVE_IN_FLOOR_MM, _POCKET_MM = 1.2, 0.4, 1.0
+
+
+def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
+    """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the drawing has them."""
+    rig = default_rig(scale, seed, intensity_spread)
+    rows, columns = (round(side * scale) for side in views.image_size)
+    camera = replace(rig.camera, px_per_mm=views.px_per_mm * scale, image_size=(rows, columns))
+    if views.model == "perspective":
+        focal_px = camera.px_per_mm * camera.height_mm
+        matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
+        camera = replace(camera, model="perspective", matrix=matrix)
+    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
+    return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
+
+
+def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:
+    """Return the mirrors as drawn: the part of each face that the holder's lip leaves free."""
+    face = holder_profile(views.parts)["face"]
+    quads = (holder_quad(views.parts, name, camera, *face).tolist() for name in views.names)
+    return tuple(
+        Mirror(name, tuple((x, y, z) for x, y, z in quad), views.reflectance)
+        for name, quad in zip(views.names, quads, strict=True)
+    )
+
+
+def stop_y_mm(parts: _MirrorParts, camera: Camera) -> float:
+    """Return where the fingertip stops, in the rig's frame."""
+    return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, parts.phalanx_mm / 2)
+
+
+def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
+    """Return lines in the section of a holder with its mirror, each between two points (distance from the holder's
+    front, height over its foot), mm.
+
+    ``face``: the mirror's free face, from its lower to its upper end; ``glass``: its ground upper edge, from front to
+    back; ``lip``: the lip's end, from its inner to its outer edge; ``lip_front``: from there to where the lip's outer
+    face meets the holder's front; ``shade``: what stands before the mirror below that edge, seen from the mirror, dark;
+    ``back``: the holder's top behind the mirror.
+    """
+    p, along, behind = parts, np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    front = np.array(
+        [(p.clearance_mm + _LIP_WALL_MM) * _HALF + 0.2, (p.thick_mm + p.clearance_mm) * _HALF + _LIP_WALL_MM]
+    )
+    low, high = front + p.lip_mm * along, front + p.wide_mm * along
+    inside = front - p.clearance_mm * behind
+    outside = inside - _LIP_WALL_MM * behind
+    start = np.array([0.0, outside[1] - outside[0]])
+    inside, outside = inside + p.lip_mm * along, outside + p.lip_mm * along
+    edge = high + (p.thick_mm + p.clearance_mm) * behind
+    return {
+        "face": (low, high),
+        "glass": (high, high + p.thick_mm * behind),
+        "lip": (inside, outside),
+        "lip_front": (outside, start),
+        "shade": (outside - np.array([0.0, 8.0]), outside),
+        "back": (edge, edge + np.array([p.wall_mm, 0.0])),
+    }
+
+
+def holder_quad(parts: _MirrorParts, name: str, camera: Camera, low: Array, high: Array) -> Array:
+    """(4, 3) rectangle between two points of the section, along the whole holder `name`, in the rig's frame."""
+    p, stop = parts, stop_y_mm(parts, camera)
+    foot = -p.pad_height_mm + _GROOVE_IN_FLOOR_MM - _POCKET_MM
+    half = p.long_mm / 2
+    side = (p.widest_mm + p.finger_clearance_mm) / 2 + p.wall_mm + p.gap_mm
+    middle, tip = stop + 1.0 - half, stop + p.wall_mm + p.gap_mm
+    corners = [(low, -half), (low, half), (high, half), (high, -half)]
+    if name == "tip":
+        return np.array([(along, tip + u, foot + v) for (u, v), along in corners])
+    sign = 1.0 if name == "right" else -1.0
+    return np.array([(sign * (side + u), middle + along, foot + v) for (u, v), along in corners])

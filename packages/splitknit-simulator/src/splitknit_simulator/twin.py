@@ -1,0 +1,420 @@
+"""A whole capture of the simulator: finger, skin, lights, background and sensor, with the truth; and as a folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit import (
+    Camera,
+    Capture,
+    FloatArray,
+    Led,
+    PixelArray,
+    Progress,
+    Rig,
+    atomic_folder,
+    check_capture,
+    default_rig,
+    no_progress,
+    override,
+    read_image,
+    read_rig,
+    require,
+    write_capture,
+)
+from splitknit_simulator.finger.conditions import conditioned_surface
+from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
+from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
+from splitknit_simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
+from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
+from splitknit_simulator.light.lighting import white_card
+from splitknit_simulator.light.renderer import BandLight
+from splitknit_simulator.light.skin import BAND_CHANNELS, SkinOptics
+from splitknit_simulator.mirror_twin import Drawn, photograph_between_mirrors, poses_between_mirrors, rig_with_mirrors
+from splitknit_simulator.rigs import coloured_rig, with_side_lights
+from splitknit_simulator.scene import (
+    BACKGROUND_MM,
+    Scene,
+    Taken,
+    TwinSettings,
+    bands_of,
+    exposures_of,
+    members_of,
+    optics_truth,
+    surface_truth,
+    take_capture,
+)
+from splitknit_simulator.surface import SimulatedSurface
+
+
+def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
+    """Return the twin's settings with `scale` and single fields replaced."""
+    settings = override(TwinSettings(), dict(changes or {}))
+    settings = settings if scale is None else replace(settings, scale=scale)
+    require(0.05 <= settings.scale <= 1.0, f"scale must lie between 0.05 and 1, but it is {settings.scale:g}.")
+    return settings
+
+
+def simulate_to_folder(
+    out: Path,
+    *,
+    seed: int = 0,
+    pattern: str | None = None,
+    scale: float | None = None,
+    rig: Path | None = None,
+    lights: str = "white",
+    impression: int = 0,
+    print_file: Path | None = None,
+    changes: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Simulate a capture and write its folder with the truth; return what was made.
+
+    `print_file`: a print of 500 pixels an inch, whose ridges the finger has; `overwrite`: replace an earlier capture.
+    """
+    started = time.perf_counter()
+    settings = twin_settings(scale, changes)
+    if rig is not None:
+        require(scale is None, "the rig file says how large the images are; leave out the scale.")
+        settings = replace(settings, rig=read_rig(rig))
+    if lights != "white":
+        require(settings.rig is None, "a rig file says which LEDs there are; leave out `lights`, or `rig`.")
+        require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out `mirrors` or `lights`.")
+        coloured = coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])
+        settings = replace(settings, rig=coloured)
+    finger = None
+    if print_file is not None:
+        require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
+        finger = replace(draw_finger(seed), pattern="print", printed=master_of_print_file(print_file, seed))
+    check_capture(out, overwrite=overwrite)
+    with atomic_folder(out, overwrite=overwrite) as target:
+        progress("simulating", 0.0)
+        capture, truth = simulate_capture(seed, pattern, settings, impression=impression, finger=finger)
+        progress("writing", 0.8)
+        write_capture(capture, target, truth, overwrite=True)
+    progress("done", 1.0)
+    return {
+        "out": str(out),
+        "seed": seed,
+        "pattern": str(truth.get("landmark_pattern", pattern or "finger")),
+        "images": sum(len(band.leds) for band in capture.bands.values()),
+        "image_size": list(capture.shape),
+        "px_per_mm": capture.rig.camera.px_per_mm,
+        "total_s": time.perf_counter() - started,
+    }
+
+
+def master_of_print_file(
+    path: Path, seed: int = 0, settings: MasterPrintSettings | None = None, *, mirrored: bool = False
+) -> MasterPrint:
+    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the finger that left it.
+
+    `mirrored`: of the finger that would leave its mirror image.
+    """
+    pixels = read_image(path)
+    grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
+    grey = grey[:, ::-1] if mirrored else grey
+    return master_of_print(np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8), seed, settings=settings)
+
+
+EXPOSURES = {"coloured": 2, "coloured9": 3}
+
+
+def simulate_capture(
+    seed: int,
+    pattern: str | None = None,
+    settings: TwinSettings | Mapping[str, Any] | None = None,
+    *,
+    impression: int = 0,
+    finger: SimulatedFinger | None = None,
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Simulate one capture of one person's finger.
+
+    Parameters
+    ----------
+    seed : of the person: finger, print and skin follow from it
+    pattern : class of the print (``arch``, ``left_loop``, ``whorl``, ...); None draws it
+    settings : of the simulator, or a mapping from ``stage.field`` to a value
+    impression : number of the capture of this finger: pose, dust and noise change with it
+    finger : photographed instead of the one that `seed` draws
+
+    Returns
+    -------
+    capture : 8-bit (or 16-bit) images of both bands with ambient frames, and the rig
+    truth : arrays by name, see ``docs/explain/simulator.md``
+
+    Raises
+    ------
+    BadInput
+        If there is no such `pattern`, or `settings` combine what the twin cannot show together (motion and mirrors).
+
+    Notes
+    -----
+    The same arguments give the same bytes, whatever the number of workers.
+
+    Examples
+    --------
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, "whorl", {"scale": 0.08})
+    >>> capture.shape
+    (176, 256)
+    """
+    settings = settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
+    if settings.motion.amplitude_mm > 0:
+        capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
+    elif settings.between_mirrors:
+        drawn = _drawn(seed, pattern, settings, impression, finger)
+        capture, truth = photograph_between_mirrors(drawn, seed, settings)
+    else:
+        surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        capture, truth = photograph(surface, drawn.rig, drawn.skin, drawn.photo_seed, settings=settings)
+    subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
+    return replace(capture, subject=subject), truth
+
+
+def lay_down(
+    seed: int,
+    pattern: str | None = None,
+    settings: TwinSettings | None = None,
+    *,
+    impression: int = 0,
+    finger: SimulatedFinger | None = None,
+) -> tuple[SimulatedSurface, Drawn]:
+    """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
+    settings = settings or TwinSettings()
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    finger, pose, skin = drawn.finger, drawn.pose, drawn.skin
+    workers, camera = settings.render.workers, drawn.rig.camera
+    if settings.condition.active:
+        condition_seed = np.random.SeedSequence([seed, impression, 0x54])
+        surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
+    else:
+        surface = finger_surface(finger, pose, camera, workers=workers)
+    return surface, drawn
+
+
+def _drawn(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
+) -> Drawn:
+    require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
+    between = settings.between_mirrors
+    default = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    rig = rig_with_mirrors(settings) if between else with_side_lights(default, settings.side_lights)
+    if settings.films.kind == "leds":
+        rig = with_crossed_leds(rig, settings.films.neighbour_mm)
+    finger = finger or draw_finger(seed, pattern)
+    person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
+    pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
+    skin = settings.skin if isinstance(settings.skin, SkinOptics) else settings.skin.draw(person)
+    pose = settings.pose
+    if not isinstance(pose, FingerPose):
+        ranges = poses_between_mirrors(pose, settings, rig.camera) if between else pose
+        pose = ranges.draw(np.random.default_rng(pose_seed), rig.camera)
+    return Drawn(finger, pose, rig, skin, photo_seed)
+
+
+def photograph(
+    surface: SimulatedSurface,
+    rig: Rig,
+    skin: SkinOptics,
+    seed: np.random.SeedSequence,
+    *,
+    settings: TwinSettings | None = None,
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of background and noise.
+
+    Of `settings` only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here. The truth's arrays by
+    name: see ``docs/explain/simulator.md``. Raises BadInput if the surface does not fit the camera or is not in the
+    picture.
+    """
+    settings = settings or TwinSettings()
+    require(
+        surface.mask.shape == rig.camera.image_size,
+        f"the surface has {surface.mask.shape} pixels, but the rig's camera has {rig.camera.image_size}.",
+    )
+    background_seed, noise_seed = seed.spawn(2)
+    scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
+    truth = surface_truth(surface)
+    return take_capture(scene, scene.photograph, noise_seed, truth), truth
+
+
+# A moving finger: every shot shows a surface of its own.
+
+
+def _photograph_moving(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
+) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    """Photograph a finger that moves from shot to shot, the white band first.
+
+    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first band. The truth is
+    that of this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where each shot shows
+    the finger. The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure
+    show the finger at one place.
+    """
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    rig = drawn.rig
+    members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
+    groups = {name: exposures_of([rig.leds[k] for k in found]) for name, found in members.items()}
+    # band and LEDs of every shot, in the order in which they are taken: the white band first
+    shots = [(name, tuple(members[name][k] for k in group)) for name, found in groups.items() for group in found]
+    path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
+    reference = sum(name == shots[0][0] for name, _ in shots) // 2
+    path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
+    moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
+    background_seed, noise_seed = drawn.photo_seed.spawn(2)
+    lit: dict[str, list[_Shot]] = {}
+    truth: dict[str, NDArray[Any]] = {}
+    exposed_px = EXPOSURE_S * rig.camera.px_per_mm
+    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(settings.render.workers), strict=True)):
+        # the same dust in every shot
+        scene = Scene((surface, rig, drawn.skin), settings, np.random.default_rng(background_seed))
+        if number == moving.path.reference:
+            truth = surface_truth(surface) | moving.truth(surface)
+        smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
+        light = scene.behind_films(name, scene.render(name, [rig.leds[k] for k in leds]), leds)
+        lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
+
+    def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
+        return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
+
+    scene = next(iter(lit.values()))[0].scene
+    return take_capture(scene, photograph_band, noise_seed, truth), truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shot:
+    """The finger at one place under one exposure's LEDs."""
+
+    scene: Scene
+    light: BandLight
+    """Light of every LED of the exposure."""
+    leds: tuple[int, ...]
+    """Their numbers in the rig."""
+    smear: FloatArray
+    """Kernel of the blur within the exposure."""
+
+    @property
+    def members(self) -> list[Led]:
+        """The exposure's LEDs."""
+        return [self.scene.rig.leds[k] for k in self.leds]
+
+
+def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
+    """Images of one band, as :meth:`Scene.photograph` gives them; the exposure is set to the shots `exposed`."""
+    first = shots[0].scene
+    rig = first.rig
+    used = sorted(k for shot in shots for k in shot.leds)
+    bright = max(shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in exposed)
+    exposure = np.float32(first.settings.sensor.exposure / bright)
+    ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
+    glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
+    leds = [rig.leds[k] for k in used]
+
+    def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
+        shot = shots[number]
+        scene, light = shot.scene, shot.light
+        frame = scene.exposed(light, range(len(shot.leds)), shot.members, ambient) * exposure
+        for k, led in enumerate(shot.leds):
+            glare[used.index(led)][light.window] = light.glare[k] * scene.shade[light.window[0]] * exposure
+        smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
+        return scene.record(np.asarray(smeared, dtype=np.float32), name, leds, seed)
+
+    band = first.take(name, [shot.leds for shot in shots], shoot, ambient * exposure, seed)
+    return band, glare, np.array(float(exposure))
+
+
+def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
+    """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
+    reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for fraction in np.linspace(-0.5, 0.5, 65):
+        column, row = reach + fraction * length_px
+        left, top = int(np.floor(column)), int(np.floor(row))
+        across, down = column - left, row - top
+        kernel[top : top + 2, left : left + 2] += np.outer([1 - down, down], [1 - across, across])
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)
+
+
+# A finger that stays: any of its LEDs lit, in any order, as often as one likes.
+
+HalfArray = NDArray[np.float16]
+
+
+class FingerScene:
+    """One finger, laid down once, under any LEDs of a rig.
+
+    The finger, its skin and its pose are those of :func:`splitknit_simulator.twin.simulate_capture` with the same
+    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The ambient
+    light is the same whichever LED is lit.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        pattern: str | None = None,
+        settings: TwinSettings | None = None,
+        *,
+        impression: int = 0,
+        finger: SimulatedFinger | None = None,
+    ) -> None:
+        """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not used here."""
+        settings = replace(settings or TwinSettings(), films=FilmSettings())
+        self.surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
+        rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
+        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
+        self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
+        """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR); half floats, whose
+        steps are a tenth of the noise."""
+        self._room: FloatArray | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that looks at the finger."""
+        return self.rig.camera
+
+    @property
+    def leds(self) -> tuple[Led, ...]:
+        """LEDs of the rig."""
+        return self.rig.leds
+
+    def light(self, lit: Sequence[int]) -> FloatArray:
+        """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no
+        such LED.
+
+        White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity one at
+        100 mm gives 1 / pi.
+        """
+        for index in lit:
+            require(0 <= index < len(self.leds), f"there is no LED {index} in the rig of {len(self.leds)}.")
+        if self._room is None:
+            self._room = self._scene.ambient("white", self.leds)
+        frame, scene = self._room.copy(), self._scene
+        for index in lit:
+            window, all_planes = self._rendered(self.leds[index].band)
+            members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
+            card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
+            frame += scene.background(card, self.leds[index].band) * scene.shade[..., None]
+            frame[window] += np.moveaxis(all_planes[members.index(index)] * scene.shade[window[0]], 0, -1)
+        return scene.through_lens(frame)
+
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """Arrays by name: heights, normals, mask, landmarks and optics, see ``docs/explain/simulator.md``."""
+        intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
+        return surface_truth(self.surface) | optics_truth(self.skin) | intensities
+
+    def _rendered(self, name: str) -> tuple[tuple[slice, slice], HalfArray]:
+        if name not in self._bands:
+            require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
+            light = self._scene.render(name, [led for led in self.leds if led.band == name])
+            self._bands[name] = light.window, (light.diffuse + light.glare[:, None]).astype(np.float16)
+        return self._bands[name]

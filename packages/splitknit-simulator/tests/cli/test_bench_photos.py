@@ -1,0 +1,93 @@
+"""``splitknit simulate --bench`` and ``splitknit reconstruct --rig``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.cli.main import main
+from splitknit.io.capture import read_capture
+from splitknit.io.images import read_image
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import Led, Rig
+from splitknit_simulator.rigs import built_rig
+
+SCALE = 0.06
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("bench") / "bench"
+    call = ["simulate", "--bench", "--seed", "3", "--scale", str(SCALE), "--out", str(out)]
+    assert main([*call, "--set", "boards=3", "--set", "nails=2"]) == 0
+    return out
+
+
+def test_everything_is_there(bench: Path) -> None:
+    true, drawn = read_rig(bench / "rig_true.json"), read_rig(bench / "rig_drawn.json")
+    assert true.camera.matrix is not None and drawn.camera.matrix is not None
+    assert np.abs(true.camera.matrix - built_rig(3, scale=SCALE).camera.matrix).max() < 1e-9
+    assert np.abs(true.camera.matrix - drawn.camera.matrix).max() > 0.1
+    pictures = [*sorted(bench.glob("board/*.png")), bench / "plane.png", bench / "disc.png"]
+    pictures += sorted(bench.glob("nail/nail_*/*.png"))
+    assert len(pictures) == 3 + 2 + 2 * 14
+    for picture in pictures:
+        pixels = read_image(picture)
+        assert pixels.shape[:2] == true.camera.image_size
+        assert 90 < np.percentile(pixels, 99.5) < 255, picture.name
+
+
+def test_the_card_is_a_capture_with_dark_frames_and_exposures(bench: Path) -> None:
+    capture = read_capture(bench / "card")
+    assert capture.material == "opaque"
+    assert [len(band.leds) for band in capture.bands.values()] == [7, 7]
+    document = json.loads((bench / "card" / "radiometry.json").read_text())
+    series = [read_image(bench / "card" / one["file"]).mean() for one in document["exposures"]]
+    times = [one["exposure_s"] for one in document["exposures"]]
+    np.testing.assert_allclose(np.array(series) / series[-1], np.array(times) / times[-1], rtol=0.03)
+    assert read_image(bench / "card" / document["dark"][0]).mean() < 2
+
+
+def test_a_finger_by_that_rig_and_its_reconstruction_with_another(bench: Path, tmp_path: Path) -> None:
+    true = bench / "rig_true.json"
+    assert main(["simulate", "--seed", "4", "--rig", str(true), "--out", str(tmp_path / "c")]) == 0
+    assert read_capture(tmp_path / "c").rig.camera.height_mm == read_rig(true).camera.height_mm
+    call = ["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--rig", str(bench / "rig_drawn.json"), "--keep"]
+    assert main([*call, "--out", str(tmp_path / "r")]) == 0
+    report = json.loads((tmp_path / "r" / "report.json").read_text())
+    assert "replaced rig: rig_drawn.json" in json.dumps(report)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (["simulate", "--bench", "--pattern", "loop"], "--pattern does not go with --bench"),
+        (["simulate", "--bench", "--set", "nails=9"], "1 to 4 places"),
+        (["simulate", "--rig", "RIG", "--scale", "0.5"], "leave out the scale"),
+    ],
+)
+def test_refusals(call: list[str], words: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = [str(bench / "rig_true.json") if part == "RIG" else part for part in call]
+    assert main([*given, "--out", str(tmp_path / "o")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "o").exists()
+
+
+def test_rigs_that_do_not_fit_a_capture(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = read_rig(bench / "rig_drawn.json")
+    swapped = tuple(Led("nir" if led.band == "white" else "white", led.position_mm) for led in rig.leds)
+    other = built_rig(3, scale=2 * SCALE)
+    for name, wrong, words in (
+        ("few.json", Rig(rig.camera, rig.leds[:9]), "LED 9, which lit images of the band 'nir', is not in it"),
+        ("swapped.json", Rig(rig.camera, swapped), "is of the band 'nir' there"),
+        ("other.json", other, "is the rig of another camera"),
+    ):
+        write_rig(wrong, tmp_path / name)
+        call = ["reconstruct", str(bench / "card"), "--rig", str(tmp_path / name), "--out", str(tmp_path / "r")]
+        assert main(call) == 2
+        assert words in capsys.readouterr().err

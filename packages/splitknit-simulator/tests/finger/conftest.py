@@ -1,0 +1,3 @@
+"""Fixtures of the folder."""
+
+from drawn_fingers import *

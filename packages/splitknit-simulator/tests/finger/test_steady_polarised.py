@@ -1,0 +1,92 @@
+"""A finger that moved between its two polarised series."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import splitknit_simulator
+from splitknit.finger.steady import find_steady_finger
+from splitknit.model import Band, Capture
+from splitknit.presets import preset_settings
+from splitknit.settings import override
+
+METRIC = preset_settings("metric")
+MOVED_MM = (0.15, -0.1)
+"""Right and up."""
+
+
+def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
+    """With the crossed images shifted."""
+    px = capture.rig.camera.px_per_mm
+    turn = np.array([[1.0, 0.0, right_mm * px], [0.0, 1.0, -up_mm * px]])
+    band = capture.bands["white_crossed"]
+    size = capture.shape[::-1]
+    pixels = [cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels]
+    crossed = replace(band, pixels=np.stack(pixels).reshape(band.pixels.shape))
+    return replace(capture, bands={**capture.bands, "white_crossed": crossed})
+
+
+@pytest.fixture(scope="module")
+def polarised() -> Capture:
+    """A finger without specular reflection, as crossed films show it, and with it."""
+    one, other = (
+        splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "skin.glare": [strength, strength]})[0]
+        for strength in (1.0, 0.0)
+    )
+    white, dark = one.bands["white"], other.bands["white"]
+    crossed = replace(dark, name="white_crossed", polarisation="crossed")
+    return replace(
+        one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed, "nir": one.bands["nir"]}
+    )
+
+
+def test_a_still_finger_stays_as_it_is(polarised: Capture) -> None:
+    steady, finger = find_steady_finger(polarised, METRIC)
+    assert steady is polarised
+    assert finger.facts["motion"]["most_mm"] < 0.01
+    assert len(finger.facts["motion_white_crossed"]["moved_mm"]) == 7
+    assert not any("moved" in warning for warning in finger.warnings)
+
+
+def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
+    apart = moved(polarised, *MOVED_MM)
+    steady, finger = find_steady_finger(apart, METRIC)
+    found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
+    np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.01)
+    assert any("between the parallel and the crossed series; that was undone" in note for note in finger.warnings)
+    assert steady.bands["white"] is apart.bands["white"]
+    assert "motion_white" not in finger.facts
+    before, after = (
+        np.abs(
+            one.bands["white_crossed"].pixels[0].astype(float)
+            - polarised.bands["white_crossed"].pixels[0].astype(float)
+        )[finger.mask].mean()
+        for one in (apart, steady)
+    )
+    assert after < 0.3 * before
+
+
+@pytest.mark.slow
+def test_grey_images_show_it_less_exactly(polarised: Capture) -> None:
+    def of_one_channel(band: Band) -> Band:
+        last = band.pixels.shape[3] // 2
+        one = slice(last, last + 1)
+        return replace(band, pixels=band.pixels[..., one], ambient=None)
+
+    grey = replace(polarised, bands={name: of_one_channel(band) for name, band in polarised.bands.items()})
+    _, finger = find_steady_finger(moved(grey, *MOVED_MM), METRIC)
+    found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
+    np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.04)
+
+
+@pytest.mark.slow
+def test_it_is_measured_where_it_is_not_undone(polarised: Capture) -> None:
+    apart = moved(polarised, *MOVED_MM)
+    steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
+    assert steady is apart
+    assert finger.facts["motion"]["most_mm"] == pytest.approx(np.hypot(*MOVED_MM), abs=0.01)
+    assert any(warning.endswith("between the parallel and the crossed series.") for warning in finger.warnings)

@@ -1,0 +1,178 @@
+"""Cards and darkness under the rig against closed forms, and what all scenes of the bench share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench_help import DARK_ROOM, built, drawn, grey, parallel, seen
+from splitknit.errors import BadInput
+from splitknit_simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene
+from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit_simulator.camera.sensor import SensorSettings
+
+PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
+"""Columns and rows in a picture of 220 x 320."""
+
+
+def card_light(led, point, normal=(0, 0, 1), albedo=0.9):
+    """Radiance of a card by hand: inverse square, cosine of incidence, cosine to the lobe's power, Lambert."""
+    towards = np.array(led.position_mm) - point
+    r = np.linalg.norm(towards)
+    beam = np.array(led.aim if led.aim is not None else -np.array(led.position_mm))
+    along = np.dot(-towards / r, beam / np.linalg.norm(beam))
+    return albedo / np.pi * led.intensity * (100 / r) ** 2 * np.dot(towards / r, normal) * along**led.lobe_exponent
+
+
+@pytest.mark.parametrize("z", [0.0, 6.0])
+def test_a_card_under_a_near_led_is_as_bright_as_its_closed_form(z):
+    things = drawn(intensity=1.3)
+    camera = things["camera"]
+    light = grey(CardScene(**things, height_mm=z, bench=DARK_ROOM), [4])
+    for column, row in PLACES:
+        x = (column - 159.5) / camera.matrix[0, 0] * (140 - z)
+        y = (109.5 - row) / camera.matrix[0, 0] * (140 - z)
+        assert light[row, column] == pytest.approx(card_light(things["leds"][4], (x, y, z)), rel=1e-5)
+
+
+def test_parallel_rays_see_other_places_of_the_card():
+    things = parallel()
+    light = grey(CardScene(**things, bench=DARK_ROOM), [9])
+    for column, row in PLACES:
+        point = ((column - 159.5) / 7.57, (109.5 - row) / 7.57, 0.0)
+        assert light[row, column] == pytest.approx(card_light(things["leds"][9], point), rel=1e-5)
+
+
+def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
+    things = built()
+    scene = CardScene(**things, tilt_deg=(2.0, -3.0), height_mm=1.5, bench=DARK_ROOM)
+    light = grey(scene, [0])
+    # points of the card, where OpenCV says they appear
+    a, b = np.deg2rad([2.0, -3.0])
+    angle = np.hypot(a, b)
+    k = np.array([[0, 0, b], [0, 0, -a], [-b, a, 0]]) / angle
+    turn = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+    for u, v in [(0, 0), (-14, 9), (17, -11)]:
+        point = turn @ (u, v, 0) + (0, 0, 1.5)
+        column, row = np.round(seen(things["camera"], point)[0]).astype(int)
+        assert light[row, column] == pytest.approx(card_light(things["leds"][0], point, turn[:, 2]), rel=2e-3)
+
+
+def test_the_lens_darkens_the_corners():
+    things = drawn()
+    plain = CardScene(**things).light([0])
+    shaded = replace(things["camera"], shading=(-0.1, -0.2))
+    ratio = CardScene(camera=shaded, leds=things["leds"]).light([0]) / plain
+    for column, row in PLACES:
+        r2 = ((column - 159.5) ** 2 + (row - 109.5) ** 2) / (110**2 + 160**2)
+        assert ratio[row, column] == pytest.approx(1 - 0.1 * r2 - 0.2 * r2**2, abs=1e-5)
+
+
+def scenes(**things):
+    return {
+        "card": CardScene(**things),
+        "board": BoardScene(**things, rotation_vector=(0.3, 0.2, 0.1)),
+        "disc": DiscScene(**things, rotation_deg=10),
+        "nail": NailScene(**things, position_mm=(3, 1)),
+        "chrome": SphereScene(**things, surround=0.0),
+        "matt": SphereScene(**things, chrome=False),
+        "dark": DarkScene(**things),
+    }
+
+
+@pytest.mark.parametrize("name", list(scenes(**drawn())))
+def test_leds_add_and_the_room_stays(name):
+    scene = scenes(**built())[name]
+    room, one, other, both = (scene.light(lit) for lit in ([], [0], [9], [0, 9]))
+    assert np.allclose(both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6))
+    assert (one >= room - 1e-7).all()
+    if name != "dark":
+        assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
+
+
+@pytest.mark.parametrize("name", list(scenes(**drawn())))
+def test_orthographic_cameras_see_every_scene(name):
+    light = scenes(**parallel())[name].light([3])
+    assert np.isfinite(light).all()
+    assert (light.max() > 0) == (name != "dark")
+
+
+@pytest.mark.parametrize("name", list(scenes(**drawn())))
+def test_an_led_that_is_not_there_is_refused(name):
+    for index in (14, -1):
+        with pytest.raises(BadInput, match=f"LED {index} is not in the rig"):
+            scenes(**drawn())[name].light([index])
+
+
+def test_leds_that_share_an_exposure_are_lit_together():
+    things = drawn()
+    first, second, *_ = things["leds"]
+    pair = replace(first, also=(second,))
+    together = CardScene(camera=things["camera"], leds=(pair, second), bench=DARK_ROOM).light([0])
+    assert np.allclose(together, CardScene(**things, bench=DARK_ROOM).light([0, 1]), rtol=1e-5)
+
+
+def test_the_room_lights_a_card_by_the_share_that_was_asked_for():
+    things = drawn()
+    scene = CardScene(**things, reflectance=1.0, bench=BenchSettings(ambient=0.01))
+    cards = [card_light(led, (0, 0, 0), albedo=1.0) for led in things["leds"]]
+    assert grey(scene, []) == pytest.approx(0.01 * np.mean(cards), rel=1e-5)
+
+
+@pytest.mark.parametrize("focus", [0.0, 3.0])
+def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them(focus):
+    things = drawn(0.3)
+    bench = BenchSettings(aperture_mm=8.0, focus_mm=focus)
+    scene = BoardScene(**things, bench=bench, translation_mm=(0, 0, -6))
+    row = grey(scene, [])[round(seen(things["camera"], (1.5, 1.5, -6))[0, 1])]
+    column = round(seen(things["camera"], (1.5, 0, -6))[0, 0])
+    reach = np.arange(column - 12, column + 13)
+    slope = np.abs(np.gradient(row)[reach])
+    middle = np.average(reach, weights=slope)
+    width = np.sqrt(np.average((reach - middle) ** 2, weights=slope))
+    disc_mm = 8.0 * (6 + focus) / 146
+    expected = disc_mm / 4 * things["camera"].matrix[0, 0] / (140 - focus)
+    assert width == pytest.approx(np.sqrt(expected**2 + 0.8), rel=0.12)  # gradient and pixel widen it by 0.9 px
+
+
+def test_photographs_repeat_with_their_seed_and_only_with_it():
+    scene = CardScene(**built())
+    exposure = well_exposed(scene, [[0], [3]])
+    first, again, other = (photograph_bench(scene, [0], seed, exposure=exposure) for seed in (1, 1, 2))
+    assert first.dtype == np.uint8
+    assert first.shape == (220, 320, 3)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_photograph_is_the_light_times_the_exposure():
+    scene = CardScene(**built())
+    exposure = well_exposed(scene, [[0]], 0.6)
+    quiet = SensorSettings(noise=False, bits=16)
+    image = photograph_bench(scene, [0], 1, exposure=exposure, sensor=quiet, band="nir") / 65535
+    assert np.abs(image - exposure * scene.light([0])).max() < 1.2 / 1023
+    assert np.percentile(image, 99.9) == pytest.approx(0.6, abs=3e-3)
+
+
+def test_under_the_lens_cap_only_noise_is_left():
+    scene = DarkScene(**drawn())
+    image = photograph_bench(scene, [0, 5], 3, exposure=5.0, sensor=SensorSettings(bits=16, binned=False))
+    assert scene.light([0]).max() == 0
+    assert image.max() < 0.01 * 65535
+    assert image.std() > 0
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda _: well_exposed(DarkScene(**drawn()), [[0]]), "all images are black"),
+        (lambda _: BenchSettings(ambient=-0.1), "bench.ambient must be from 0 to 1"),
+        (lambda _: BenchSettings(led_radius_mm=np.nan), "bench.led_radius_mm must be from 0 to 10"),
+    ],
+)
+def test_what_cannot_be_photographed_is_refused(call, words):
+    with pytest.raises(BadInput, match=words):
+        call(CardScene(**drawn()))

@@ -1,0 +1,210 @@
+"""Checkerboards and dots: where OpenCV finds them, how their edges are averaged, how a person holds a board."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from bench_help import DARK_ROOM, built, drawn, grey, parallel, sample, seen
+from splitknit.errors import BadInput
+from splitknit_simulator.calibration_set.bench import edge_coverage
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
+from splitknit_simulator.camera.lens import slopes_of_pixels
+
+
+def held(things, seed=3, **changes):
+    pose = board_poses(seed, 1, things["camera"])[0]
+    return BoardScene(**things, **pose, **changes)
+
+
+def reflectance(scene):
+    """What is left of a picture when the light that a card there would receive is taken out."""
+    card = BoardScene(
+        camera=scene.camera,
+        leds=scene.leds,
+        bench=scene.bench,
+        board=PrintedBoard(paper=1.0, ink=1.0, margin_mm=90.0),
+        rotation_vector=scene.rotation_vector,
+        translation_mm=scene.translation_mm,
+    )
+    return grey(scene, [0, 2, 4]) / grey(card, [0, 2, 4])
+
+
+@pytest.mark.parametrize("turn_deg", [0, 8, 30, 45, 90])
+@pytest.mark.parametrize("blur", [0.0, 0.6])
+def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
+    """An edge at any angle through pixels of one unit, against many points in each."""
+    c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    row, column = np.indices((24, 25)).astype(float)
+    distance = 0.7 * (c * (column - 12.3) + s * (row - 11.8))
+    places = (np.arange(40) + 0.5) / 40 - 0.5
+    moved = distance[..., None, None] + 0.7 * (c * places[:, None] + s * places)
+    exact = np.mean(ndtr(moved / 0.7 / blur) if blur else moved > 0, axis=(-1, -2))
+    fraction = edge_coverage(distance, blur=0.7 * blur)
+    # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a Gaussian
+    assert np.abs(fraction - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
+    assert abs(np.sum(fraction - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
+    if turn_deg == 45 and not blur:
+        weight = np.gradient(fraction[12])
+        middle = np.average(column[12], weights=weight)
+        spread = np.average((column[12] - middle) ** 2, weights=weight) - 1 / 3
+        assert spread == pytest.approx((1 + 1) / 12, rel=0.15)
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel])
+def test_the_truths_corners_are_where_opencv_projects_them(make):
+    things = make()
+    scene = held(things)
+    turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
+    down, right = np.mgrid[:7, :10]
+    board = np.stack([3.0 * (right - 4.5), 3.0 * (3.0 - down), 0 * right], axis=-1).reshape(-1, 3)
+    expected = seen(things["camera"], board @ turn.T + scene.translation_mm)
+    assert np.abs(scene.truth_corners() - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_opencv_finds_the_corners_within_a_twentieth_of_a_pixel(seed):
+    scene = held(built(seed, 0.3), seed)
+    light = scene.light([0, 2, 4])[..., 1]
+    image = np.clip(light * (250 / light.max()), 0, 255).astype(np.uint8)
+    found, corners = cv2.findChessboardCorners(image, (10, 7))
+    assert found
+    stop = (3, 100, 1e-5)
+    offset = cv2.cornerSubPix(image, corners, (7, 7), (-1, -1), stop)[:, 0] - scene.truth_corners()
+    assert np.sqrt(np.mean(np.sum(offset**2, axis=1))) < 0.05
+    assert np.abs(offset.mean(axis=0)).max() < 0.012
+
+
+def test_print_blur_widens_the_edges():
+    things = drawn(0.3)
+    scene = BoardScene(**things, board=PrintedBoard(print_blur_mm=0.05))
+    column, row = seen(things["camera"], (1.5, 1.5, 0))[0]
+    reach = round(column) + np.arange(-10, 11)
+    slope = np.abs(np.gradient(grey(scene, [])[round(row)][reach]))
+    middle = np.average(reach, weights=slope)
+    assert middle == pytest.approx(column, abs=0.01)
+    # a pixel's own variance is 1/12, and that of differences over two pixels 1/3
+    variance = np.average((reach - middle) ** 2, weights=slope) - 1 / 12 - 1 / 3
+    assert variance == pytest.approx((0.05 * 75.7 * 0.3) ** 2, rel=0.02)
+
+
+def test_a_boards_pixels_are_the_average_of_many_points_in_them():
+    things = built(4)
+    scene = held(things, 5, board=PrintedBoard(print_blur_mm=0.0))
+    turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
+    total = np.zeros((220, 320))
+    n = 8
+    for i in range(n):
+        for j in range(n):
+            # every ray by the camera's own equations, the plane by hand
+            columns, rows = np.arange(320)[None, :] + (j + 0.5) / n - 0.5, np.arange(220)[:, None] + (i + 0.5) / n - 0.5
+            sx, sy = slopes_of_pixels(things["camera"], columns, rows)
+            ray = np.stack([sx, sy, -np.ones_like(sx)], axis=-1)
+            start = np.array([0, 0, things["camera"].height_mm]) - scene.translation_mm
+            reach = -(start @ turn[:, 2]) / (ray @ turn[:, 2])
+            own = (start + reach[..., None] * ray) @ turn
+            u, v = own[..., 0], own[..., 1]
+            black = (np.floor((u + 16.5) / 3) + np.floor((12 - v) / 3)) % 2 == 0
+            black &= (np.abs(u) < 16.5) & (np.abs(v) < 12)
+            paper = (np.abs(u) < 19.5) & (np.abs(v) < 15)
+            total += np.where(black, 0.05, np.where(paper, 0.85, 0.006)) / n**2
+    difference = reflectance(scene) - total
+    assert np.sqrt(np.mean(difference**2)) < 0.006
+    assert abs(difference.mean()) < 2e-4
+    assert np.abs(difference).max() < 0.12  # in the pixels of corners, of a contrast of 0.8
+
+
+def test_paper_and_ink_have_their_reflectance():
+    scene = held(drawn())
+    fraction = reflectance(scene)
+    turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
+    black = np.array([(-15, 10.5, 0), (-12, 7.5, 0), (15, -10.5 + 3, 0)]) @ turn.T + scene.translation_mm
+    white = np.array([(-12, 10.5, 0), (-15, 7.5, 0), (-15, -10.5, 0)]) @ turn.T + scene.translation_mm
+    assert sample(fraction, seen(scene.camera, black)) == pytest.approx([0.05] * 3, abs=1e-3)
+    assert sample(fraction, seen(scene.camera, white)) == pytest.approx([0.85] * 3, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [drawn, built])
+def test_boards_are_held_as_people_hold_them(make):
+    camera = make()["camera"]
+    poses = board_poses(11, 12, camera)
+    assert poses == board_poses(11, 12, camera)
+    assert poses[:5] == board_poses(11, 5, camera)
+    assert poses[0] != board_poses(12, 1, camera)[0]
+    tilts = [np.rad2deg(np.arccos(cv2.Rodrigues(np.array(p["rotation_vector"]))[0][2, 2])) for p in poses]
+    assert 10 <= min(tilts) < 18
+    assert 25 < max(tilts) <= 35
+    squares = np.array([(u, v, 0.0) for u in (-16.5, 16.5) for v in (-12.0, 12.0)])
+    for pose in poses:
+        turn = cv2.Rodrigues(np.array(pose["rotation_vector"]))[0]
+        corners = seen(camera, squares @ turn.T + pose["translation_mm"])
+        assert (corners >= 0.02 * 220).all()
+        assert (corners <= (319 - 0.02 * 220, 219 - 0.02 * 220)).all()
+        assert cv2.contourArea(cv2.convexHull(corners.astype(np.float32))) > 0.4 * 220 * 320
+        assert abs(pose["translation_mm"][2]) <= 5
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel])
+def test_dots_lie_where_the_truth_has_them(make):
+    things = make(scale=0.2)
+    scene = DiscScene(**things, rotation_deg=12.0, shift_mm=(1.3, -0.7), tilt_deg=(0.5, -0.3), bench=DARK_ROOM)
+    # the same disc without dots
+    plain = DiscScene(
+        **things, rotation_deg=12.0, shift_mm=(1.3, -0.7), tilt_deg=(0.5, -0.3), bench=DARK_ROOM, black=0.85
+    )
+    black = 1 - grey(scene, [0]) / grey(plain, [0])
+    dots, places = scene.dots_mm(), scene.truth_dots()
+    inside = (places > 15).all(axis=1) & (places[:, 0] < 625) & (places[:, 1] < 425)
+    assert 8 <= inside.sum() < len(dots)
+    a, b = np.deg2rad([0.5, -0.3])
+    tilt = cv2.Rodrigues(np.array([a, b, 0.0]))[0]
+    c, s = np.cos(np.deg2rad(12)), np.sin(np.deg2rad(12))
+    points = (np.column_stack([dots @ [[c, s], [-s, c]] + (1.3, -0.7), np.zeros(len(dots))])) @ tilt.T
+    assert np.abs(seen(things["camera"], points) - places).max() < 1e-6
+    row, column = np.indices(black.shape)
+    for place in places[inside]:
+        window = (np.abs(column - place[0]) < 15) & (np.abs(row - place[1]) < 15)
+        weight = black[window]
+        centroid = np.average(np.stack([column[window], row[window]], axis=1), axis=0, weights=weight)
+        assert np.abs(centroid - place).max() < 0.05
+        area = weight.sum() / (1 - 0.05 / 0.85)
+        assert area == pytest.approx(np.pi * 0.75**2 * things["camera"].px_per_mm ** 2, rel=0.02)
+
+
+def test_a_disc_ends_at_its_rim():
+    things = drawn()
+    scene = DiscScene(**things, radius_mm=12.0, spacing_mm=5.0)
+    assert np.hypot(*scene.dots_mm().T).max() + 0.75 < 12
+    fraction = grey(scene, [0]) / grey(CardScene(**things, reflectance=1.0), [0])
+    assert fraction[:, :20].max() < 1e-6
+    assert fraction.sum() / things["camera"].px_per_mm ** 2 == pytest.approx(
+        np.pi * (0.85 * 144 - 0.8 * 0.75**2 * len(scene.dots_mm())), rel=2e-3
+    )
+
+
+def test_boards_beyond_the_picture_are_black_cloth():
+    scene = BoardScene(**drawn(), translation_mm=(300, 0, 0), cloth=0.006)
+    fraction = grey(scene, [0]) / grey(CardScene(**drawn(), reflectance=1.0), [0])
+    assert fraction == pytest.approx(0.006, abs=1e-6)
+    assert (scene.truth_corners()[:, 0] > 320).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda: board_poses(0, 3, drawn()["camera"], PrintedBoard(square_mm=6.0)),
+            "not fit .* print a smaller one",
+        ),
+        (lambda: BoardScene(**drawn(), rotation_vector=(3.1, 0, 0)).light([0]), "edge-on or from behind"),
+        (lambda: BoardScene(**drawn(), translation_mm=(0, 0, 150)), "hold it lower"),
+        (lambda: PrintedBoard(rows=1), "board.rows must be at least 2"),
+        (lambda: PrintedBoard(square_mm=0.0), "board.square_mm must be from 0.1 to 100"),
+        (lambda: PrintedBoard(ink=-0.1), "board.ink must be from 0 to 1"),
+    ],
+)
+def test_impossible_targets_are_refused(call, words):
+    with pytest.raises(BadInput, match=words):
+        call()

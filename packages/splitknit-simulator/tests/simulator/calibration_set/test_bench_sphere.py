@@ -1,0 +1,195 @@
+"""Balls under the rig: highlights where light is mirrored, shading by Lambert's law, shadows, outlines."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, sample, seen
+from splitknit.errors import BadInput
+from splitknit.model import Led
+from splitknit_simulator.calibration_set.bench import BenchSettings
+from splitknit_simulator.calibration_set.flat import CardScene
+from splitknit_simulator.calibration_set.solids import SphereScene
+from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
+
+NO_WALLS = {"surround": 0.0, "ground": 0.0, "bench": DARK_ROOM}
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel])
+def test_highlights_are_where_the_normal_halves_the_angle(make):
+    things = make()
+    scene = SphereScene(**things, position_mm=(6.0, -3.0), tilt_deg=(0.4, 0.2))
+    points = scene.highlights_mm()
+    for led, point in zip(things["leds"], points, strict=True):
+        normal = (point - scene.middle_mm) / 8.0
+        assert np.linalg.norm(normal) == pytest.approx(1)
+        eye = (0, 0, 1) if make is parallel else np.array([0, 0, things["camera"].height_mm]) - point
+        eye, light = eye / np.linalg.norm(eye), (led.position_mm - point) / np.linalg.norm(led.position_mm - point)
+        assert np.allclose(2 * (normal @ eye) * normal - eye, light, atol=1e-9)
+    assert np.abs(seen(things["camera"], points) - scene.highlights_px()).max() < 1e-6
+
+
+def upright(scale):
+    """LEDs that look straight down: the ball sees their faces and beams from beside."""
+    return drawn(scale, aim=(0.0, 0.0, -1.0))
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel, upright])
+def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
+    things = make(scale=0.2)
+    scene = SphereScene(**things, position_mm=(-5.0, 2.0), **NO_WALLS)
+    row, column = np.indices(scene.camera.image_size)
+    for index in (0, 4, 9):
+        image = grey(scene, [index])
+        weight = image / image.sum()
+        centroid = np.array([(weight * column).sum(), (weight * row).sum()])
+        assert np.abs(centroid - scene.highlights_px()[index]).max() < 0.05
+        # a small mirror ball sends what it receives evenly into all directions, E R^2 / 4; at the distances d and D of
+        # LED and camera (none for parallel rays) its picture is smaller by 1 + R / 2d + R / 2D
+        led, point = scene.leds[index], scene.highlights_mm()[index]
+        d = np.linalg.norm(led.position_mm - point)
+        along = np.dot((point - led.position_mm) / d, led.axis)
+        smaller = 1 + 4 / d + (0 if make is parallel else 4 / (scene.camera.height_mm - point[2]))
+        expected = 0.6 * led.intensity * 1e4 * along**led.lobe_exponent * (8.0 / (2 * d) / smaller) ** 2
+        assert image.sum() / px_per_mm_at(scene.camera, point[2]) ** 2 == pytest.approx(expected, rel=0.03)
+
+
+def test_a_mirrored_face_keeps_its_energy_at_every_scale():
+    sums = []
+    for scale in (0.1, 0.15, 0.3):
+        things = drawn(scale)
+        scene = SphereScene(**things, position_mm=(1.0, 2.0), **NO_WALLS)
+        sums.append(float(grey(scene, [2]).sum()) / things["camera"].px_per_mm ** 2)
+    assert sums[0] == pytest.approx(sums[2], rel=0.06)
+    assert sums[1] == pytest.approx(sums[2], rel=0.03)
+
+
+def test_a_highlight_is_a_disc_of_the_mirrored_leds_size():
+    things = drawn(0.4)
+    led = Led(band="white", position_mm=(0.5, 0.0, 140.0))
+    scene = SphereScene(camera=things["camera"], leds=(led,), radius_mm=10.0, **NO_WALLS)
+    image = grey(scene, [0])
+    area = image.sum() / image.max() / things["camera"].px_per_mm ** 2
+    # a face of 1.5 mm, 120 mm above the ball: R d / (2 d + R) from its middle, and the camera is as near as the LED
+    nearer = 140 / (140 - 20)
+    assert np.sqrt(area / np.pi) == pytest.approx(1.5 * 10 / (2 * 120 + 2 * 10) * nearer, rel=0.03)
+
+
+def test_a_matt_ball_is_shaded_by_lamberts_law():
+    things = parallel(0.2)
+    scene = SphereScene(**things, chrome=False, position_mm=(2.0, 1.0), radius_mm=9.0, bench=DARK_ROOM)
+    image = grey(scene, [5])
+    led = things["leds"][5]
+    pitch = things["camera"].pitch_mm
+    for column, row in [(340, 200), (350, 240), (300, 205), (390, 215), (430, 160)]:
+        x, y = (column - 319.5) * pitch, (219.5 - row) * pitch
+        rise = np.sqrt(81 - (x - 2) ** 2 - (y - 1) ** 2)
+        normal = np.array([x - 2, y - 1, rise]) / 9
+        towards = np.array(led.position_mm) - (x, y, 9 + rise)
+        r = np.linalg.norm(towards)
+        along = np.dot(-towards / r, led.axis)
+        expected = 0.5 / np.pi * (100 / r) ** 2 * max(towards @ normal / r, 0) * along**led.lobe_exponent
+        assert image[row, column] == pytest.approx(expected, rel=1e-4, abs=1e-7)
+
+
+@pytest.mark.parametrize("make", [drawn, built, parallel])
+@pytest.mark.parametrize("chrome", [True, False])
+def test_the_outline_bounds_the_ball(make, chrome):
+    """In the room's light a ball differs from its base by its reflectance alone."""
+    things = make(scale=0.2)
+    changes = {"surround": 0.0, "ground": 0.9, "reflectance": 0.1, "position_mm": (4.0, 3.0), "tilt_deg": (0.3, 0.1)}
+    scene = SphereScene(**things, chrome=chrome, **changes)
+    image = grey(scene, []) / scene.ambient_light
+    outline = scene.outline_px().astype(np.float32)
+    row, column = np.indices(image.shape)
+    signed = np.array(
+        [cv2.pointPolygonTest(outline, (float(c), float(r)), True) for r, c in zip(row.flat, column.flat, strict=True)]
+    ).reshape(image.shape)
+    assert image[signed > 1.0].max() < 0.11
+    assert image[signed < -1.0].min() > 0.899
+    if not chrome:
+        ball = (0.9 - image) / 0.8
+        assert ball.sum() == pytest.approx(cv2.contourArea(outline), rel=2e-3)
+
+
+@pytest.mark.parametrize("make", [drawn, built])
+def test_the_shadow_is_where_the_ball_hides_the_led(make):
+    things = make(scale=0.15)
+    scene = SphereScene(**things, chrome=False, position_mm=(3.0, 0.0), ground=0.8, bench=POINTS)
+    card = CardScene(**things, reflectance=0.8, bench=POINTS)
+    camera = things["camera"]
+    rows, columns = camera.image_size
+    sx, sy = slopes_of_pixels(camera, np.arange(columns)[None, :], np.arange(rows)[:, None])
+    ground = np.stack([sx, sy, 0 * sx], axis=-1) * camera.height_mm
+    eye = np.array([0, 0, camera.height_mm])
+
+    def angle(a, b):
+        return np.arccos(np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1))
+
+    middle = scene.middle_mm - ground
+    half = np.arcsin(8 / np.linalg.norm(middle, axis=-1))
+    visible = angle(middle, eye - ground) > half + 0.02
+    for index in (1, 8):
+        fraction = grey(scene, [index]) / grey(card, [index])
+        margin = angle(middle, things["leds"][index].position_mm - ground) - half
+        assert fraction[visible & (margin < -0.02)].max() < 1e-3
+        assert fraction[visible & (margin > 0.02)].min() > 0.999
+        assert (visible & (margin < -0.02)).sum() > 500
+
+
+def test_the_penumbra_has_the_width_of_the_led():
+    things = drawn(0.2)
+    led = Led(band="white", position_mm=(52.5, 0.0, 140.0))
+    bench = BenchSettings(ambient=0.0, led_radius_mm=4.0)
+    scene = SphereScene(camera=things["camera"], leds=(led,), chrome=False, ground=0.8, bench=bench)
+    card = CardScene(camera=things["camera"], leds=(led,), reflectance=0.8, bench=bench)
+    fraction = grey(scene, [0]) / grey(card, [0])
+    # beside the shadow's middle: the tangent from the LED touches the ball about 8 mm up
+    middle = -52.5 * 8 / 132
+    places = np.stack([np.full(401, middle), np.linspace(8, 10, 401), np.zeros(401)], axis=1)
+    profile = sample(fraction, seen(things["camera"], places))
+    slope = np.gradient(profile)
+    width = 4 * np.sqrt(np.average((places[:, 1] - np.average(places[:, 1], weights=slope)) ** 2, weights=slope))
+    assert width == pytest.approx(2 * 4.0 * 8 / 132, rel=0.1)
+
+
+def test_chrome_mirrors_the_base_around_it_and_the_walls_above():
+    things = drawn(0.2)
+    bright = grey(SphereScene(**things, surround=0.0, ground=0.8, bench=DARK_ROOM), [0, 2, 4])
+    walls = grey(SphereScene(**things, surround=0.1, ground=0.0, bench=DARK_ROOM), [0, 2, 4])
+    scene = SphereScene(**things)
+    row, column = np.indices(bright.shape)
+    centre = seen(things["camera"], scene.middle_mm)[0]
+    r = np.hypot(*(np.stack([column, row], axis=-1) - centre).T).T
+    edge = np.hypot(*(scene.outline_px() - centre).T).mean()
+    rim, middle = (r > 0.85 * edge) & (r < 0.95 * edge), (r > 0.45 * edge) & (r < 0.6 * edge)
+    assert bright[middle].max() == 0
+    assert bright[rim].min() > 0
+    assert walls[rim].max() == 0
+    cards = sum(
+        grey(CardScene(**things, reflectance=1.0, bench=DARK_ROOM), [k])[219:221, 319:321].mean() for k in (0, 2, 4)
+    )
+    assert walls[middle] == pytest.approx(0.6 * 0.1 * cards, rel=1e-3)
+
+
+def test_balls_may_lie_outside_the_picture():
+    things = built()
+    beside = SphereScene(**things, position_mm=(60.0, 0.0), ground=0.9, bench=DARK_ROOM)
+    assert np.allclose(grey(beside, [0]), grey(CardScene(**things, bench=DARK_ROOM), [0]))
+    assert (beside.highlights_px()[:, 0] > 320).all()
+    half = SphereScene(**things, position_mm=(-20.0, 10.0))
+    assert np.isfinite(grey(half, [0, 9])).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"radius_mm": 40.0}, "a ball of 80 mm reaches more than half way .* take a smaller one"),
+        ({"leds": (Led(band="white", direction=(0.3, 0.1, 1.0)),)}, "LED 0 is distant light"),
+    ],
+)
+def test_impossible_balls_are_refused(changes, words):
+    with pytest.raises(BadInput, match=words):
+        SphereScene(**drawn() | changes)

@@ -1,0 +1,116 @@
+"""The twin's lens against OpenCV's, and what it lets through."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.view import lens_shading
+from splitknit.model import Camera
+from splitknit_simulator.camera.lens import fall_off, picture_on_plane, pixels_of_points, px_per_mm_at, slopes_of_pixels
+
+MATRIX = np.array([[2650.0, 0.0, 412.3], [0.0, 2610.0, 266.8], [0.0, 0.0, 1.0]])
+DISTORTION = (0.3, -2.0, 4e-3, -3e-3, 5.0)
+CAMERA = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, DISTORTION)
+
+
+def _grid(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = camera.image_size
+    across, down = np.meshgrid(np.linspace(0.0, columns - 1.0, 23), np.linspace(0.0, rows - 1.0, 17))
+    return across.ravel(), down.ravel()
+
+
+def test_pixels_come_back_from_any_height() -> None:
+    columns, rows = _grid(CAMERA)
+    across, up = slopes_of_pixels(CAMERA, columns, rows)
+    for z in (-20.0, 0.0, 12.5):
+        depth = 140.0 - z
+        there = pixels_of_points(CAMERA, across * depth, up * depth, np.full(columns.shape, z))
+        np.testing.assert_allclose(there[0], columns, atol=1e-7)
+        np.testing.assert_allclose(there[1], rows, atol=1e-7)
+
+
+def test_rays_and_pixels_are_opencvs() -> None:
+    columns, rows = _grid(CAMERA)
+    pixels = np.stack([columns, rows], 1)[:, None]
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    rays = cv2.undistortPointsIter(pixels, MATRIX, np.array(DISTORTION), np.eye(3), np.eye(3), criteria)[:, 0]
+    across, up = slopes_of_pixels(CAMERA, columns, rows)
+    np.testing.assert_allclose(np.stack([across, -up], 1), rays, atol=1e-8)
+    points = np.random.default_rng(0).uniform((-18, -12, -15), (18, 12, 5), (200, 3))
+    seen = np.stack([points[:, 0], -points[:, 1], 140.0 - points[:, 2]], 1)  # OpenCV: y down, z away from the camera
+    expected, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), MATRIX, np.array(DISTORTION))
+    np.testing.assert_allclose(np.stack(pixels_of_points(CAMERA, *points.T), 1), expected[:, 0], atol=1e-8)
+
+
+def test_x_goes_right_and_y_up() -> None:
+    across, up = slopes_of_pixels(CAMERA, np.array([412.3, 500.0, 412.3]), np.array([266.8, 266.8, 100.0]))
+    np.testing.assert_allclose([across[0], up[0]], 0.0, atol=1e-12)
+    assert across[1] > 0.03
+    assert up[2] > 0.05
+
+
+def test_skew_is_a_shift_of_the_rows() -> None:
+    skewed = MATRIX + np.array([[0.0, 30.0, 0.0], [0.0] * 3, [0.0] * 3])
+    camera = Camera(18.9, (550, 800), 140.0, "perspective", skewed)
+    columns, rows = _grid(camera)
+    across, up = slopes_of_pixels(camera, columns, rows)
+    seen = skewed @ np.stack([across, -up, np.ones_like(up)])
+    np.testing.assert_allclose(seen, [columns, rows, np.ones_like(up)], atol=1e-9)
+
+
+def test_a_finger_side_is_misplaced_by_a_third_of_a_millimetre_at_140_mm() -> None:
+    """A point 7 mm beside the axis and 6 mm below the finger plane: what an orthographic camera does not know."""
+    matrix = np.array([[10598.0, 0.0, 1599.5], [0.0, 10598.0, 1099.5], [0.0, 0.0, 1.0]])
+    side = (np.array(7.0), np.array(0.0), np.array(-6.0))
+    seen, _ = pixels_of_points(Camera(75.7, (2200, 3200), 140.0, "perspective", matrix), *side)
+    believed, _ = pixels_of_points(Camera(75.7, (2200, 3200)), *side)
+    assert float(believed - seen) / 75.7 == pytest.approx(7.0 * 6.0 / 146.0, abs=1e-3)
+
+
+def test_an_orthographic_camera_sees_its_grid() -> None:
+    camera = Camera(20.0, (101, 201))
+    column, row = pixels_of_points(camera, np.array([0.0, 2.0]), np.array([0.0, 1.5]), np.array([-5.0, 3.0]))
+    np.testing.assert_allclose(column, [100.0, 140.0])
+    np.testing.assert_allclose(row, [50.0, 20.0])
+    assert px_per_mm_at(camera, -6.0) == 20.0
+    assert picture_on_plane(camera) == (0.0, -0.5 * 101 / 20.0, 0.5 * 101 / 20.0)
+
+
+def test_scale_grows_towards_the_camera() -> None:
+    step = 1e-3
+    for z in (-8.0, 0.0, 3.0):
+        column, row = pixels_of_points(CAMERA, np.array([0.0, step]), np.array([0.0, step]), np.full(2, z))
+        measured = np.sqrt((column[1] - column[0]) * (row[0] - row[1])) / step
+        assert px_per_mm_at(CAMERA, z) == pytest.approx(measured, rel=1e-4)
+
+
+def test_the_picture_on_the_finger_plane() -> None:
+    x, lower, upper = picture_on_plane(CAMERA)
+    column, row = pixels_of_points(CAMERA, np.full(2, x), np.array([lower, upper]), np.zeros(2))
+    np.testing.assert_allclose(row, [549.5, -0.5], atol=0.05)
+    np.testing.assert_allclose(column, 399.5, atol=0.6)  # the lens bends the middle column a little
+    assert x == pytest.approx((399.5 - 412.3) / 18.9, abs=0.05)
+
+
+def test_the_fall_off_is_what_reconstruction_divides_by() -> None:
+    camera = Camera(18.9, (55, 80), shading=(-0.3, 0.12, -0.05))
+    fraction = fall_off(camera)
+    np.testing.assert_allclose(fraction, lens_shading(camera.shading, camera.image_size), rtol=1e-6)
+    assert fraction[27, 39] == pytest.approx(1.0, abs=1e-3)
+    corner = (27.0**2 + 39.5**2) / (27.5**2 + 40.0**2)  # of half the diagonal, squared
+    assert fraction[0, 0] == pytest.approx(1 - 0.3 * corner + 0.12 * corner**2 - 0.05 * corner**3, rel=1e-6)
+    np.testing.assert_array_equal(fall_off(Camera(18.9, (5, 8))), 1.0)
+
+
+def test_lenses_that_cannot_be_undone_are_refused() -> None:
+    folding = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, (-40.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(BadInput, match="folds the picture"):
+        slopes_of_pixels(folding, *_grid(folding))
+    rational = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, (0.1,) * 8)
+    with pytest.raises(BadInput, match="five coefficients"):
+        slopes_of_pixels(rational, *_grid(rational))
+    with pytest.raises(BadInput, match="perspective"):
+        slopes_of_pixels(Camera(18.9, (550, 800)), *_grid(CAMERA))

@@ -1,0 +1,90 @@
+"""Noise, levels and encodings of the simulated sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.band import decode_table
+from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, record
+
+
+def _grey(value: float, size: int = 128) -> np.ndarray:
+    return np.full((size, size, 3), value, dtype=np.float32)
+
+
+def test_without_noise_the_light_is_quantised_and_nothing_else():
+    ramp = np.linspace(0, 1, 256, dtype=np.float32)[None, :, None].repeat(4, axis=0).repeat(3, axis=2)
+    stored = record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False))
+    assert stored.dtype == np.uint8
+    assert np.abs(stored.astype(int) - np.arange(256)[None, :, None]).max() <= 1
+    levels = np.unique(record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16)))
+    assert levels.size > 256
+
+
+def test_raw_levels_limit_what_16_bits_can_hold():
+    ramp = np.linspace(0, 1, 5000, dtype=np.float32)[None, :, None].repeat(3, axis=2)
+    stored = record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16))
+    assert np.unique(stored[..., 1]).size == 1024
+    assert np.unique(stored[..., 2]).size < 600  # blue pixels fill less than half of their range
+
+
+@pytest.mark.parametrize("level", [0.01, 0.6])
+def test_noise_is_shot_and_read_noise(level):
+    settings = SensorSettings(bits=16, raw_bits=16)
+    stored = record(_grey(level), "white", np.random.SeedSequence(1), settings) / 65535.0
+    for c, response in enumerate(RESPONSE["white"]):
+        electrons = level * response * settings.full_well_e
+        expected = np.sqrt(electrons + settings.read_noise_e**2) / (response * settings.full_well_e)
+        assert stored[..., c].std() == pytest.approx(expected, rel=0.05)
+        assert stored[..., c].mean() == pytest.approx(level, rel=0.02)
+    assert stored[..., 2].std() > stored[..., 1].std()
+    pair = np.corrcoef(stored[..., 0].ravel(), stored[..., 1].ravel())[0, 1]
+    assert abs(pair) < 0.05
+
+
+def test_binned_pixels_are_less_noisy():
+    settings = SensorSettings(bits=16, raw_bits=16)
+    full = record(_grey(0.5), "nir", np.random.SeedSequence(1), settings).std()
+    half = record(_grey(0.5), "nir", np.random.SeedSequence(1), settings, scale=0.5).std()
+    assert half == pytest.approx(full / 2, rel=0.1)
+
+
+def test_overexposure_clips_to_white():
+    stored = record(_grey(3.0), "white", np.random.SeedSequence(2))
+    assert (stored == 255).all()
+
+
+def test_srgb_decodes_to_the_same_light():
+    light = _grey(0.2)
+    linear = record(light, "white", np.random.SeedSequence(3), SensorSettings(bits=16))
+    srgb = record(light, "white", np.random.SeedSequence(3), SensorSettings(bits=16, encoding="srgb"))
+    table = decode_table(srgb.dtype, "srgb")
+    np.testing.assert_allclose(table[srgb], linear / 65535.0, atol=2e-5)
+
+
+def test_demosaicing_correlates_neighbours_and_keeps_colours():
+    settings = SensorSettings(demosaic=True, bits=16)
+    colour = _grey(0.4) * np.array([1.0, 0.6, 0.3], dtype=np.float32)
+    stored = record(colour, "white", np.random.SeedSequence(4), settings) / 65535.0
+    np.testing.assert_allclose(stored.mean(axis=(0, 1)), colour[0, 0], rtol=0.01)
+    red = stored[4:-4, 4:-4, 0]
+    beside = np.corrcoef(red[:, 1:].ravel(), red[:, :-1].ravel())[0, 1]
+    assert beside > 0.2
+    bare = record(colour, "white", np.random.SeedSequence(4), SensorSettings(bits=16))[4:-4, 4:-4, 0]
+    assert abs(np.corrcoef(bare[:, 1:].ravel(), bare[:, :-1].ravel())[0, 1]) < 0.05
+
+
+def test_seeds_repeat_and_differ():
+    one, again, other = (record(_grey(0.5), "white", np.random.SeedSequence(s)) for s in (5, 5, 6))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).mean() > 0.3
+
+
+def test_bad_settings_are_refused():
+    for bad in ({"bits": 12}, {"encoding": "rec709"}, {"exposure": 0.0}, {"full_well_e": 1.0}):
+        with pytest.raises(BadInput, match=f"sensor.{next(iter(bad))}"):
+            SensorSettings(**bad)
+    with pytest.raises(BadInput, match=r"\(H, W, 3\)"):
+        record(np.zeros((4, 4), np.float32), "white", np.random.SeedSequence(0))

@@ -1,0 +1,286 @@
+"""The finger's surface: heights, normals, chart, pose, scale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from splitknit.errors import BadInput
+from splitknit.model import Camera
+from splitknit_simulator.finger.finger import (
+    FREQUENCIES,
+    FingerPose,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+    placement_of,
+)
+from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit_simulator.finger.shape import FingerBody, FingerShape
+from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
+from splitknit_simulator.surface import SimulatedSurface
+
+SHORT = MasterPrintSettings(proximal_mm=12.0)
+POSE = FingerPose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)
+CAMERA = Camera(20.0, (840, 580))
+SMALL = Camera(10.0, (420, 290))
+
+
+@pytest.fixture(scope="module")
+def finger() -> SimulatedFinger:
+    return draw_finger(2, "left_loop", print_settings=SHORT)
+
+
+@pytest.fixture(scope="module")
+def master(finger: SimulatedFinger) -> MasterPrint:
+    return finger.master()
+
+
+@pytest.fixture(scope="module")
+def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
+    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
+
+
+def window(camera: Camera, row: int, column: int, factor: int, size: int) -> tuple[Camera, float, float]:
+    """A camera of `factor` times the scale for `size` pixels, and where the old pixel lies in its frame."""
+    x = (column - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
+    y = ((camera.image_size[0] - 1) / 2 - row) / camera.px_per_mm
+    return Camera(camera.px_per_mm * factor, (size, size)), x, y
+
+
+def test_the_gradient_of_the_body_is_its_derivative() -> None:
+    body = FingerBody(FingerShape(sideways_mm=0.5, skew=0.03, arching_per_mm=0.003))
+    rng = np.random.default_rng(0)
+    x, y, z = rng.uniform(-8, 8, 500), rng.uniform(-20, 25, 500), rng.uniform(0.5, 8, 500)
+    value, *gradient = body.value_and_gradient(x, y, z)
+    step = 1e-6
+    for axis in range(3):
+        shifted = [x, y, z]
+        shifted[axis] = shifted[axis] + step
+        numeric = (body.value_and_gradient(*shifted)[0] - value) / step
+        np.testing.assert_allclose(numeric, gradient[axis], atol=1e-5)
+
+
+def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
+    """Small steps on the skin against steps in the chart: within 3 % around the finger, 14 % on the cap's shoulders."""
+    body = FingerBody(FingerShape())
+    x, y = np.meshgrid(np.linspace(-8, 8, 81), np.linspace(-12, 24.5, 180))
+
+    def at(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        points = np.stack([x, y, body.top(x, y)], -1)
+        return points, np.stack(body.distance_and_chart(*(points[..., k] for k in range(3)))[1:], -1)
+
+    step = 1e-4
+    points, chart = at(x, y)
+    beside, chart_beside = at(x + step, y)
+    above, chart_above = at(x, y + step)
+    tangent_x, tangent_y = (beside - points) / step, (above - points) / step
+    normal = np.cross(tangent_x, tangent_y)
+    slant = np.rad2deg(np.arccos(normal[..., 2] / np.linalg.norm(normal, axis=-1)))
+    for angle in np.deg2rad(np.arange(0, 180, 15)):
+        way = np.cos(angle) * tangent_x / np.linalg.norm(tangent_x, axis=-1, keepdims=True)
+        way = way + np.sin(angle) * tangent_y / np.linalg.norm(tangent_y, axis=-1, keepdims=True)
+        cx = np.cos(angle) / np.linalg.norm(tangent_x, axis=-1)
+        cy = np.sin(angle) / np.linalg.norm(tangent_y, axis=-1)
+        laid = cx[..., None] * (chart_beside - chart) / step + cy[..., None] * (chart_above - chart) / step
+        stretch = np.linalg.norm(laid, axis=-1) / np.linalg.norm(way, axis=-1)
+        straight = (slant < 60) & (y < 13)
+        cap = (slant < 60) & (y >= 13)
+        assert np.abs(stretch[straight] - 1).max() < 0.035
+        assert -0.035 < (stretch[cap] - 1).min() < (stretch[cap] - 1).max() < 0.16
+        assert np.median(np.abs(stretch[cap] - 1)) < 0.03
+    middle = np.abs(x) < 0.2
+    np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
+
+
+def test_the_chart_is_symmetric() -> None:
+    body = FingerBody(FingerShape())
+    x, y = np.meshgrid(np.linspace(0, 7, 15), np.linspace(-10, 24, 35))
+    z = body.top(x, y)
+    seen = np.isfinite(z)
+    _, u, v = body.distance_and_chart(x[seen], y[seen], z[seen])
+    _, u_left, v_left = body.distance_and_chart(-x[seen], y[seen], z[seen])
+    np.testing.assert_allclose(u_left, -u, atol=1e-12)
+    np.testing.assert_allclose(v_left, v, atol=1e-12)
+
+
+def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
+    """Relief is the distance from the smooth shape: on flat parts, the difference of heights times the cosine."""
+    assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
+    assert np.array_equal(np.isfinite(seen.height_mm), seen.mask)
+    assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
+    facing = seen.mask & (seen.shape_normals[..., 2] > 0.9) & (seen.relief_um > -80)
+    drop = 1e3 * (seen.height_mm - seen.shape_mm)[facing] * seen.shape_normals[facing][:, 2]
+    np.testing.assert_allclose(drop, seen.relief_um[facing], atol=1.5)
+    rows, columns = np.nonzero(seen.mask & (seen.normals[..., 2] > 0.25))
+    body = FingerBody(finger.shape)
+    x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
+    distance, _, _ = body.distance_and_chart(
+        *placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns])
+    )
+    np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
+    ridges = seen.relief_um[facing]
+    assert ridges.max() < 2.0
+    assert -1.4 * finger.skin.ridge_depth_um < np.percentile(ridges, 3) < -0.6 * finger.skin.ridge_depth_um
+
+
+def test_normals_are_those_of_the_heights(seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
+    """A camera of 100 times the scale looks at single spots: finite differences of its heights give the normals.
+
+    The finger is shifted so that the spot lies on the small camera's axis.
+    """
+    rng = np.random.default_rng(1)
+    steep = seen.normals[..., 2]
+    for low, high in ((0.9, 1.0), (0.7, 0.9), (0.5, 0.7), (0.3, 0.5)):
+        rows, columns = np.nonzero(seen.mask & (steep > low) & (steep < high))
+        pick = rng.integers(len(rows), size=3)
+        for row, column in zip(rows[pick], columns[pick], strict=True):
+            near, x, y = window(CAMERA, row, column, 100, 7)
+            border = POSE.insertion_mm + (-0.5 * CAMERA.image_size[0] / CAMERA.px_per_mm) - y
+            pose = replace(POSE, x_mm=POSE.x_mm - x, insertion_mm=border + 0.5 * 7 / near.px_per_mm)
+            spot = finger_surface(replace(finger, printed=master), pose, near)
+            z = spot.height_mm.astype(np.float64)
+            assert z[3, 3] == pytest.approx(seen.height_mm[row, column], abs=2e-5)
+            slope_x = (z[3, 6] - z[3, 0]) / (6 * near.pitch_mm)
+            slope_y = (z[0, 3] - z[6, 3]) / (6 * near.pitch_mm)
+            normal = np.array([-slope_x, -slope_y, 1.0]) / np.sqrt(1 + slope_x**2 + slope_y**2)
+            angle = np.rad2deg(np.arccos(np.clip(normal @ seen.normals[row, column], -1, 1)))
+            assert angle < 0.6, (row, column, angle)
+
+
+def test_shape_normals_are_those_of_the_shape(seen: SimulatedSurface) -> None:
+    z = seen.shape_mm.astype(np.float64)
+    slope_x = np.gradient(z, axis=1) * CAMERA.px_per_mm
+    slope_y = -np.gradient(z, axis=0) * CAMERA.px_per_mm
+    inside = ndimage.binary_erosion(seen.mask, iterations=4) & (seen.shape_normals[..., 2] > 0.6)
+    normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    cosine = (normal * seen.shape_normals).sum(-1)[inside]
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 0.3
+    lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
+    np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
+    assert (seen.normals[~seen.mask] == 0).all()
+    assert (seen.normals[seen.mask][:, 2] > 0).all()
+
+
+def test_smooth_shape_has_no_staircase(seen: SimulatedSurface) -> None:
+    rough = np.diff(seen.shape_mm[:, 290].astype(np.float64), 4)
+    rough = rough[np.isfinite(rough)][60:-2]
+    assert np.abs(rough).max() < 1e-5  # 10 nm, of heights that change by millimetres
+
+
+def test_the_same_finger_at_half_the_scale(finger: SimulatedFinger, master: MasterPrint) -> None:
+    """2 x 2 pixel centres surround each coarse one; the height there is their mean up to curvature."""
+    flat = replace(finger, skin=replace(finger.skin, ridge_depth_um=0.0, pore_depth_um=0.0, creases=()))
+    fine = finger_surface(replace(flat, printed=master), POSE, Camera(20.0, (840, 580)))
+    coarse = finger_surface(replace(flat, printed=master), POSE, Camera(10.0, (420, 290)))
+    mean = fine.height_mm.reshape(420, 2, 290, 2).mean(axis=(1, 3))
+    inside = np.isfinite(mean) & (coarse.normals[..., 2] > 0.7)
+    assert np.abs(mean - coarse.height_mm)[inside].max() < 6e-4
+    # Odd multiples share pixel centres: the surface is the same there, ridges included.
+    wide, narrow = Camera(18.0, (756, 540)), Camera(6.0, (252, 180))
+    a, b = (finger_surface(replace(finger, printed=master), POSE, camera) for camera in (wide, narrow))
+    both = a.mask[1::3, 1::3] & b.mask & (b.normals[..., 2] > 0.2)
+    assert both.sum() > 0.95 * b.mask.sum() * 0.9
+    assert np.nanmax(np.abs(a.height_mm[1::3, 1::3] - b.height_mm)[both]) < 2e-4
+    np.testing.assert_allclose(a.normals[1::3, 1::3][both], b.normals[both], atol=5e-3)
+
+
+def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint) -> None:
+    for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
+        surface = finger_surface(replace(finger, printed=master), pose, SMALL)
+        tip = SMALL.image_size[0] - pose.insertion_mm * SMALL.px_per_mm
+        assert surface.landmarks["tip_px"][1] == pytest.approx(tip, abs=1.5)
+        pad = surface.shape_mm[: int(tip + (finger.shape.length_mm - 1) * SMALL.px_per_mm)]
+        assert np.nanmax(pad) == pytest.approx(pose.height_mm, abs=0.01)
+        assert surface.mask[-1].any()
+        assert not surface.mask[0].any()
+    rows = np.arange(225, 300)
+
+    def lean(surface: SimulatedSurface) -> float:
+        columns = np.arange(SMALL.image_size[1])
+        middles = [columns[surface.mask[row]].mean() for row in rows]
+        return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
+
+    straight = lean(finger_surface(replace(finger, printed=master), FingerPose(), SMALL))
+    turned = lean(finger_surface(replace(finger, printed=master), FingerPose(yaw_rad=0.2), SMALL))
+    assert turned - straight == pytest.approx(0.2, abs=0.02)  # the tip turns left: columns grow with the row
+
+
+def test_roll_turns_the_pad_to_the_right(finger: SimulatedFinger, master: MasterPrint) -> None:
+    cores = [
+        finger_surface(replace(finger, printed=master), FingerPose(roll_rad=r), SMALL).landmarks["cores_px"][0, 0]
+        for r in (-0.2, 0.0, 0.2)
+    ]
+    assert cores[0] < cores[1] < cores[2]
+
+
+def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger, master: MasterPrint) -> None:
+    pose = FingerPose(insertion_mm=58.0)
+    camera = Camera(12.0, (744, 360))
+    settings = SkinRelief(creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
+    surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
+    for line, crease in zip(surface.landmarks["crease_px"], settings.creases, strict=True):
+        near = line[np.abs(line[:, 0] - 180) < 40]
+        columns, rows = np.rint(near).astype(int).T
+        assert surface.relief_um[rows, columns].mean() == pytest.approx(-1e3 * crease.depth_mm, rel=0.2)
+        assert surface.pigment[rows, columns].mean() == pytest.approx(1 - crease.darkening, abs=0.05)
+        assert np.abs(surface.relief_um[rows - 18, columns]).max() < 150
+    assert surface.landmarks["crease_px"][0][:, 1].mean() < surface.landmarks["crease_px"][1][:, 1].mean()
+
+
+def test_landmarks_show_the_chart_points_they_name(
+    seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint
+) -> None:
+    body = FingerBody(finger.shape)
+    named = np.concatenate([master.cores_mm, master.deltas_mm])
+    pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
+    shown = np.isfinite(pixels).all(axis=1)
+    assert shown.any()
+    columns, rows = np.rint(pixels[shown]).astype(int).T
+    x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
+    _, u, v = body.distance_and_chart(*placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
+    np.testing.assert_allclose(np.stack([u, v], 1), named[shown], atol=0.12)
+    assert 60 < len(seen.landmarks["minutiae_px"]) < 250
+
+
+def test_without_a_crease_in_view_there_is_no_landmark(finger: SimulatedFinger, master: MasterPrint) -> None:
+    surface = finger_surface(replace(finger, printed=master), FingerPose(insertion_mm=20.0), SMALL)
+    assert all(len(line) == 0 for line in surface.landmarks["crease_px"])
+    assert np.isfinite(surface.landmarks["tip_px"]).all()
+
+
+def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
+    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
+    assert again.height_mm.tobytes() == seen.height_mm.tobytes()
+    assert again.normals.tobytes() == seen.normals.tobytes()
+    assert again.pigment.tobytes() == seen.pigment.tobytes()
+
+
+def test_the_population_stays_in_its_ranges() -> None:
+    fingers = [draw_finger(seed) for seed in range(200)]
+    widths = np.array([f.shape.width_mm for f in fingers])
+    lengths = np.array([f.shape.length_mm for f in fingers])
+    depths = np.array([f.skin.ridge_depth_um for f in fingers])
+    assert widths.min() >= 14 and widths.max() <= 20 and 1.0 < widths.std() < 1.8
+    assert lengths.min() >= 22 and lengths.max() <= 28 and lengths.std() > 1.0
+    assert depths.min() >= 40 and depths.max() <= 100
+    assert np.corrcoef(widths, lengths)[0, 1] > 0.3
+    assert {f.pattern for f in fingers} == set(FREQUENCIES)
+    assert draw_finger(3) == draw_finger(3)
+    assert draw_finger(3, "whorl").shape == draw_finger(3, "arch").shape
+
+
+def test_bad_input_is_refused(finger: SimulatedFinger, master: MasterPrint) -> None:
+    wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
+    with pytest.raises(BadInput, match="sees nothing"):
+        finger_surface(replace(finger, printed=master), FingerPose(), wild)
+    with pytest.raises(BadInput, match="height_mm"):
+        finger_surface(replace(finger, printed=master), FingerPose(), replace(wild, height_mm=4.0))
+    with pytest.raises(BadInput, match="sees nothing"):
+        finger_surface(replace(finger, printed=master), FingerPose(x_mm=200.0), CAMERA)
+    with pytest.raises(BadInput, match="insertion_mm"):
+        FingerPose(insertion_mm=-1.0)
+    with pytest.raises(BadInput, match="width_mm"):
+        FingerShape(width_mm=3.0)

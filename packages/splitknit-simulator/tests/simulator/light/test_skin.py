@@ -1,0 +1,171 @@
+"""Optics of skin: coefficients, random walks, kernels."""
+
+from __future__ import annotations
+
+import itertools
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kernel_of_profile import kernel as kernel_of
+from splitknit.errors import BadInput
+from splitknit_simulator.light.skin import (
+    CHANNELS,
+    RADIUS_EDGES,
+    Boundary,
+    SkinOptics,
+    SkinRanges,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+)
+
+REFERENCE = {"red": (3.39, 0.030), "green": (4.12, 0.20), "blue": (5.18, 0.40), "nir": (2.16, 0.020)}
+RELIEF_GAIN = {"red": 0.043, "green": 0.130, "blue": 0.211, "nir": 0.022}
+
+
+@pytest.fixture(scope="module")
+def maker():
+    """Names of the script that makes the table of walks."""
+    return runpy.run_path(str(Path(__file__).resolve().parents[5] / "tools" / "make_walk_table.py"))
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_defaults_give_the_measured_coefficients(channel):
+    optics = SkinOptics().channel(channel)
+    scattering, absorption = REFERENCE[channel]
+    assert optics.scattering_per_mm == pytest.approx(scattering, rel=0.01)
+    assert optics.absorption_per_mm == pytest.approx(absorption, rel=0.1)
+    assert 100 * optics.relief_gain_per_um == pytest.approx(RELIEF_GAIN[channel], rel=0.1)
+
+
+def test_brightness_of_heights_follows_the_reference_walks():
+    """Gain over attenuation of ridges of 75 um in our own walks, by scattering; their errors are 0.04 to 0.12."""
+    matt, smooth = Boundary(), Boundary(refraction=1.0)
+    for scattering, gain in ((1.08, 0.09), (1.7, 0.51), (2.38, 0.70), (3.39, 0.78), (5.18, 0.82)):
+        assert 0.78 * matt.height_signal(scattering) == pytest.approx(gain, abs=0.12)
+    for scattering, gain in ((2.59, 1.24), (2.88, 1.05), (4.12, 0.72), (5.18, 0.68), (7.25, 0.42), (10.4, 0.37)):
+        assert 0.78 * smooth.height_signal(scattering) == pytest.approx(gain, abs=0.12)
+    assert matt.height_signal(0.5) == 0.0
+
+
+def test_melanin_and_blood_absorb_where_they_should():
+    light, dark = SkinOptics(melanin=0.0002), SkinOptics(melanin=0.02)
+    rise = {c: dark.channel(c).absorption_per_mm - light.channel(c).absorption_per_mm for c in CHANNELS}
+    assert rise["blue"] > rise["green"] > rise["red"] > rise["nir"] > 0
+    pale, flushed = SkinOptics(blood=0.003), SkinOptics(blood=0.012)
+    ratio = {c: flushed.channel(c).absorption_per_mm / pale.channel(c).absorption_per_mm for c in CHANNELS}
+    assert ratio["green"] > 2 > ratio["red"] > 1
+
+
+def test_settings_and_ranges_are_checked():
+    with pytest.raises(BadInput, match="melanin"):
+        SkinOptics(melanin=0.3)
+    with pytest.raises(BadInput, match="glare"):
+        SkinRanges(glare=(2.0, 1.0))
+
+
+def test_ranges_draw_inside_and_repeat():
+    ranges = SkinRanges()
+    drawn = [ranges.draw(np.random.default_rng(seed)) for seed in range(40)]
+    assert drawn[3] == ranges.draw(np.random.default_rng(3))
+    factors = np.array([skin.scattering_factor for skin in drawn])
+    assert factors.min() >= 0.7
+    assert factors.max() <= 1.4
+    assert factors.std() > 0.1
+
+
+def test_fresnel_at_known_angles():
+    brewster = np.cos(np.arctan(1.42))
+    assert float(fresnel(np.array(1.0))) == pytest.approx((0.42 / 2.42) ** 2, rel=1e-6)
+    across = ((brewster - 1.42 * np.sin(np.arctan(1.42))) / (brewster + 1.42 * np.sin(np.arctan(1.42)))) ** 2
+    assert float(fresnel(np.array(brewster))) == pytest.approx(across / 2, rel=1e-6)
+    assert float(fresnel(np.array(0.5), 1 / 1.42)) == 1.0
+    assert float(fresnel(np.array(0.0), 1 / 1.42)) == 1.0
+    assert float(fresnel(np.array(0.0))) == pytest.approx(1.0)
+    # reciprocity of diffuse light: n^2 (1 - F inside) = 1 - F outside
+    assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(diffuse_transmittance(), rel=2e-3)
+
+
+def test_shipped_table_agrees_with_a_coarse_new_one(maker):
+    coarse = maker["walk"](30_000, seed=5)
+    for scattering, absorption in REFERENCE.values():
+        shipped = diffusion_profile(scattering, absorption)
+        made = diffusion_profile(scattering, absorption, walks=coarse)
+        assert made.albedo == pytest.approx(shipped.albedo, abs=0.01)
+        ridge = np.array([75.7 / 33])
+        assert made.transfer(ridge) == pytest.approx(shipped.transfer(ridge), abs=0.01)
+        assert made.radius_mm(0.5) == pytest.approx(shipped.radius_mm(0.5), rel=0.05)
+
+
+def test_reweighted_walks_equal_walks_that_absorb(maker):
+    """A walk that dies with the probability of absorption gives the same albedo as the reweighted table."""
+    rng = np.random.default_rng(2)
+    _, lengths = maker["_walk_batch"](20_000, rng)
+    survives = rng.standard_exponential(lengths.size) > lengths * (0.4 / 5.18)
+    assert survives.sum() / 20_000 == pytest.approx(diffusion_profile(5.18, 0.4).albedo, abs=0.012)
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_modulation_left_at_the_ridge_period(channel):
+    """measurements.md: B 0.22, G 0.15, R 0.08 at one cycle in 33 px."""
+    scattering, absorption = REFERENCE[channel]
+    profile = diffusion_profile(scattering, absorption)
+    left = float(profile.transfer(np.array([75.7 / 33]))[0]) / profile.albedo
+    assert left == pytest.approx({"red": 0.08, "green": 0.15, "blue": 0.22, "nir": 0.05}[channel], abs=0.006)
+
+
+@pytest.mark.parametrize("pitch_mm", [1 / 75.7, 1 / 20])
+def test_kernel_conserves_energy_and_follows_the_profile(pitch_mm):
+    profile = diffusion_profile(5.18, 0.4)
+    kernel = kernel_of(profile, pitch_mm, 2.0)
+    assert kernel.sum() == pytest.approx(profile.albedo, rel=1e-5)
+    np.testing.assert_allclose(kernel, kernel[::-1], rtol=1e-5)
+    np.testing.assert_allclose(kernel, kernel.T, rtol=1e-5)
+    n = kernel.shape[0] // 2
+    distance = np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))) * pitch_mm
+    inside = np.concatenate([[0.0], np.cumsum(profile.weights)])
+    for radius in (0.2, 0.5, 1.0):
+        fraction = float(np.interp(radius, profile.radii_mm, inside)) / float(np.interp(2.0, profile.radii_mm, inside))
+        assert kernel[distance < radius].sum() / kernel.sum() == pytest.approx(fraction, abs=max(0.02, 0.7 * pitch_mm))
+    # the centre pixel against samples of the profile
+    rng = np.random.default_rng(0)
+    ring = rng.choice(profile.weights.size, 200_000, p=profile.weights / profile.albedo)
+    low, high = profile.radii_mm[ring] ** 2, profile.radii_mm[ring + 1] ** 2
+    radius, turn = np.sqrt(low + (high - low) * rng.random(ring.size)), 2 * np.pi * rng.random(ring.size)
+    centre = np.maximum(abs(radius * np.cos(turn)), abs(radius * np.sin(turn))) < pitch_mm / 2
+    assert kernel[n, n] == pytest.approx(centre.mean() * profile.albedo, rel=0.05)
+
+
+def test_transfer_is_the_transform_of_the_kernel():
+    profile = diffusion_profile(5.18, 0.4)
+    pitch = 1 / 75.7
+    kernel = kernel_of(profile, pitch, 2.5).astype(np.float64)
+    line = kernel.sum(axis=0)
+    offset = (np.arange(line.size) - line.size // 2) * pitch
+    for cycles in (0.5, 2.3, 6.0):
+        seen = float(np.sum(line * np.cos(2 * np.pi * cycles * offset)))
+        expected = float(profile.transfer(np.array([cycles]))[0]) * np.sinc(cycles * pitch)
+        assert seen == pytest.approx(expected, abs=0.004)
+    assert float(profile.transfer(np.array([0.0]))[0]) == pytest.approx(profile.albedo, rel=1e-4)
+    grid = profile.transfer_grid((60, 80), pitch)
+    assert grid.shape == (60, 41)
+    frequency = np.hypot(np.fft.fftfreq(60, pitch)[7], np.fft.rfftfreq(80, pitch)[9])
+    assert grid[7, 9] == pytest.approx(float(profile.transfer(np.array([frequency]))[0]), rel=1e-3)
+
+
+def test_profile_scales_with_the_mean_free_path():
+    near, far = diffusion_profile(4.0, 0.2), diffusion_profile(2.0, 0.1)
+    assert far.albedo == pytest.approx(near.albedo, rel=1e-12)
+    assert far.radius_mm(0.5) == pytest.approx(2 * near.radius_mm(0.5), rel=1e-9)
+    assert near.radii_mm.size == RADIUS_EDGES.size
+
+
+def test_albedo_falls_with_absorption_and_weak_absorption_is_refused():
+    albedos = [diffusion_profile(4.0, a).albedo for a in (0.01, 0.1, 0.5, 2.0)]
+    assert all(a > b for a, b in itertools.pairwise(albedos))
+    assert 0.05 < albedos[-1] < albedos[0] < 0.9
+    with pytest.raises(BadInput, match="absorption"):
+        diffusion_profile(4.0, 0.001)

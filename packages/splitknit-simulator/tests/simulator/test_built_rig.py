@@ -1,0 +1,147 @@
+"""The rig as drawn and as built: what calibration is given, and what it has to find."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import default_rig, lobe_exponent, nominal_rig
+from splitknit_simulator.calibration_set.bench import base_plane
+from splitknit_simulator.rigs import _Tolerances, built_rig
+
+EXACT = _Tolerances(
+    led_position_mm=0,
+    led_beam_deg=0,
+    led_half_angle=0,
+    led_intensity=0,
+    focal_length=0,
+    camera_height_mm=0,
+    camera_tilt_deg=0,
+    camera_shift_mm=0,
+    principal_point=0,
+    corner_distortion=0,
+    corner_vignetting=(0, 0),
+)
+
+
+def positions(rig):
+    return np.array([led.position_mm for led in rig.leds])
+
+
+def axes(rig):
+    return np.array([led.axis for led in rig.leds])
+
+
+def test_the_drawing_is_the_thesiss_rig_with_a_perspective_camera():
+    rig = nominal_rig(0.25)
+    assert np.array_equal(positions(rig), positions(default_rig(0.25)))
+    camera = rig.camera
+    assert camera.model == "perspective"
+    assert camera.image_size == (550, 800)
+    assert camera.matrix[0, 0] == pytest.approx(75.7 * 0.25 * 140)
+    assert camera.matrix[0, 0] / camera.height_mm == pytest.approx(camera.px_per_mm)
+    assert np.allclose(camera.matrix[:2, 2], (399.5, 274.5))
+    assert {led.intensity for led in rig.leds} == {1.0}
+    white, nir = rig.leds[0], rig.leds[7]
+    assert np.cos(np.deg2rad(30)) ** white.lobe_exponent == pytest.approx(0.5)
+    assert np.cos(np.deg2rad(20)) ** nir.lobe_exponent == pytest.approx(0.5)
+
+
+def test_without_tolerances_the_built_rig_is_the_drawn_one_but_for_the_cosine_law():
+    built, drawn = built_rig(3, scale=0.1, tolerances=EXACT), nominal_rig(0.1)
+    assert np.allclose(positions(built), positions(drawn))
+    assert np.allclose(axes(built), axes(drawn))
+    assert np.allclose(built.camera.matrix, drawn.camera.matrix)
+    assert built.camera.distortion == (0, 0, 0, 0, 0)
+    half_diagonal_mm = np.hypot(*drawn.camera.image_size) / 2 / drawn.camera.px_per_mm
+    for fraction in (0.5, 1.0):
+        r2 = fraction**2
+        brightness = 1 + built.camera.shading[0] * r2 + built.camera.shading[1] * r2**2
+        field_angle = np.arctan(fraction * half_diagonal_mm / 140)
+        assert brightness == pytest.approx(np.cos(field_angle) ** 4, abs=5e-4)
+
+
+def test_a_seed_is_one_rig_whatever_the_scale():
+    small, large, other = built_rig(5, scale=0.1), built_rig(5, scale=0.4), built_rig(6, scale=0.1)
+    assert small.leds == large.leds
+    assert large.camera.matrix[0, 0] == pytest.approx(4 * small.camera.matrix[0, 0])
+    assert large.camera.distortion == pytest.approx(small.camera.distortion)
+    assert small.camera.shading == pytest.approx(large.camera.shading)
+    assert built_rig(5, scale=0.1).leds == small.leds
+    assert other.leds != small.leds
+    assert other.camera.height_mm != small.camera.height_mm
+
+
+def test_two_hundred_rigs_scatter_as_their_tolerances_say():
+    drawn = nominal_rig(0.1)
+    rigs = [built_rig(seed, scale=0.1) for seed in range(200)]
+    only_leds = [
+        built_rig(seed, scale=0.1, tolerances=_Tolerances(camera_tilt_deg=0, camera_shift_mm=0)) for seed in range(200)
+    ]
+    # deviates cut at 2.5 have a standard deviation of 0.99
+    offset = np.array([positions(rig) for rig in only_leds]) - positions(drawn)
+    assert offset.std(axis=(0, 1)) == pytest.approx(0.7, rel=0.06)
+    cosines = np.sum(np.array([axes(rig) for rig in only_leds]) * axes(drawn), axis=-1)
+    assert np.sqrt(np.mean(np.arccos(cosines) ** 2) / 2) == pytest.approx(np.deg2rad(2), rel=0.06)
+    assert np.std([[led.intensity for led in rig.leds] for rig in rigs]) == pytest.approx(0.1, rel=0.06)
+    for band, angle in (("white", 30), ("nir", 20)):
+        lobes = [led.lobe_exponent for rig in rigs for led in rig.leds if led.band == band]
+        assert np.median(lobes) == pytest.approx(lobe_exponent(angle), rel=0.05)
+    focal = np.array([rig.camera.matrix[0, 0] for rig in rigs]) / drawn.camera.matrix[0, 0] - 1
+    assert focal.std() == pytest.approx(0.01, rel=0.2)
+    heights = np.array([rig.camera.height_mm for rig in rigs])
+    assert heights.std() == pytest.approx(0.5, rel=0.2)
+    centres = np.array([rig.camera.matrix[:2, 2] for rig in rigs]) - drawn.camera.matrix[:2, 2]
+    assert centres.std(axis=0) == pytest.approx(0.005 * 320, rel=0.2)
+
+
+def test_lenses_bend_and_darken_the_corners_as_far_as_they_may():
+    shifts, fractions = [], []
+    for seed in range(100):
+        camera = built_rig(seed, scale=0.1).camera
+        corner2 = np.sum((np.array(camera.image_size) / 2) ** 2) / camera.matrix[0, 0] ** 2
+        shifts.append(camera.distortion[0] * corner2)
+        fractions.append(1 + sum(camera.shading))
+        assert camera.px_per_mm == pytest.approx(camera.matrix[0, 0] / camera.height_mm)
+    assert -0.005 <= min(shifts) < -0.003
+    assert 0.003 < max(shifts) <= 0.005
+    # cos^4 leaves 93 to 94 % at the corners, vignetting takes 10 to 20 % more
+    assert 0.72 < min(fractions) < 0.77
+    assert 0.80 < max(fractions) < 0.85
+
+
+def test_an_oblique_camera_sees_the_leds_turned_and_the_base_with_them():
+    tolerances = _Tolerances(led_position_mm=0, camera_shift_mm=0, camera_height_mm=0, camera_tilt_deg=2.0)
+    rig = built_rig(4, scale=0.1, tolerances=tolerances)
+    tilt = rig.provenance["base_tilt_deg"]
+    assert max(map(abs, tilt)) > 0.5
+    own = base_plane(tilt).own(positions(rig))
+    assert np.ptp(own[:, 2]) < 1e-5, "the LEDs' circle stays parallel to the base"
+    assert np.ptp(positions(rig)[:, 2]) > 0.5
+    distances = np.linalg.norm(positions(rig) - (0, 0, 140), axis=1)
+    assert np.allclose(distances, 52.5), "and stays about the camera"
+
+
+def test_a_built_rig_survives_its_file(tmp_path):
+    rig = built_rig(8, scale=0.2)
+    write_rig(rig, tmp_path / "rig.json")
+    back = read_rig(tmp_path / "rig.json")
+    assert np.allclose(positions(back), positions(rig))
+    assert np.allclose(axes(back), axes(rig))
+    assert back.camera.shading == pytest.approx(rig.camera.shading)
+    assert np.allclose(back.camera.matrix, rig.camera.matrix)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: built_rig(-1), "seed must not be negative"),
+        (lambda: built_rig(0, scale=2.0), "scale must lie in"),
+        (lambda: lobe_exponent(0.0), "half_angle_deg must lie between"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(call, words):
+    with pytest.raises(BadInput, match=words):
+        call()

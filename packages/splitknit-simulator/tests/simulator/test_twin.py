@@ -1,0 +1,248 @@
+"""Whole captures of the twin."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack
+from splitknit.model import Camera, default_rig
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.finger.finger import PoseRanges
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinOptics, SkinRanges
+from splitknit_simulator.rigs import MirrorSettings
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings, background_albedo
+from splitknit_simulator.twin import photograph, simulate_capture
+from surfaces import ridged_egg
+
+QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return ridged_egg((280, 260), 18.9)
+
+
+@pytest.fixture(scope="module")
+def rig(egg):
+    return replace(default_rig(0.25, seed=3), camera=egg.camera)
+
+
+def _digest(capture, truth):
+    parts = [band.pixels.tobytes() + band.ambient.tobytes() for band in capture.bands.values()]
+    parts += [key.encode() + np.ascontiguousarray(truth[key]).tobytes() for key in sorted(truth)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def _photo(egg, rig, seed=1, skin=None, **settings):
+    return photograph(egg, rig, skin or SkinOptics(), np.random.SeedSequence(seed), settings=TwinSettings(**settings))
+
+
+def test_default_rig_is_the_thesis_rig():
+    rig = default_rig(seed=7)
+    positions = np.array([led.position_mm for led in rig.leds])
+    assert rig.camera.image_size == (2200, 3200)
+    assert rig.camera.px_per_mm == 75.7
+    np.testing.assert_allclose(np.hypot(positions[:, 0], positions[:, 1]), 52.5)
+    np.testing.assert_allclose(positions[:, 2], 140.0)
+    azimuth = np.unwrap(np.arctan2(positions[:, 1], positions[:, 0])[:7])
+    np.testing.assert_allclose(np.diff(azimuth), 2 * np.pi / 7)
+    assert np.arctan2(positions[7, 1], positions[7, 0]) == pytest.approx(np.pi / 7)
+    assert [led.band for led in rig.leds] == ["white"] * 7 + ["nir"] * 7
+    assert 0.03 < np.std([led.intensity for led in rig.leds]) < 0.2
+    assert {led.intensity for led in default_rig().leds} == {1.0}
+    assert default_rig(0.5).camera.image_size == (1100, 1600)
+    with pytest.raises(BadInput, match="scale"):
+        default_rig(0.0)
+
+
+def test_a_capture_holds_what_the_format_says(egg, rig):
+    capture, truth = _photo(egg, rig)
+    assert capture.material == "skin"
+    assert capture.subject["id"] == "anonymous"
+    assert capture.bands["white"].leds == tuple((k,) for k in range(7))
+    assert capture.bands["nir"].leds == tuple((k,) for k in range(7, 14))
+    for name in ("white", "nir"):
+        assert capture.bands[name].pixels.shape == (7, 280, 260, 3)
+        assert capture.bands[name].pixels.dtype == np.uint8
+        assert truth[f"glare_{name}"].shape == (7, 280, 260)
+        assert truth[f"glare_{name}"].dtype == np.float16
+    for name in ("height_mm", "shape_mm", "mask", "normals", "relief_um", "optics_scattering_per_mm", "skin_melanin"):
+        assert name in truth
+    assert all(array.dtype != object for array in truth.values())
+    assert truth["landmark_pose_yaw_deg"] == 0.0
+    assert str(truth["landmark_pattern"]) == "rings"
+
+
+def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
+    capture, truth = _photo(egg, rig, skin=SkinOptics(glare=0.0))
+    light = linear_stack(capture.bands["white"], "linear", "red")
+    assert np.percentile(light[:, truth["mask"]], 99.9) == pytest.approx(0.7, abs=0.06)
+    red, green, blue = (linear_stack(capture.bands["white"], "linear", c)[:, truth["mask"]].mean() for c in
+                        ("red", "green", "blue"))  # fmt: skip
+    assert red > green > blue > 0.2 * red
+    nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
+    means = nir.mean(axis=(0, 1))
+    assert means.max() < 1.02 * means.min()
+    noise = nir - nir.mean(axis=-1, keepdims=True)
+    assert noise.std() > 0.3  # the three channels see the same light with their own noise
+
+
+def test_dark_skin_is_darker_and_less_red(egg, rig):
+    colours, exposures = [], []
+    for melanin in (0.0002, 0.02):
+        capture, truth = _photo(egg, rig, skin=SkinOptics(melanin=melanin, glare=0.0), sensor=QUIET)
+        pixels = capture.bands["white"].pixels[:, truth["mask"]].mean(axis=(0, 1))
+        colours.append(pixels / pixels[0])
+        exposures.append(float(truth["exposure_white"]))
+    assert exposures[1] > 2 * exposures[0]
+    assert colours[1][1] > 1.1 * colours[0][1]
+
+
+def test_light_minus_glare_is_what_no_glare_gives(egg, rig):
+    """The stored truth of the glare is in the images' own units."""
+    ambient = BackgroundSettings(ambient=0.0)
+    shiny, truth = _photo(egg, rig, sensor=QUIET, background=ambient)
+    matte, plain = _photo(egg, rig, skin=SkinOptics(glare=0.0), sensor=QUIET, background=ambient)
+    assert truth["exposure_white"] == plain["exposure_white"]
+    with_glare = linear_stack(shiny.bands["white"], "linear", "green")
+    without = linear_stack(matte.bands["white"], "linear", "green")
+    fits = with_glare < 0.99
+    np.testing.assert_allclose((with_glare - without)[fits], truth["glare_white"].astype(np.float32)[fits], atol=2e-4)
+    assert not plain["glare_white"].any()
+    assert truth["glare_white"].max() > 0.05
+
+
+def test_led_intensities_scale_the_images(egg):
+    rig = replace(default_rig(0.25), camera=egg.camera)
+    brighter = replace(rig, leds=(replace(rig.leds[0], intensity=0.5), *rig.leds[1:]))
+    background = BackgroundSettings(ambient=0.0)
+    one, first = _photo(egg, rig, sensor=QUIET, background=background)
+    half, second = _photo(egg, brighter, sensor=QUIET, background=background)
+    light, dimmed = (linear_stack(c.bands["white"], "linear", "green")[0] for c in (one, half))
+    gain = float(second["exposure_white"] / first["exposure_white"])
+    inside = first["mask"] & (light > 0.05) & (light < 0.9)
+    np.testing.assert_allclose(dimmed[inside] / light[inside], 0.5 * gain, rtol=0.005)
+
+
+def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
+    lit, truth = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.05))
+    dark, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.0))
+    removed = linear_stack(lit.bands["white"], "linear", "green")
+    reference = linear_stack(dark.bands["white"], "linear", "green")
+    inside = truth["mask"] & (reference.max(axis=0) < 0.9)
+    assert lit.bands["white"].ambient[truth["mask"]].mean() > 300
+    np.testing.assert_allclose(removed[:, inside], reference[:, inside], atol=2e-4)
+    assert dark.bands["white"].ambient.max() == 0
+    noisy, _ = _photo(egg, rig, sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05))
+    beside = ~truth["mask"]
+    frame, image = (
+        pixels[..., 1][beside].astype(float)
+        for pixels in (noisy.bands["white"].ambient, noisy.bands["white"].pixels[0])
+    )
+    assert abs(np.corrcoef(frame, image)[0, 1]) < 0.2  # each exposure has its own noise
+
+
+def test_background_dust_gradient_and_hand_shadow(egg, rig):
+    camera = Camera(20.0, (200, 300))
+    plain = background_albedo(camera, BackgroundSettings(), np.random.default_rng(0))
+    assert np.unique(plain).size == 1
+    dusty = background_albedo(camera, BackgroundSettings(dust_per_cm2=20.0, gradient=0.5), np.random.default_rng(0))
+    assert dusty.max() > 5 * plain.max()
+    assert np.ptp(_block_medians(dusty)) > 0.1 * plain.max()
+    open_hand, truth = _photo(egg, rig, sensor=QUIET)
+    shaded, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(hand_shadow=0.8))
+    ratio = linear_stack(shaded.bands["white"], "linear", "green")[0] / np.maximum(
+        linear_stack(open_hand.bands["white"], "linear", "green")[0], 1e-6
+    )
+    assert ratio[100, 130] == pytest.approx(1.0, abs=0.01)
+    assert ratio[np.flatnonzero(truth["mask"][:, 130])[-1] - 2, 130] < 0.5
+    background = open_hand.bands["white"].pixels[0][~truth["mask"]] / 65535.0
+    assert 0 < background.mean() < 0.02
+
+
+@pytest.mark.slow
+def test_a_coloured_background_lights_the_flanks(egg, rig):
+    black, truth = _photo(egg, rig, sensor=QUIET)
+    green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
+    before_green, its = _photo(egg, rig, sensor=QUIET, background=green)
+    beside = ~truth["mask"]
+    paper = before_green.bands["white"].pixels[0][beside].mean(axis=0)
+    assert paper[0] < 0.01 * paper[1]
+    assert paper[2] == pytest.approx(0.25 * paper[1], rel=0.02)
+    assert before_green.bands["nir"].pixels[0][beside].mean() > 5 * black.bands["nir"].pixels[0][beside].mean()
+    one, other = (
+        linear_stack(c.bands["white"], "linear", "green")[0] / t["exposure_white"]
+        for c, t in ((black, truth), (before_green, its))
+    )
+    added, level = other - one, truth["normals"][..., 2]
+    flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
+    assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
+    with pytest.raises(BadInput, match="between mirrors is black"):
+        TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
+
+
+def _block_medians(image):
+    return np.median(image.reshape(10, 20, 10, 30), axis=(1, 3))
+
+
+def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
+    sharp, truth = _photo(egg, rig, sensor=QUIET)
+    off, _ = _photo(egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=0.0, focus_depth_mm=0.3))
+    np.testing.assert_array_equal(sharp.bands["white"].pixels, off.bands["white"].pixels)
+    soft, _ = _photo(egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=11.0, focus_depth_mm=0.3))
+    change = np.abs(soft.bands["white"].pixels[0].astype(float) - sharp.bands["white"].pixels[0]).mean(axis=-1)
+    depth = np.nanmax(truth["shape_mm"]) - truth["shape_mm"]
+    near, far = change[truth["mask"] & (depth < 0.5)].mean(), change[truth["mask"] & (depth > 2) & (depth < 3.5)].mean()
+    assert far > 2 * near
+
+
+def test_seeds_repeat_and_workers_do_not_matter(egg, rig):
+    one = _digest(*_photo(egg, rig))
+    assert one == _digest(*_photo(egg, rig, render=RenderSettings(workers=5)))
+    assert one != _digest(*_photo(egg, rig, seed=2))
+
+
+@pytest.mark.slow
+def test_a_simulated_finger_end_to_end():
+    settings = TwinSettings(scale=0.1, render=RenderSettings(workers=2))
+    capture, truth = simulate_capture(11, "whorl", settings)
+    again = simulate_capture(11, "whorl", replace(settings, render=RenderSettings(workers=1)))
+    assert _digest(capture, truth) == _digest(*again)
+    assert capture.shape == capture.bands["nir"].pixels.shape[1:3] == truth["mask"].shape
+    assert 0.1 < truth["mask"].mean() < 0.6
+    assert str(truth["landmark_pattern"]) == "whorl"
+    assert truth["mask"][-1].any()
+    assert not truth["mask"][0].any()
+    second, moved = simulate_capture(11, "whorl", settings, impression=1)
+    assert second.subject["session"] == 2
+    assert moved["skin_melanin"] == truth["skin_melanin"]
+    assert moved["landmark_yaw_rad"] != truth["landmark_yaw_rad"]
+    assert (moved["mask"] != truth["mask"]).any()
+
+
+def test_pose_ranges_draw_inside_and_are_checked():
+    camera = default_rig(0.5).camera
+    poses = [PoseRanges().draw(np.random.default_rng(seed), camera) for seed in range(50)]
+    assert max(abs(p.yaw_rad) for p in poses) <= np.deg2rad(10)
+    assert np.std([p.roll_rad for p in poses]) > np.deg2rad(2)
+    deep = PoseRanges(insertion_mm=(40.0, 40.0)).draw(np.random.default_rng(0), camera)
+    assert deep.insertion_mm < 1100 / camera.px_per_mm
+    with pytest.raises(BadInput, match="yaw_deg"):
+        PoseRanges(yaw_deg=(5.0, -5.0))
+
+
+def test_population_spreads_in_tone():
+    skins = [SkinRanges().draw(np.random.default_rng(seed)) for seed in range(60)]
+    green = np.array([s.channel("green").absorption_per_mm for s in skins])
+    assert green.max() > 2 * green.min()
+
+
+def test_surface_and_camera_must_agree(egg):
+    with pytest.raises(BadInput, match="camera has"):
+        photograph(egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0))

@@ -1,0 +1,150 @@
+"""Captures with a rig of one's own: perspective camera, lens that darkens, other sizes and scales."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack
+from splitknit.model import Camera, default_rig
+from splitknit_simulator.camera.lens import blur_sigma_px, fall_off, pixels_of_points
+from splitknit_simulator.camera.sensor import SensorSettings, binning_scale
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.finger.master_print import MasterPrintSettings
+from splitknit_simulator.light.renderer import RenderSettings
+from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.scene import BackgroundSettings, Scene, TwinSettings
+from splitknit_simulator.twin import photograph, simulate_capture
+from surfaces import perspective_camera, ridged_egg
+
+QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
+SHADING = (-0.35, -0.1)
+FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))
+PERSPECTIVE = perspective_camera((220, 320), 7.57, 120.0, off=(3.0, -2.0), distortion=(0.2,), shading=SHADING)
+
+
+@pytest.fixture(scope="module")
+def perspective():
+    rig = default_rig(0.1, 0)
+    leds = tuple(
+        replace(led, lobe_exponent=3.0, aim=(0.02, 0.0, -1.0)) if k % 2 else led for k, led in enumerate(rig.leds)
+    )
+    rig = replace(rig, camera=PERSPECTIVE, leds=leds)
+    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=26.0), sensor=QUIET, skin=SkinOptics())
+    return rig, settings, *simulate_capture(4, settings=settings, finger=FINGER)
+
+
+def test_a_perspective_capture_says_what_its_camera_is(perspective):
+    rig, _, capture, truth = perspective
+    assert capture.rig is rig
+    assert capture.shape == truth["mask"].shape == (220, 320)
+    assert str(truth["camera_model"]) == "perspective"
+    assert float(truth["camera_height_mm"]) == 120.0
+    np.testing.assert_array_equal(truth["camera_matrix"], PERSPECTIVE.matrix)
+    np.testing.assert_array_equal(truth["camera_distortion"], PERSPECTIVE.distortion)
+    assert truth["x_mm"].dtype == truth["y_mm"].dtype == np.float32
+    inside = truth["mask"]
+    column, row = pixels_of_points(
+        PERSPECTIVE, *(truth[k][inside].astype(float) for k in ("x_mm", "y_mm", "height_mm"))
+    )
+    rows, columns = np.nonzero(inside)
+    assert max(np.abs(column - columns).max(), np.abs(row - rows).max()) < 1e-3
+    assert all(array.dtype != object for array in truth.values())
+    assert capture.bands["white"].shading == capture.bands["nir"].shading == SHADING
+
+
+def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
+    """Stored values fall with the lens, ambient frame included; divided, they are those of a clear lens."""
+    egg = ridged_egg((280, 260), 18.9)
+    shading = replace(egg.camera, shading=SHADING)
+    base = replace(default_rig(0.25, seed=3), camera=egg.camera)
+    settings = TwinSettings(sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinOptics())
+    (clear, plain), (dim, truth) = (
+        photograph(egg, replace(base, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings)
+        for camera in (egg.camera, shading)
+    )
+    gain = float(truth["exposure_white"] / plain["exposure_white"])
+    assert gain > 1.02  # the brightest skin is behind the lens as bright as before
+    bright = plain["mask"] & (clear.bands["white"].pixels.max(axis=(0, -1)) < 50000)
+    for a, b in (
+        (clear.bands["white"].ambient, dim.bands["white"].ambient),
+        (clear.bands["white"].pixels[2], dim.bands["white"].pixels[2]),
+    ):
+        ratio = b[bright].astype(float) / a[bright] / gain
+        np.testing.assert_allclose(ratio, np.repeat(fall_off(shading)[bright][:, None], 3, 1), rtol=0.01)
+    light, divided = (linear_stack(c.bands["white"], "linear", "green")[:, bright] for c in (clear, dim))
+    np.testing.assert_allclose(divided, gain * light, atol=1e-3)
+    # the stored glare is in the units of divided images
+    np.testing.assert_allclose(truth["glare_white"].astype(float), gain * plain["glare_white"].astype(float), atol=2e-3)
+    assert clear.bands["white"].shading == ()
+
+
+def test_ones_own_rig_is_used_as_it_is():
+    """The twin's own rig, given, changes nothing; `scale` is not used then."""
+    settings = TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0))
+    capture, truth = simulate_capture(4, settings=settings, finger=FINGER)
+    own = replace(settings, scale=1.0, rig=default_rig(0.1, 0))
+    again, same = simulate_capture(4, settings=own, finger=FINGER)
+    np.testing.assert_array_equal(capture.bands["white"].pixels, again.bands["white"].pixels)
+    assert truth.keys() == same.keys()
+    assert not {"x_mm", "camera_model"} & truth.keys()
+
+
+def test_aimed_beams_light_the_finger(perspective):
+    """Beams aimed elsewhere make another light; even numbers are as they were."""
+    rig, settings, capture, _ = perspective
+    plain = replace(rig, leds=tuple(replace(led, aim=None) for led in rig.leds))
+    other, _ = simulate_capture(4, settings=replace(settings, rig=plain), finger=FINGER)
+    one, two = (linear_stack(c.bands["white"], "linear", "green") for c in (capture, other))
+    gain = np.median(two[0] / np.maximum(one[0], 1e-3))
+    np.testing.assert_allclose(two[0], gain * one[0], atol=2e-3)
+    assert np.abs(two[1] - gain * one[1]).max() > 0.02
+
+
+def test_pixels_are_binned_as_the_picture_tells():
+    assert binning_scale(default_rig(0.25).camera) == pytest.approx(0.25)
+    assert binning_scale(default_rig(1 / 3).camera) == pytest.approx(1 / 3, rel=1e-9)
+    assert binning_scale(Camera(62.0, (2200, 3200))) == 1.0  # the whole sensor, from further away
+    assert binning_scale(Camera(90.0, (2200, 3200))) == 1.0
+    assert binning_scale(Camera(31.0, (1100, 1600))) == 0.5
+    assert binning_scale(Camera(37.85, (280, 260))) == pytest.approx(0.5)  # a cut-out
+    assert binning_scale(Camera(150.0, (280, 260))) == 1.0
+    noise = []
+    egg = ridged_egg((140, 130), 9.45)
+    rig = replace(default_rig(0.125), camera=egg.camera)
+    for scale in (None, 0.125, 1.0):
+        settings = TwinSettings(sensor=SensorSettings(bits=16), sensor_scale=scale)
+        capture, truth = photograph(egg, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings)
+        nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
+        noise.append((nir - nir.mean(axis=-1, keepdims=True)).std())
+    assert noise[1] == pytest.approx(noise[0], rel=0.02)
+    assert noise[2] > 3.0 * noise[0]
+    with pytest.raises(BadInput, match="sensor_scale"):
+        TwinSettings(sensor_scale=1.5)
+
+
+def test_depth_of_field_follows_the_axis(perspective):
+    rig, settings, _, truth = perspective
+    lens = RenderSettings(aperture_mm=6.0, focus_depth_mm=1.0)
+    soft, _ = simulate_capture(4, settings=replace(settings, render=lens), finger=FINGER)
+    assert np.abs(soft.bands["white"].pixels.astype(float) - perspective[2].bands["white"].pixels).max() > 2000
+    assert rig.camera.shading == SHADING
+    surface_z = truth["shape_mm"]
+    top = float(np.nanmax(surface_z))
+    deepest = np.unravel_index(np.nanargmin(surface_z), surface_z.shape)
+    below = top - 1.0 - float(surface_z[deepest])
+    # by similar triangles: the pencil of the pupil, `below` beyond the plane in focus, seen on that plane
+    disc_px = 6.0 * below / (121.0 - top + below) * (7.57 * 120.0 / (121.0 - top))
+    sigma = blur_sigma_px(surface_z[deepest], top - 1.0, 120.0, 6.0, 7.57 * 120.0 / (121.0 - top))
+    assert float(sigma) == pytest.approx(0.25 * disc_px, rel=1e-5)
+    assert _scene_blur(perspective, lens)[deepest] == pytest.approx(0.25 * disc_px, rel=1e-4)
+
+
+def _scene_blur(perspective, lens):
+    rig, settings, _, _ = perspective
+    surface = finger_surface(FINGER, settings.pose, rig.camera)
+    settings = replace(settings, render=lens)
+    return Scene((surface, rig, SkinOptics()), settings, np.random.default_rng(0)).blur

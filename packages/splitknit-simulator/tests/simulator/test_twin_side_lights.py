@@ -1,0 +1,99 @@
+"""Lights to the side of the finger: in the twin, and what presets make of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+import splitknit
+import splitknit_simulator
+from splitknit.finger import steady
+from splitknit.finger.locate import Finger, FingerSettings
+from splitknit.imaging.polarised import without_side_lights
+from splitknit.methods.photographs import SIDE_UNUSED
+from splitknit.model import Band, Capture, default_rig
+from splitknit_simulator.light.lighting import arriving, cut_out, towards
+from splitknit_simulator.rigs import with_side_lights
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import lay_down
+
+SIDE = 5
+
+
+@pytest.fixture(scope="module")
+def lit() -> Capture:
+    settings = {"scale": 0.12, "side_lights": SIDE}
+    return splitknit_simulator.simulate_capture(3, settings=settings)[0]
+
+
+def _chosen(band: Band, count: int) -> Band:
+    names = "pixels", "leds", "exposure", "black_level", "files"
+    return replace(band, **{name: getattr(band, name)[:count] for name in names})
+
+
+def test_the_rig_with_side_lights() -> None:
+    rig = with_side_lights(default_rig(0.1), SIDE)
+    added = rig.leds[14:]
+    assert len(added) == SIDE
+    for led in added:
+        assert led.position_mm is not None
+        assert np.hypot(*led.position_mm[:2]) == pytest.approx(90.0)
+        assert led.intensity / (90**2 + 30**2) == pytest.approx(1 / 140**2, rel=1e-4)
+
+
+def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
+    rig = with_side_lights(default_rig(0.12), 3)
+    patch = cut_out(lay_down(3, None, TwinSettings(scale=0.12, rig=rig))[0], shadows=True)
+    inner = patch.mask & (patch.nz > 0.2)
+    for led, least in ((rig.leds[0], 1.0), (rig.leds[14], 0.0)):
+        free = (arriving(patch, led)[3] / towards(led, patch.x, patch.y, patch.z)[3])[inner]
+        assert float(free.min()) == least
+        assert float(free.mean()) > 0.3
+
+
+@pytest.mark.slow
+def test_without_films_they_change_nothing_but_a_note(lit: Capture) -> None:
+    white = _chosen(lit.bands["white"], 7)
+    ring = replace(lit, bands={**lit.bands, "white": white})
+    for preset in ("ea", "metric"):
+        both = [splitknit.reconstruct(one, preset) for one in (lit, ring)]
+        assert SIDE_UNUSED.format(SIDE) in both[0].warnings
+        assert set(both[0].warnings) - {SIDE_UNUSED.format(SIDE)} == set(both[1].warnings)
+        np.testing.assert_array_equal(both[0].height_mm, both[1].height_mm)
+
+
+def test_what_is_no_skin_keeps_all_its_lights(lit: Capture) -> None:
+    opaque = replace(lit, material="opaque")
+    assert without_side_lights(opaque) is opaque
+    parted = without_side_lights(lit).bands["white"]
+    assert parted.side is not None
+    assert (len(parted.leds), len(parted.side.leds)) == (7, SIDE)
+    few = replace(lit, bands={"white": replace(lit.bands["white"], **_last(lit.bands["white"], SIDE + 3))})
+    assert without_side_lights(few) is few  # too few in front
+
+
+def _last(band: Band, count: int) -> dict[str, object]:
+    names = "pixels", "leds", "exposure", "black_level", "files"
+    return {name: getattr(band, name)[-count:] for name in names}
+
+
+@pytest.mark.parametrize(("common_mm", "moved"), [(0.0, False), (0.04, True)])
+def test_motion_before_the_side_images_is_what_all_share(
+    lit: Capture, monkeypatch: pytest.MonkeyPatch, common_mm: float, moved: bool
+) -> None:
+    """Each light seems to shift the ridges along itself; what could not be registered says nothing."""
+    parted = without_side_lights(lit)
+    side = parted.bands["white"].side
+    assert side is not None
+    towards = parted.rig.select(side.leds).light_vectors()[:, :2]
+    shifts = -0.05 * towards / np.linalg.norm(towards, axis=1, keepdims=True) + (common_mm, 0.0)
+    shifts[[0, 4]] = 0.0  # went astray
+    facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
+    monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
+    kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
+    assert warnings == (steady.SIDE_MOVED,) * moved
+    assert (kept is parted) is not moved

@@ -1,0 +1,240 @@
+"""Coloured LEDs in a capture: separated, written and read, and refused where they cannot be separated."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from small_capture import edit
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.imaging.band import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
+from splitknit.imaging.coloured import COMPOSED, _colour_factors, balanced, composed
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
+from splitknit.pipeline import reconstruct
+from splitknit.presets import PRESETS
+from splitknit.settings import override
+from splitknit_simulator.rigs import coloured_rig
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
+
+MIXING = np.array(CROSSTALK)
+
+
+@pytest.fixture(scope="module")
+def twin() -> Capture:
+    return simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.12, 0)))[0]
+
+
+@pytest.fixture(scope="module")
+def white() -> Capture:
+    return simulate_capture(4, "left_loop", TwinSettings(scale=0.12))[0]
+
+
+def band_of(light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: np.ndarray | None) -> Band:
+    """16-bit images of linear light (L, H, W, 3)."""
+    groups, start = [], 0
+    for names in colours:
+        groups.append(tuple(range(start, start + len(names))))
+        start += len(names)
+    count = len(light)
+    return Band(
+        "white", np.rint(light * 65535).astype(np.uint16), tuple(groups), np.ones(count), np.zeros(count),
+        colours=colours, crosstalk=crosstalk,
+    )  # fmt: skip
+
+
+def test_mixed_colours_are_separated_in_the_order_of_the_lights() -> None:
+    rng = np.random.default_rng(0)
+    own = rng.uniform(0.05, 0.4, (2, 5, 6, 3))
+    band = band_of(own @ MIXING.T, (("blue", "red", "green"), ("green", "blue", "red")), MIXING)
+    assert band.lights == ((1,), (2,), (0,), (5,), (3,), (4,))
+    stack = linear_stack(band, "linear")
+    np.testing.assert_allclose(stack, np.moveaxis(own, 3, 1).reshape(6, 5, 6), atol=3e-5)
+    assert not has_colour(band)
+    mean, grey = linear_survey(band, "linear")
+    assert mean.shape == (5, 6, 1)
+    np.testing.assert_array_equal(grey, stack)
+    assert saturation_levels(band, "linear").shape == (6,)
+    with pytest.raises(BadInput, match="no channel 'red'"):
+        linear_channels(band, "linear", ("red",))
+    binned = linear_stack(band, "linear", binning=2)
+    np.testing.assert_allclose(binned[0, 0, 0], stack[0, :2, :2].mean(), rtol=1e-4)
+
+
+def test_without_crosstalk_channels_are_the_images_and_clipped_light_stays_clipped() -> None:
+    own = np.random.default_rng(1).uniform(0.1, 0.5, (1, 4, 4, 3))
+    plain = linear_stack(band_of(own, (("red", "green", "blue"),), None), "linear")
+    np.testing.assert_allclose(plain, np.moveaxis(own[0], 2, 0), atol=2e-5)
+    own[0, 2, 2, 1] = 1.0
+    stack = linear_stack(band_of(np.minimum(own @ MIXING.T, 1), (("red", "green", "blue"),), MIXING), "linear")
+    assert stack[1, 2, 2] == pytest.approx(1.0, abs=1e-4)
+    assert (stack > 0.985).sum() == 1
+
+
+def test_white_and_coloured_exposures_live_together() -> None:
+    own = np.random.default_rng(2).uniform(0.1, 0.5, (2, 4, 4, 3))
+    band = band_of(own, (("red", "blue"), ("",)), None)
+    assert band.lights == ((0,), (1,), (2,))
+    stack = linear_stack(band, "linear")
+    np.testing.assert_allclose(stack[:2], np.moveaxis(own[0][..., [0, 2]], 2, 0), atol=2e-5)
+    np.testing.assert_allclose(stack[2], own[1] @ [0.299, 0.587, 0.114], atol=1e-3)
+
+
+def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -> None:
+    write_capture(twin, tmp_path / "c")
+    read = read_capture(tmp_path / "c")
+    band = read.bands["white"]
+    assert band.pixels.shape[0] == 2
+    assert band.colours == twin.bands["white"].colours
+    np.testing.assert_array_equal(linear_stack(band, "linear"), linear_stack(twin.bands["white"], "linear"))
+    assert [led.colour for led in read.rig.leds] == [led.colour for led in twin.rig.leds]
+    result = reconstruct(read, "lin")
+    assert result.mask.mean() > 0.1
+    assert not any(COMPOSED in words for words in result.warnings)
+    assert not any("bright as the rig file promises" in words for words in result.warnings)
+
+
+def test_a_plain_rig_says_nothing_of_colours(tmp_path: Path) -> None:
+    leds = tuple(Led("white", position_mm=(40 * np.cos(a), 40 * np.sin(a), 100.0)) for a in range(4))
+    write_rig(Rig(Camera(10.0, (20, 30)), leds), tmp_path / "rig.json")
+    text = (tmp_path / "rig.json").read_text()
+    assert "colour" not in text
+    assert "crosstalk" not in text
+    edit(tmp_path / "rig.json", lambda d: d["leds"][0].update(colour="green"))
+    edit(tmp_path / "rig.json", lambda d: d["camera"].update(crosstalk=MIXING.tolist()))
+    rig = read_rig(tmp_path / "rig.json")
+    assert rig.leds[0].colour == "green"
+    np.testing.assert_array_equal(rig.camera.crosstalk, MIXING)
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("rig.json", lambda d: d["leds"][0].update(colour="purple"), "red, green or blue"),
+        ("rig.json", lambda d: d["leds"][-1].update(colour="red"), "only LEDs of the band 'white'"),
+        ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 0], [0, 1]]), "3 x 3 finite numbers"),
+        ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 1, 1]] * 3), "that separate the three colours"),
+        ("rig.json", lambda d: d["leds"][0].pop("colour"), "coloured and white LEDs for one exposure"),
+        ("capture.json", lambda d: d["bands"]["white"].update(leds=[[0], [3]]), "at least 3 lights"),
+    ],
+)
+def test_what_cannot_be_separated_is_refused(  # noqa: PLR0917
+    twin: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, change, words: str
+) -> None:
+    write_capture(twin, tmp_path / "c")
+    edit(tmp_path / "c" / file, change)
+    assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--preset", "lin"]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "r").exists()
+
+
+def test_grey_images_hold_one_colour_at_most(twin: Capture, tmp_path: Path) -> None:
+    band = twin.bands["white"]
+    grey = replace(band, pixels=band.pixels[..., :1].copy(), ambient=None)
+    write_capture(replace(twin, bands={"white": grey}), tmp_path / "c")
+    with pytest.raises(BadInput, match="can be separated in colour images only"):
+        read_capture(tmp_path / "c")
+
+
+def test_our_preset_refuses_coloured_leds(twin: Capture) -> None:
+    with pytest.raises(BadInput, match="blurs the light of each coloured LED differently"):
+        reconstruct(twin)
+
+
+def test_colours_are_balanced_by_what_the_finger_shows() -> None:
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(3, 500)) * 0.3
+    normals[0] += 0.5  # tilted, and no colour stands all around: brightness alone would mislead
+    normals[2] = 1.0
+    normals /= np.linalg.norm(normals, axis=0)
+    angle = 2 * np.pi * np.arange(6) / 6
+    lights = np.stack([0.35 * np.cos(angle), 0.35 * np.sin(angle), np.full(6, 0.9)], axis=1)
+    colour = np.repeat(["red", "blue", "green"], 2)
+    true = np.array([{"red": 1.8, "green": 1.0, "blue": 0.6}[name] for name in colour])
+    found = _colour_factors(true[:, None] * (lights @ normals) * rng.uniform(0.5, 1, 500), lights, colour)
+    np.testing.assert_allclose(found / found[5], true, rtol=0.01)
+    assert np.exp(np.log(found).mean()) == pytest.approx(1.0)
+
+
+def test_white_images_become_coloured_exposures(white: Capture) -> None:
+    made = composed(white, 2)
+    band = made.bands["white"]
+    assert band.pixels.shape == (2, *white.shape, 3)
+    assert band.pixels.dtype == np.uint16
+    colours = linear_channels(white.bands["white"], "linear", ("red", "green", "blue"))
+    stack = linear_stack(band, "linear")
+    clipped = 0
+    for image, group in zip(stack, band.lights, strict=True):
+        led = made.rig.leds[group[0]]
+        places = [other.position_mm for other in white.rig.leds]
+        source = colours[("red", "green", "blue").index(led.colour), places.index(led.position_mm)]
+        fine = (image < 0.9) & (source < 0.9)
+        clipped += int((~fine).sum())
+        assert np.quantile(np.abs(image - source)[fine], 0.999) < 2e-3
+    assert clipped < 0.01 * stack.size
+    assert made.bands["nir"] is white.bands["nir"]
+    result = reconstruct(white, "lin")
+    assert f"2 coloured exposures were {COMPOSED}" in result.warnings
+    plain = reconstruct(made, "lin")
+    np.testing.assert_array_equal(result.height_mm, plain.height_mm)
+
+
+def test_composing_keeps_the_encoding_and_the_exposure(white: Capture) -> None:
+    band = white.bands["white"]
+    longer = replace(white, bands={**white.bands, "white": replace(band, exposure=band.exposure * 0.25, ambient=None)})
+    plain = replace(white, bands={**white.bands, "white": replace(band, ambient=None)})
+    one, other = (linear_stack(composed(c, 2).bands["white"], "linear") for c in (longer, plain))
+    np.testing.assert_allclose(one * 0.25, other, atol=1e-4)
+    curved = linear_stack(composed(replace(plain, encoding="srgb"), 2).bands["white"], "srgb")
+    expected = linear_channels(band, "srgb", ("red",))[0].max()
+    assert curved.max() == pytest.approx(expected, rel=0.3)
+
+
+def test_composing_needs_colour_and_enough_images(white: Capture) -> None:
+    band = white.bands["white"]
+    with pytest.raises(BadInput, match="the white band is grey"):
+        composed(replace(white, bands={"white": replace(band, pixels=band.pixels[..., :1])}))
+    with pytest.raises(BadInput, match="need 9 white images, but there are 7"):
+        composed(white, 3)
+
+
+def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:
+    band = twin.bands["white"]
+    lights = twin.rig.select(band.lights).light_vectors()
+    stack = linear_stack(band, "linear")
+    mask = stack.min(axis=0) > 0.05
+    even = balanced(stack, twin.rig, band, mask)
+    left = []
+    for images in (stack[:, mask], even[:, mask]):
+        rest = images - lights @ (np.linalg.pinv(lights) @ images)
+        left.append(float((rest**2).mean() / (images**2).mean()))
+    assert left[1] < 0.5 * left[0]
+
+
+def test_settings_of_coloured_leds_are_in_every_document() -> None:
+    assert asdict(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
+    assert asdict(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
+    assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
+
+
+@pytest.mark.slow
+def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ["simulate", "--scale", "0.06", "--lights", "coloured9"]
+    assert main([*given, "--out", str(tmp_path / "c")]) == 0
+    assert "--preset lin" in capsys.readouterr().out
+    document = json.loads((tmp_path / "c" / "capture.json").read_text())
+    assert [len(group) for group in document["bands"]["white"]["leds"]] == [3, 3, 3]
+    assert main([*given, "--out", str(tmp_path / "m"), "--motion", "0.2"]) == 0  # one pose an exposure
+    moving = json.loads((tmp_path / "m" / "capture.json").read_text())
+    assert moving["bands"]["white"]["leds"] == document["bands"]["white"]["leds"]
+    still, moved = ((tmp_path / name / "white_2.png").read_bytes() for name in "cm")
+    assert still != moved

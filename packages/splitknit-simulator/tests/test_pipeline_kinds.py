@@ -1,0 +1,263 @@
+"""Captures of other kinds than the rig's: each gives a plausible surface with every preset that it concerns."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import kinds
+from small_capture import copy_of, edit
+from splitknit.accuracy import compare
+from splitknit.errors import BadInput
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image
+from splitknit.io.npz import read_npz
+from splitknit.model import Band, Capture, Reconstruction, default_rig
+from splitknit.pipeline import reconstruct
+from splitknit.steps import Memory
+from splitknit_simulator.camera.sensor import SensorSettings
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.twin import photograph, simulate_capture
+
+Truth = dict[str, np.ndarray]
+
+QUICK = {"metric.rounds": 1, "metric.coarse_steps": 2}
+"""A short run of the metric recipe: enough to see that a kind of capture gets through."""
+
+
+def quick(capture: Capture, preset: str) -> Reconstruction:
+    return reconstruct(capture, preset, QUICK if preset == "metric" else None)
+
+
+@pytest.fixture(scope="module")
+def capture(twin_capture: Capture) -> Capture:
+    return twin_capture
+
+
+@pytest.fixture(scope="module")
+def truth(twin_folder: Path) -> Truth:
+    return read_npz(twin_folder / "truth.npz")
+
+
+def plausible(result: Reconstruction, truth: Truth, rms_mm: float = 1.3, correlation: float = 0.1) -> None:
+    mask = result.mask
+    for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
+        np.testing.assert_array_equal(np.isfinite(field), mask)
+    assert np.isfinite(result.normals).all()
+    figures = compare(result, truth).figures
+    assert figures["surface_rms_mm"] < rms_mm
+    assert figures["mask_on_finger"] > 0.98
+    assert figures["ridge_correlation"] > correlation
+
+
+KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = {
+    "grey skin": (lambda capture: kinds.grey(capture, "skin"), 1.3, ("pr", "kumar")),
+    "grey opaque": (lambda capture: kinds.grey(capture, "opaque"), 1.55, ("ea", "zheng")),
+    "three lights": (lambda capture: kinds.chosen_lights(capture, [0, 2, 4]), 1.45, ("pr-split", "lin")),
+    "no ambient": (
+        lambda one: kinds.each_band(one, lambda band: replace(band, ambient=None)),
+        1.05,
+        ("ea-split", "xie"),
+    ),
+    "several leds": (kinds.paired_lights, 1.05, ("kumar", "pr")),
+    "distant leds": (kinds.distant, 1.6, ("zheng", "ea")),
+    "perspective": (kinds.perspective, 1.05, ("lin", "pr-split")),
+    "no nir": (lambda one: replace(one, bands={"white": one.bands["white"]}), 1.3, ("xie", "ea-split")),
+}
+"""How a capture is made from the rig's, the factor by which the surface's rms may grow, and two presets: `metric` and
+`snk` see every kind, each of the others two kinds that differ."""
+
+METRIC = ("grey skin", "grey opaque", "perspective")
+"""Kinds that the metric recipe treats in another way; the presets tell that other numbers of lights and images do."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "preset"),
+    [(kind, KINDS[kind][2][0]) for kind in KINDS]
+    + [pytest.param(k, "metric", marks=() if k in METRIC else pytest.mark.slow) for k in KINDS]
+    + [pytest.param(k, p, marks=pytest.mark.slow) for k in KINDS for p in ("snk", KINDS[k][2][1])],
+)
+def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Truth) -> None:
+    make, worse, _ = KINDS[kind]
+    (rms, _), (correlation, _), _ = kinds.FIGURES[preset]
+    result = quick(make(capture), preset)
+    plausible(result, truth, min(1.3, worse * rms), 0.85 * correlation)
+    words = " ".join(result.warnings)
+    no_nir = kind in ("grey skin", "no nir")  # of opaque things white light shows the shape as well
+    assert ("no near-infrared band" in words) == (no_nir and preset in ("metric", "snk"))
+    assert ("images are grey" in words) == (kind == "grey skin" and preset == "metric")
+    assert (result.x_mm is not None) == (kind == "perspective" and preset == "metric")
+
+
+@pytest.mark.parametrize("material", ["skin", "opaque"])
+def test_colours_of_a_grey_capture_are_refused(material: str, capture: Capture) -> None:
+    with pytest.raises(BadInput, match="the white band is grey"):
+        quick(kinds.grey(capture, material), "lin")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(323, 459), pytest.param((329, 470), marks=pytest.mark.slow)])
+def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> None:
+    rows, columns = slice(0, size[0]), slice(7, 7 + size[1])
+    part = {name: truth[name][rows, columns] for name in ("height_mm", "shape_mm", "mask")}
+    for preset in ("metric", "snk"):
+        plausible(quick(kinds.cropped(capture, rows, columns), preset), part)
+
+
+@pytest.mark.parametrize("preset", ["metric", "ea"])
+def test_a_finger_that_one_side_cuts(preset: str, capture: Capture, truth: Truth) -> None:
+    columns = np.flatnonzero(truth["mask"].any(axis=0))
+    kept = slice(0, int(columns[0] + 0.75 * np.ptp(columns)))
+    part = {name: truth[name][:, kept] for name in ("height_mm", "shape_mm", "mask")}
+    plausible(quick(kinds.cropped(capture, slice(None), kept), preset), part, 1.8)
+
+
+TWINS: dict[str, TwinSettings] = {
+    "tiny": TwinSettings(scale=0.1),
+    "smallest": TwinSettings(scale=0.05),
+    "srgb": TwinSettings(sensor=SensorSettings(encoding="srgb")),
+    "sixteen bits": TwinSettings(sensor=SensorSettings(bits=16)),
+    "short": TwinSettings(pose=FingerPose(insertion_mm=18.0)),
+    "rolled": TwinSettings(pose=FingerPose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
+    "dark skin": TwinSettings(skin=SkinOptics(melanin=0.02, glare=1.3, roughness=0.2)),
+    "fair skin": TwinSettings(skin=SkinOptics(melanin=0.0002, blood=0.003)),
+    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, gradient=0.5, albedo=0.02)),
+    "dust": TwinSettings(background=BackgroundSettings(dust_per_cm2=15.0)),
+}
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=() if kind in ("tiny", "smallest") else pytest.mark.slow) for kind in TWINS]
+)
+def test_kinds_of_fingers_and_cameras(kind: str) -> None:
+    settings = TWINS[kind]
+    capture, truth = simulate_capture(3, "whorl", replace(settings, scale=min(settings.scale, 0.12)))
+    result = quick(capture, "metric")
+    if kind == "smallest":  # a ridge has less than two pixels: there is a shape, but no relief to compare
+        assert compare(result, truth).figures["surface_rms_mm"] < 1.3
+    else:
+        plausible(result, truth)
+
+
+@pytest.mark.slow
+def test_two_creases_in_view() -> None:
+    """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not at its second."""
+    settings = TwinSettings(scale=0.15)
+    rig = default_rig(0.15)
+    camera = replace(rig.camera, image_size=(720, 480))
+    surface = finger_surface(draw_finger(5, "left_loop"), FingerPose(insertion_mm=57.0), camera)
+    simulated, truth = photograph(
+        surface, replace(rig, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings
+    )
+    result = reconstruct(simulated, "ea")
+    assert result.facts["crease_found"], result.facts["crease_verdict"]
+    assert 20 < result.facts["crease_distance_mm"] < 30
+    assert truth["mask"][-100:].any()
+    plausible(result, truth)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tiff"])
+def test_other_files(suffix: str, twin_folder: Path, truth: Truth, upright: Reconstruction, tmp_path: Path) -> None:
+    """JPEG of 8 and TIFF of 16 bits in place of the PNGs."""
+    folder = copy_of(twin_folder, tmp_path / "capture")
+    for file in sorted(folder.glob("*.png")):
+        pixels = read_image(file)
+        picture = pixels[..., ::-1] if suffix == "jpg" else pixels[..., ::-1].astype(np.uint16) * 257
+        options = [cv2.IMWRITE_JPEG_QUALITY, 97] if suffix == "jpg" else []
+        assert cv2.imwrite(str(file.with_suffix(f".{suffix}")), picture, options)
+        file.unlink()
+    text = (folder / "capture.json").read_text().replace(".png", f".{suffix}")
+    (folder / "capture.json").write_text(text)
+    assert json.loads(text)["bands"]["white"]["images"][0] == f"white_0.{suffix}"
+    capture = read_capture(folder)
+    result = reconstruct(capture, "ea")
+    plausible(result, truth)
+    both = result.mask & upright.mask
+    assert both.sum() > 0.99 * upright.mask.sum()
+    difference = (result.height_mm - upright.height_mm)[both]
+    assert difference.std() < (0.05 if suffix == "jpg" else 1e-4)
+
+
+@pytest.mark.parametrize("tip_deg", [90, -90, 180])
+def test_the_tips_direction_from_a_file(tip_deg: int, capture: Capture, tmp_path: Path) -> None:
+    quarter_turns = (tip_deg // 90) % 4
+    write_capture(kinds.turned(capture, quarter_turns, None), tmp_path / "capture")
+    edit(tmp_path / "capture" / "capture.json", lambda document: document.update(tip_direction_deg=tip_deg))
+    result = reconstruct(read_capture(tmp_path / "capture"), "ea")
+    assert abs((result.facts["yaw_deg"] - tip_deg + 180) % 360 - 180) < 60
+    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
+    assert tip[1] < 0.1 * result.upright_size[0]
+
+
+@pytest.fixture(scope="module")
+def upright(capture: Capture, twin_memory: Memory) -> Reconstruction:
+    return reconstruct(capture, "ea", memory=twin_memory)
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2])
+def test_the_tips_direction_is_found(quarter_turns: int, capture: Capture, upright: Reconstruction) -> None:
+    result = reconstruct(kinds.turned(capture, quarter_turns, None), "ea")
+    assert result.facts["tip_direction"] == "found"
+    turn = result.facts["yaw_deg"] - upright.facts["yaw_deg"]
+    assert (turn - 90.0 * quarter_turns + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.5)
+    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
+    assert tip[1] < 0.1 * result.upright_size[0]
+    assert result.facts["crease_found"] == upright.facts["crease_found"]
+
+
+def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
+    """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
+    rows, columns = np.nonzero(mask)
+    k = int(np.argmin([rows, columns, -rows, -columns][quarter_turns]))
+    return float(columns[k]), float(rows[k])
+
+
+def test_a_strip_as_a_mask_is_refused(capture: Capture) -> None:
+    mask = np.zeros(capture.shape, dtype=bool)
+    mask[200:300, 240:256] = True
+    with pytest.raises(BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"):
+        reconstruct(replace(capture, mask=mask), "ea")
+
+
+def test_grey_images_stored_as_colour_are_grey(capture: Capture) -> None:
+    grey = kinds.grey(capture, "opaque")
+    noise = np.random.default_rng(0).integers(0, 2, (*grey.bands["white"].pixels.shape[:3], 3))  # as JPEG rounds
+
+    def coloured(band: Band) -> Band:
+        pixels = np.repeat(band.pixels, 3, axis=3)
+        unit = np.iinfo(pixels.dtype).max // 255
+        pixels[..., ::2] = np.maximum(pixels[..., ::2], unit) - (unit * noise[..., ::2]).astype(pixels.dtype)
+        return replace(
+            band, pixels=pixels, ambient=None if band.ambient is None else np.repeat(band.ambient, 3, axis=2)
+        )
+
+    stored = replace(grey, bands={"white": coloured(grey.bands["white"])})
+    alone = replace(grey, bands={"white": grey.bands["white"]})
+    expected, found = quick(alone, "ea"), quick(stored, "ea")
+    np.testing.assert_array_equal(found.height_mm, expected.height_mm)
+
+
+@pytest.mark.parametrize(("material", "px_per_mm"), [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0),
+                                                     ("opaque", 961.0), ("opaque", 37850.0)])  # fmt: skip
+def test_a_wrong_scale_is_named(material: str, px_per_mm: float, capture: Capture) -> None:
+    rig = replace(capture.rig, camera=replace(capture.rig.camera, px_per_mm=px_per_mm))
+    with pytest.raises(BadInput, match=f"{px_per_mm:g} px/mm"):
+        quick(replace(capture, rig=rig, material=material), "ea")
+
+
+def test_an_odd_scale_is_noted_by_the_width_or_the_ridges(capture: Capture) -> None:
+    camera = capture.rig.camera
+    half = kinds.distant(
+        replace(capture, rig=replace(capture.rig, camera=replace(camera, px_per_mm=2.5 * camera.px_per_mm)))
+    )
+    warned = quick(half, "ea").warnings
+    assert [text for text in warned if "mm is usual: check" in text]
+    assert not [text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text]

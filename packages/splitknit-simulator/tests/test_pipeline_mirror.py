@@ -1,0 +1,81 @@
+"""A capture with mirrors through the whole pipeline: the shape from mirrors, or the front view alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitknit.accuracy import compare
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.io.capture import write_capture
+from splitknit.model import Capture
+from splitknit.pipeline import reconstruct
+from splitknit_simulator.finger.finger import FingerPose
+from splitknit_simulator.rigs import MirrorSettings
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
+
+Photographed = tuple[Capture, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def photographed() -> Photographed:
+    mirrors = MirrorSettings(names=("left",), nir=False)
+    pose = FingerPose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
+    return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))
+
+
+@pytest.mark.slow
+def test_the_command_line_takes_the_shape_from_the_mirror(
+    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture, truth = photographed
+    write_capture(capture, tmp_path / "capture", truth)
+    out = tmp_path / "result"
+    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--shape", "mirror", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["facts"]["shape_source"] == "mirror"
+    assert facts["facts"]["mirror_shape"]["mirrors"] == ["left"]
+    assert set(facts["facts"]["mirror_drawing"]["masks"]) == {"front", "left"}
+    assert facts["comparison"]["metric, changed"]["surface_rms_mm"] < 0.3
+    assert facts["settings"]["shape"]["source"] == "mirror"
+    assert "Views in the mirrors" in (out / "report.html").read_text()
+
+
+def test_the_thesis_case_is_knitted_on_the_mirrors_shape(photographed: Photographed) -> None:
+    capture, truth = photographed
+    result = reconstruct(capture, "snk", {"shape.source": "mirror", "direct.method": "none"})
+    assert compare(result, truth).figures["shape_rms_mm"] < 0.3
+    inside = result.mask
+    assert np.allclose(result.height_mm[inside], (result.shape_mm + result.ridge_mm)[inside], atol=1e-5)
+
+
+def test_without_it_the_front_view_is_the_finger(photographed: Photographed) -> None:
+    capture, truth = photographed
+    result = reconstruct(capture, "ea")
+    both = result.mask & truth["mask"]
+    assert both.sum() > 0.99 * result.mask.sum() and both.sum() > 0.6 * truth["mask"].sum()
+    assert "mirror_shape" not in result.facts and result.facts["shape_source"] == "white"
+
+
+def test_refusals(photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture, _ = photographed
+    bare = replace(capture, rig=replace(capture.rig, mirrors=()))
+    mask = np.zeros(capture.shape, dtype=np.bool_)
+    mask[200:400, 250:400] = True  # a given mask: two views in the picture would be two fingers else
+    with pytest.raises(BadInput, match="the rig has no mirrors"):
+        reconstruct(replace(bare, mask=mask), "snk", {"shape.source": "mirror"})
+    with pytest.raises(BadInput, match="keeps the visible surface whole"):
+        reconstruct(capture, "pr", {"shape.source": "mirror", "direct.method": "none"})
+    with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
+        reconstruct(capture, "metric", {"shape.source": "sonar"})
+    write_capture(replace(bare, mask=mask), tmp_path / "bare")
+    code = main(["reconstruct", str(tmp_path / "bare"), "--out", str(tmp_path / "out"), "--shape", "mirror"])
+    assert code == 2 and not (tmp_path / "out").exists()
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,0 +1,176 @@
+"""A finger that moved is brought onto one shot before it is reconstructed; a still one is left alone, bit by bit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit import reconstruct
+from splitknit.accuracy import compare
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.finger.steady import find_steady_finger
+from splitknit.io.capture import write_capture
+from splitknit.presets import preset_settings
+from splitknit.settings import override
+from splitknit.steps import Memory
+from splitknit_simulator.finger.motion import HandMotion
+from splitknit_simulator.rigs import coloured_rig
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
+
+SCALE = 0.12
+OFF = {"motion.correct": "off"}
+
+
+@pytest.fixture(scope="module")
+def still():
+    return simulate_capture(11, "whorl", TwinSettings(scale=SCALE))
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return simulate_capture(11, "whorl", TwinSettings(scale=SCALE, motion=HandMotion(amplitude_mm=0.5)))
+
+
+@pytest.fixture(scope="module")
+def undone(moved):
+    return reconstruct(moved[0], "ea")
+
+
+@pytest.fixture(scope="module")
+def unmoved(still):
+    return reconstruct(still[0], "ea")
+
+
+def steadied(capture, **changes):
+    settings = override(preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()})
+    return find_steady_finger(capture, settings)
+
+
+def correlation(result, truth):
+    return compare(result, truth).figures["ridge_correlation"]
+
+
+@pytest.mark.slow
+def test_motion_is_undone(still, moved, unmoved, undone):
+    lost = correlation(unmoved, still[1]) - correlation(undone, moved[1])
+    assert lost < 0.05
+    assert correlation(reconstruct(moved[0], "ea", OFF), moved[1]) < correlation(undone, moved[1]) - 0.15
+
+
+@pytest.mark.slow
+def test_the_report_tells_the_motion(moved, undone):
+    _, truth = moved
+    told = {name: undone.facts[f"motion_{name}"] for name in ("white", "nir")}
+    assert undone.facts["motion"]["reference"] == "white 3"
+    assert told["white"]["turn_deg"][3] == 0.0
+    for name, first in (("white", 0), ("nir", 7)):
+        assert len(told[name]["shift_mm"]) == 7
+        flow = np.nanmean(truth["motion_flow_px"][first : first + 7], axis=(2, 3)) * float(truth["pitch_mm"])
+        # the finger's middle is not that of all skin in view, which turns
+        np.testing.assert_allclose(told[name]["shift_mm"], flow * [1, -1], atol=0.06)
+    assert max(told["white"]["unexplained_after"]) < 0.5 * max(told["white"]["unexplained_before"])
+    assert "moved by" in undone.warnings[0]
+    json.dumps(told)
+
+
+@pytest.mark.slow
+def test_the_reference_shot_and_the_capture_given_are_not_touched(moved):
+    capture, _ = moved
+    before = {name: band.pixels.copy() for name, band in capture.bands.items()}
+    other, _ = steadied(capture)
+    for name, pixels in before.items():
+        np.testing.assert_array_equal(capture.bands[name].pixels, pixels)
+    np.testing.assert_array_equal(other.bands["white"].pixels[3], before["white"][3])
+    assert (other.bands["white"].pixels[0] != before["white"][0]).any()
+    assert (other.bands["nir"].pixels[0] != before["nir"][0]).any()
+    assert other.bands["white"].pixels.dtype == before["white"].dtype
+
+
+@pytest.mark.slow
+def test_a_still_finger_is_left_alone(still, unmoved):
+    capture, _ = still
+    same, finger = steadied(capture)
+    assert same is capture
+    assert "motion" not in finger.facts
+    results = unmoved, reconstruct(capture, "ea", OFF)
+    for name in ("height_mm", "ridge_mm", "normals", "albedo", "mask"):
+        np.testing.assert_array_equal(*(getattr(result, name) for result in results))
+
+
+@pytest.mark.slow
+def test_off_changes_nothing_and_on_always_registers(still, moved):
+    assert steadied(moved[0], correct="off")[0] is moved[0]
+    other, finger = steadied(still[0], correct="on")
+    assert other is not still[0]
+    assert max(finger.facts["motion_white"]["moved_mm"]) < 0.02
+
+
+@pytest.mark.slow
+def test_cases_of_one_capture_share_the_registration(moved, undone):
+    capture, _ = moved
+    memory = Memory(capture)
+    first = reconstruct(capture, "ea", memory=memory)
+    np.testing.assert_array_equal(first.ridge_mm, undone.ridge_mm)
+    plain = reconstruct(capture, "ea", OFF, memory=memory)
+    assert "motion" not in plain.facts
+    again = reconstruct(capture, "ea", {"height.padding": "mirror"}, memory=memory)
+    assert again.facts["motion"] == first.facts["motion"]
+
+
+@pytest.mark.slow
+def test_too_much_motion_is_refused(moved, tmp_path, capsys):
+    capture, truth = moved
+    with pytest.raises(BadInput, match=r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):
+        steadied(capture, most_mm=0.05)
+    write_capture(capture, tmp_path / "capture", truth)
+    out = tmp_path / "result"
+    command = ["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--preset", "ea"]
+    assert main([*command, "--set", "motion.most_mm=0.05"]) == 2
+    assert "at most 0.05 mm can be undone" in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_shots_that_do_not_fit_together_are_refused(moved):
+    capture, _ = moved
+    white = capture.bands["white"]
+    pixels = white.pixels.copy()
+    for k in (0, 2, 5):
+        pixels[k] = np.roll(pixels[k], (round(2.4 * 11), round((k - 2) * 11)), axis=(0, 1))
+    broken = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
+    with pytest.raises(BadInput, match=r"mm can be undone|do not fit together"):
+        steadied(broken, correct="on")
+
+
+@pytest.mark.slow
+def test_photographs_of_coloured_leds_are_brought_together():
+    motion = HandMotion(amplitude_mm=0.8)
+    capture, truth = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion))
+    _, finger = steadied(capture, correct="on")
+    told = finger.facts["motion_white"]
+    count = len(capture.bands["white"].pixels)
+    assert len(told["moved_mm"]) == count == 2
+    flow = np.nanmean(truth["motion_flow_px"][:count], axis=(2, 3)) * capture.rig.camera.pitch_mm
+    assert np.hypot(*flow[0]) > 0.15
+    np.testing.assert_allclose(told["shift_mm"], flow * [1, -1], atol=0.06)
+
+
+@pytest.mark.slow
+def test_few_shots_are_left_alone(moved):
+    capture, _ = moved
+    white = capture.bands["white"]
+    few = {"pixels": white.pixels[:4], "leds": white.leds[:4], "exposure": white.exposure[:4]}
+    short = replace(white, **few, black_level=white.black_level[:4])
+    other = replace(capture, bands={**capture.bands, "white": short})
+    assert steadied(other, correct="on")[0] is other
+
+
+@pytest.mark.parametrize(("name", "value"), [("correct", "maybe"), ("most_mm", 0.0)])
+def test_bad_settings(name, value):
+    with pytest.raises(BadInput, match=f"motion.{name}"):
+        override(preset_settings("ea"), {f"motion.{name}": value})

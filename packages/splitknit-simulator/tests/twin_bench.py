@@ -1,0 +1,14 @@
+"""The twin's devices around a scene."""
+
+from __future__ import annotations
+
+from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinDeviceSettings, TwinLightBank
+
+Devices = tuple[TwinCamera, TwinLightBank, Clock]
+
+
+def twin_devices(scene: LitScene, settings: TwinDeviceSettings | None = None) -> Devices:
+    """Camera, LEDs and clock around a scene."""
+    clock = Clock()
+    lights = TwinLightBank(scene, clock, settings)
+    return TwinCamera(scene, lights, clock, settings), lights, clock

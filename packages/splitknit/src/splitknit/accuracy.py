@@ -1,0 +1,227 @@
+"""A reconstruction beside the truth of a simulator: figures and error maps.
+
+Definitions (the same for every preset and for the validation):
+
+- *surface*: the pixels of both masks that lie further than 0.33 mm from the edge of their common mask (the image's
+  border is an edge). The rms is taken after the mean difference is removed: a camera without stereo does not know the
+  distance.
+- *ridge band*: value minus its mask-normalised Gaussian mean with sigma 0.32 mm, on the surface where the slant of the
+  true shape is below 60 deg. The relief (`ridge_mm`; of a surface that is not split, as in `ea` and `pr`, its height
+  less its slow part) is compared with the true relief (`height_mm - shape_mm`); the whole height (`height_mm`) with
+  the true height is given beside it, where curvature and mask edge count as well.
+- *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
+- *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
+  the fraction of the ridge band's pixels where it exceeds 0.8.
+- *normals*: mean angle between estimated and true normals on the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.imaging.geometry import bounding_box, gaussian_mean, height_gradients
+from splitknit.io.npz import read_npz
+from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+
+TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
+"""What is compared."""
+EROSION_MM = 0.33
+"""Distance from the edge of the common mask from which on pixels count."""
+BAND_SIGMA_MM = 0.32
+"""Standard deviation of the Gaussian whose complement is the ridge band."""
+MAX_SLANT_DEG = 60.0
+"""Largest slant of the true shape at which the ridge band counts."""
+WINDOW_MM = 0.86
+"""Side of the windows of the local correlation."""
+GOOD_CORRELATION = 0.8
+"""Local correlation from which on ridges count as recovered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What a reconstruction got right."""
+
+    preset: str
+    figures: Mapping[str, float]
+    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
+    ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
+    ``mask_on_finger`` (fraction of the mask on the true finger), ``mask_overlap`` (intersection over union; the true
+    mask goes on below the crease) and ``ridge_area_mm2``."""
+    height_error_mm: FloatArray
+    """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
+    ridge_error_um: FloatArray
+    """(H, W) estimated minus true ridge band, NaN outside the common mask."""
+    surface: BoolArray
+    """(H, W) where the surface's figures count."""
+    band: BoolArray
+    """(H, W) where the ridge band's figures count."""
+
+
+def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Comparison:
+    """Measure a reconstruction against the truth of a simulator.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    truth : arrays (H, W) by name
+        ``height_mm``, ``shape_mm`` and ``mask``, and ``normals`` (H, W, 3) where they are known, on the input's grid.
+
+    Returns
+    -------
+    Comparison
+        ``figures`` by name, and error maps.
+
+    Raises
+    ------
+    BadInput
+        If the truth lacks an array or has another size, or nothing is left to compare.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
+    >>> splitknit.compare(splitknit.reconstruct(capture, "ea"), truth).figures["surface_rms_mm"] < 2
+    True
+    """
+    for name in ("height_mm", "shape_mm", "mask"):
+        require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
+        fits = truth[name].shape == result.mask.shape
+        require(fits, f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.")
+    true_mask = np.asarray(truth["mask"], dtype=np.bool_)
+    common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
+    require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
+    box = bounding_box(common)
+    inside, pitch = common[box], result.pitch_mm
+    surface = eroded(inside, EROSION_MM / pitch)
+    require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
+
+    height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
+    shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
+    relief = _clean(result.ridge_mm[box], inside)
+    height_error = _centred(height - true_height, surface)
+    shape_error = _centred(shape - true_shape, surface)
+
+    slopes = height_gradients(np.where(inside, true_shape, np.float32(np.nan)), pitch)
+    band = surface & (np.rad2deg(np.arctan(np.hypot(*slopes))) < MAX_SLANT_DEG)
+    band_of = high_passed(inside, BAND_SIGMA_MM / pitch)
+    true_band, ridge_band = map(band_of, (true_height - true_shape, relief))
+    figures = {
+        "surface_rms_mm": _rms(height_error[surface]),
+        "shape_rms_mm": _rms(shape_error[surface]),
+        "mask_on_finger": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask)),
+        "mask_overlap": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask | true_mask)),
+        "ridge_area_mm2": float(np.sum(band)) * pitch**2,
+    }
+    if "normals" in truth:
+        own, true = (one[box][surface].astype(np.float64) for one in (result.normals, truth["normals"]))
+        angles = np.rad2deg(np.arccos(np.clip(np.sum(own * true, axis=1), -1.0, 1.0)))
+        figures["normals_mean_deg"] = float(np.mean(angles))
+    window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
+    figures |= _band_figures("ridge", ridge_band, true_band, band, window)
+    figures |= _band_figures("height_band", band_of(height), band_of(true_height), band, window)
+    maps = {
+        "height_error_mm": np.where(inside, height_error, np.float32(np.nan)),
+        "ridge_error_um": np.where(inside, 1000.0 * (ridge_band - true_band), np.nan).astype(np.float32),
+        "surface": surface,
+        "band": band,
+    }
+    return Comparison(result.preset, figures, **{name: _placed(one, box, common.shape) for name, one in maps.items()})
+
+
+def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], FloatArray]:
+    """Return the function that takes from values (H, W) their Gaussian mean over the mask; zero outside it.
+
+    Above 24 px the mean is that of a copy reduced to 12 to 24 px: the rms of ridges changes by 1 in 10,000.
+    """
+    factor, size = max(1, int(sigma_px / 12)), mask.shape[::-1]
+
+    def blurred(image: NDArray[Any]) -> FloatArray:
+        image = image.astype(np.float32)
+        if factor == 1:
+            return gaussian_mean(image, sigma_px)
+        small = cv2.resize(image, (-(-size[0] // factor), -(-size[1] // factor)), interpolation=cv2.INTER_AREA)
+        mean = gaussian_mean(small, float(np.sqrt((sigma_px / factor) ** 2 - 0.25)))  # interpolation blurs the rest
+        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+    weight = np.maximum(blurred(mask), np.float32(1e-3))
+    none = np.float32(0.0)
+    return lambda values: np.where(mask, values - blurred(np.where(mask, values, none)) / weight, none)
+
+
+def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
+    """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
+    fraction = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
+    a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
+    product = _mean(a * b, window_px) / fraction
+    power = (_mean(a * a, window_px) / fraction) * (_mean(b * b, window_px) / fraction)
+    return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
+
+
+def _band_figures(
+    name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int
+) -> dict[str, float]:
+    if not bool(where.any()):
+        return {}
+    e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
+    e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
+    covariance = float(np.sum((e - e.mean()) * (t - t.mean())))
+    local = _local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
+    return {
+        f"{name}_correlation": covariance / max((e_power * t_power) ** 0.5, 1e-30),
+        f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
+        f"{name}_rms_um": 1000.0 * _rms(e - t),
+        f"{name}_truth_std_um": 1000.0 * float(t.std()),
+        f"{name}_good_area": float(np.mean(local[where] > GOOD_CORRELATION)),
+    }
+
+
+def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
+    """Pixels of `mask` (H, W) further than a distance from its edge; the image's border is one."""
+    padded = np.pad(mask, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return np.asarray(distance > distance_px)
+
+
+def _clean(values: NDArray[Any], mask: BoolArray) -> FloatArray:
+    return np.nan_to_num(np.where(mask, values, 0.0)).astype(np.float32)
+
+
+def _centred(error: FloatArray, where: BoolArray) -> FloatArray:
+    return (error - np.float32(np.mean(error[where], dtype=np.float64))).astype(np.float32)
+
+
+def _rms(values: NDArray[Any]) -> float:
+    return float(np.sqrt(np.mean(np.square(values.astype(np.float64)))))
+
+
+def _mean(image: FloatArray, window: int) -> FloatArray:
+    averaged = cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(averaged, dtype=np.float32)
+
+
+def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ...]) -> NDArray[Any]:
+    """On the whole grid; outside the box NaN, or false."""
+    whole = np.full(shape, values.dtype.type(np.nan if values.dtype.kind == "f" else 0))
+    whole[box] = values
+    return whole
+
+
+def read_truth(capture: Capture) -> dict[str, Any]:
+    """The simulator's truth of a capture, as far as compared. BadInput if none, damaged or of another size."""
+    if capture.truth is None:
+        raise BadInput("the capture has no truth to compare with; only simulated ones have.")
+    truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
+    for name, array in truth.items():
+        expected = (*capture.shape, 3) if name == "normals" else capture.shape
+        other = f"the truth's {name} has the shape {array.shape}, but the images have {capture.shape}"
+        fits = array.shape == expected and array.dtype.kind in "fiub"
+        require(fits, f"{capture.truth}: {other}; simulate the capture again.")
+    return truth

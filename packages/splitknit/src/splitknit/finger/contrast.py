@@ -1,0 +1,141 @@
+"""Contrast-limited adaptive histogram equalisation of float images of linear light.
+
+At full resolution, inside the mask's bounding box. OpenCV's CLAHE has 256 grey levels on 8-bit images (visible steps in
+a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096 pixels), and it lets the black background into
+the histograms; so the equalisation is done here, with mappings that are continuous in the grey value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_image, check_mask
+from splitknit.imaging.band import srgb_code
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_BINS = 256
+"""Bins of the histograms; the mapping between them is interpolated."""
+_LEAST_CELL_PX = 8
+"""Least side of a cell."""
+_Cell = tuple[int, int]
+"""Rows and columns of a cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClaheSettings(Checked):
+    """Adaptive equalisation."""
+
+    grey: Literal["srgb", "linear"] = "srgb"
+    """What is equalised: light in its ``srgb`` code, as pictures store it, or ``linear`` light."""
+    cell_px: Annotated[float, Limits(0, above=True)] = 64.0
+    """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
+    tiles: Annotated[int, Limits(0, 512)] = 0
+    """This many cells across the finger and as many along it, whatever `cell_px` is; 0: cells of `cell_px`."""
+    clip_limit: Annotated[float, Limits(1)] = 3.0
+    """Bins are clipped at so many times the mean one (thesis: 2 to 4): contrast grows at most by it plus one."""
+    high_percentile: Annotated[float, Limits(50, 100, above=True)] = 99.9
+    """This percentile of the finger becomes white before equalisation."""
+
+
+def clahe(
+    image: FloatArray, px_per_mm: float, settings: ClaheSettings | None = None, *, mask: BoolArray | None = None
+) -> FloatArray:
+    """Equalise `image` (H, W), linear, in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, to [0, 1].
+
+    Every cell's histogram, taken over the pixels of `mask` (H, W), all where None, is clipped, the excess spread
+    evenly, and summed to a grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around
+    it. Cells with little finger in them borrow from their neighbours. Outside the mask the result is zero. Source:
+    Zuiderveld, K., "Contrast limited adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
+    """
+    settings = settings or ClaheSettings()
+    image = check_image(image)
+    mask = check_mask(mask, (image.shape[0], image.shape[1]))
+    box = bounding_box(mask)
+    inside = mask[box]
+    white = float(np.percentile(image[box][inside], settings.high_percentile))
+    grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
+    if settings.grey == "srgb":
+        grey = np.asarray(srgb_code(grey), dtype=np.float32)
+    level = grey * np.float32(_BINS - 1)
+    side = max(_LEAST_CELL_PX, round(settings.cell_px * px_per_mm / 75.7))
+    cell = side, side
+    if settings.tiles:
+        high, wide = (max(_LEAST_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
+        cell = high, wide
+    counts = _histograms(level, inside, cell)
+    mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
+    result = np.zeros(image.shape, dtype=np.float32)
+    result[box] = np.where(inside, _apply(level, mappings, cell), np.float32(0.0))
+    return result
+
+
+def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> NDArray[np.float64]:
+    """Counts (cell rows, cell columns, _BINS) over the finger's pixels."""
+    rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
+    counts = np.empty((rows, columns, _BINS), dtype=np.float64)
+    nearest = (level + np.float32(0.5)).astype(np.intp)
+    for i in range(rows):
+        for j in range(columns):
+            part = np.s_[i * cell[0] : (i + 1) * cell[0], j * cell[1] : (j + 1) * cell[1]]
+            counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=_BINS)
+    return counts
+
+
+def _borrow(counts: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Add the neighbours' histograms to cells with fewer than `least` pixels, again until every cell has enough."""
+    for _ in range(sum(counts.shape[:2])):
+        poor = counts.sum(axis=2) < least
+        if not poor.any() or counts.sum() == 0:
+            break
+        padded = np.pad(counts, ((1, 1), (1, 1), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), (0, 1)).sum(axis=(-2, -1))
+        if bool((around[poor].sum(axis=1) <= counts[poor].sum(axis=1)).all()):
+            break
+        counts = np.where(poor[..., None], around, counts)
+    return counts
+
+
+def _mappings(counts: NDArray[np.float64], clip_limit: float) -> FloatArray:
+    """Grey-value mappings in [0, 1], one per cell, from clipped histograms."""
+    total = np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
+    clipped = np.minimum(counts, clip_limit * total / _BINS)
+    clipped += (total - clipped.sum(axis=2, keepdims=True)) / _BINS
+    summed = np.cumsum(clipped, axis=2)
+    return np.asarray(summed / summed[..., -1:], dtype=np.float32)
+
+
+def _apply(level: FloatArray, mappings: FloatArray, cell: _Cell) -> FloatArray:
+    """Map every pixel by the bilinear mean of the four nearest cells, block by block between cell centres."""
+    low = np.minimum(level.astype(np.intp), mappings.shape[2] - 2)
+    part, steps = level - low.astype(np.float32), np.diff(mappings, axis=2)
+    result = np.empty_like(level)
+    starts_y, starts_x = (  # stretches of pixels that lie between the same two cell centres
+        list(pairwise([0, *range(side // 2, length, side), length]))
+        for length, side in zip(level.shape, cell, strict=True)
+    )
+    for i, (top, bottom) in enumerate(starts_y):
+        upper, lower, weight_y = _between(i, top, bottom, cell[0], mappings.shape[0])
+        for j, (start, end) in enumerate(starts_x):
+            left, right, weight_x = _between(j, start, end, cell[1], mappings.shape[1])
+            block = np.s_[top:bottom, start:end]
+            index, fraction = low[block], part[block]
+            around = [[(row, column) for column in (left, right)] for row in (upper, lower)]
+            corners = [[mappings[k][index] + steps[k][index] * fraction for k in pair] for pair in around]
+            above, below = (first + (second - first) * weight_x[None, :] for first, second in corners)
+            result[block] = above + (below - above) * weight_y[:, None]
+    return result
+
+
+def _between(block: int, first: int, last: int, cell: int, cells: int) -> tuple[int, int, FloatArray]:
+    """The two cells around a stretch and the weight of the second for each of its pixels."""
+    before = block - 1
+    position = (np.arange(first, last, dtype=np.float32) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
+    weight = np.clip(position - np.float32(before), 0.0, 1.0).astype(np.float32)
+    return max(before, 0), min(max(before + 1, 0), cells - 1), weight

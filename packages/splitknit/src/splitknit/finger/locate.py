@@ -1,0 +1,309 @@
+"""Where the finger is, how it lies, and whether the capture is any good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, Note, require
+from splitknit.finger.led_drift import drift_words, led_drift
+from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask, finger_masks
+from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
+from splitknit.finger.orientation import Upright, as_it_lies, find_upright
+from splitknit.finger.phalange import Crease, find_crease, phalange_mask
+from splitknit.finger.quality import (
+    QualitySettings,
+    capture_quality,
+    outline_figures,
+    photometric_mask,
+    quality_warnings,
+)
+from splitknit.finger.regions import reduce_image, reduction
+from splitknit.imaging.areas import without_mirrors
+from splitknit.imaging.band import (
+    Window,
+    ambient_light,
+    grey_as_grey,
+    has_colour,
+    linear_stack,
+    linear_survey,
+    pick_channel,
+    saturation_levels,
+)
+from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
+from splitknit.imaging.geometry import bounding_box, enlarged
+from splitknit.imaging.light_field import few_lights
+from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.plausible import FINGER_WIDTH
+from splitknit.settings import Checked
+from splitknit.steps import IN_MEMORY
+
+SURVEY_PX_PER_MM = 26.0
+"""The finger is looked for on images reduced to about this scale."""
+SURVEY_SIDE = 64
+"""... with so many pixels a side, where the image has them, whatever scale was stated."""
+NO_CREASE = Crease(False, float("nan"), float("nan"), None, verdict="none is sought on an opaque thing")
+_BESIDE_MM = 3.0
+"""Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
+BEYOND_CREASE_MM = 2.5
+"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerSettings(Checked):
+    """How a capture is read, and how the finger is found in it."""
+
+    _group = ""
+    camera: Literal["calibrated", "orthographic"] = "calibrated"
+    """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel, whatever the model is."""
+    lights: LightsSettings = field(default_factory=LightsSettings)
+    mask: MaskSettings = field(default_factory=MaskSettings)
+    yaw: Literal["full_width", "all_rows"] = "full_width"
+    """Which rows' middles give the finger's yaw: those of full width, robustly, or the thesis's, all of them."""
+    cut_at_crease: bool | Literal["equalised"] = True
+    """Keep the first phalange alone; ``equalised``: cut at the thesis's row with the fewest light pixels."""
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    keep: bool = False
+    """Go on where the photographs of skin contradict each other or their lights so much that the surface is spoilt."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finger:
+    """What is known of the finger before photometric stereo."""
+
+    mask: BoolArray
+    """(H, W) pixels that are reconstructed and kept."""
+    wider: BoolArray
+    """(H, W) pixels that are reconstructed: `mask` and a margin beyond the crease."""
+    window: Window
+    """Rows and columns around `wider`."""
+    upright: Upright
+    facts: Mapping[str, Any]
+    quality: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    doubts: Mapping[str, tuple[str, bool]] = field(default_factory=dict)
+    """By band: what spoils a surface from its photographs, and whether too much for one."""
+
+    @property
+    def inside(self) -> BoolArray:
+        """(h, w) pixels of the window that are reconstructed."""
+        return self.wider[self.window]
+
+
+def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
+    """The capture under the settings' camera model and lights, and notes. Raises BadInput as :func:`as_lit`."""
+    bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
+    if any(band is not capture.bands[name] for name, band in bands.items()):
+        capture = replace(capture, bands=bands)
+    camera = capture.rig.camera
+    if settings.camera == "orthographic" and camera.model != "orthographic":
+        plain = replace(camera, model="orthographic", matrix=None, distortion=None)
+        capture = replace(capture, rig=replace(capture.rig, camera=plain))
+    return as_lit(capture, settings.lights)
+
+
+def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
+    """Mask, orientation, crease and quality, on images of about 26 px/mm.
+
+    An opaque thing is no finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
+    capture gives a `tip_direction_deg`. Raises BadInput if there is no finger, or it touches three borders.
+    """
+    px_per_mm = capture.rig.camera.px_per_mm
+    white = capture.bands["white"]
+    rows, columns = capture.shape
+    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))  # 200 photographs are many
+    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits)
+    mean, stack = linear_survey(white, capture.encoding, binning)
+    grey = pick_channel(mean, "grey")
+    small_px = px_per_mm / binning
+    given = capture.mask is not None
+    skin = capture.material == "skin"
+    if capture.mask is not None:
+        outline = reduced(capture.mask, grey.shape)
+        tiny = "the given mask is too small: not one block of pixels lies inside it; mark all of it."
+        require(bool(outline.any()), tiny)
+    else:
+        outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask)
+    stated = capture.tip_direction_deg is not None
+    searched = skin and not stated and not capture.rig.mirrors
+    finger = skin or stated
+    direction = None if searched else capture.tip_direction_deg or 0.0
+    limits = saturation_levels(white, capture.encoding)
+    with ThreadPoolExecutor(1) as aside:
+        looking = aside.submit(_quality, capture, settings, stack, outline, binning)
+        all_rows = settings.yaw == "all_rows"
+        upright = find_upright(outline, direction, all_rows=all_rows) if finger else as_it_lies(outline)
+        equalised = settings.cut_at_crease == "equalised"
+        crease = find_crease(grey, outline, upright, small_px, equalised=equalised) if skin else NO_CREASE
+        cut = bool(settings.cut_at_crease) and not given and skin
+        kept = phalange_mask(outline, crease, upright) if cut else outline
+        usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
+        beyond = replace(crease, row=crease.row + BEYOND_CREASE_MM * small_px)
+        wider = phalange_mask(outline, beyond, upright) if cut else outline
+        quality, warnings = looking.result()
+    full = capture.shape
+    if given:
+        mask = wide = np.asarray(capture.mask)
+    else:
+        wide = enlarged_mask(wider & (usable | ~kept), full, binning)
+        mask = enlarged_mask(usable, full, binning) & wide
+    notes = [upright.note] if upright.note else []
+    if skin:
+        notes += _check_width(kept if given else usable, small_px, given)
+    if cut and not crease.found:
+        notes.append(crease.verdict)
+    large = _scaled(upright, binning)
+    facts = {
+        "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
+        "tip_direction": "given" if stated else "found" if searched and upright.clear else "assumed",
+        "mask": "given" if given else "found",
+        "crease_found": bool(crease.found and cut),
+        "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
+        "crease_verdict": crease.verdict,
+        "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
+    }
+    alone = not skin or given or capture.rig.mirrors
+    doubts = {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
+    window = bounding_box(wide, round(0.5 * px_per_mm))
+    return Finger(mask, wide, window, large, facts, quality, (*notes, *warnings), doubts)
+
+
+def _other_fingers(image: FloatArray, px_per_mm: float) -> dict[str, tuple[str, bool]]:
+    """A doubt where several fingers lie side by side in the view."""
+    scale = reduction(image.shape[:2], px_per_mm, SURVEY_PX_PER_MM / 3, 600)
+    try:
+        count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
+    except BadInput:
+        return {}
+    cut = "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'"
+    return (
+        {"view": (f"the view shows {count} fingers, of which one is reconstructed: {cut}.", False)} if count > 1 else {}
+    )
+
+
+def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: MaskSettings) -> BoolArray:
+    """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
+    camera = capture.rig.camera
+    if capture.rig.mirrors:
+        mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+        image = without_mirrors(image, camera, mirrors, binning)
+    try:
+        outline = finger_mask(image, camera.px_per_mm / binning, settings)
+    except NoFinger as error:
+        words = str(error) if capture.material == "skin" else str(error).replace("no finger", "no object")
+        if not camera.scale_known:
+            raise NoFinger(words) from error
+        rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
+        shown = f"{camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
+        raise BadInput(words.replace(" or give", f" and the scale, by whose {shown}, or give")) from error
+    if capture.material == "skin":
+        check_borders(outline)
+    return outline
+
+
+def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, ...]:
+    """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an odd one."""
+    padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
+    width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
+    least = FINGER_WIDTH.possible[0]
+    narrow = f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images"
+    remedy = "capture it again with more light, or give a mask."
+    if given:
+        narrow = f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are needed"
+        remedy = "mark the whole finger, or check the rig's px_per_mm."
+    require(width_mm >= least, f"{narrow}; {remedy}")
+    return FINGER_WIDTH.notes(width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), or the mask")
+
+
+def _quality(
+    capture: Capture, settings: FingerSettings, white: FloatArray, outline: BoolArray, binning: int
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Quality figures and warnings of every band, on images reduced by `binning`."""
+    px_per_mm = capture.rig.camera.px_per_mm / binning
+    rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
+    window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
+    inside = outline[rows, columns]
+    skin = capture.material == "skin"
+
+    def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
+        band, stack = capture.bands[name], white[:, rows, columns]
+        saturation = saturation_levels(band, capture.encoding)
+        if name != "white":
+            stack = linear_stack(band, capture.encoding, "grey", window, binning)
+        lights = capture.rig.select(band.lights).light_vectors()
+        if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
+            lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
+        light = ambient_light(band, capture.encoding, window, binning)
+        ambient = None if light is None else np.maximum(pick_channel(light, "grey"), np.float32(0.0))
+        found = capture_quality(
+            stack, inside, px_per_mm, finger=skin, lights=lights, ambient=ambient, saturation=saturation
+        )
+        found |= outline_figures(outline, px_per_mm)
+        names = band.image_names
+        promised = skin or not capture.rig.intensities_assumed
+        doubts = quality_warnings(found, settings.quality, finger=skin, names=names, promised=promised)
+        words = [*few_lights(lights), *doubts]
+        if len(stack) >= 4 and skin:
+            motion = shot_motion(stack, inside, px_per_mm)
+            found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
+            found["motion_reliability"] = [float(v) for v in motion.reliability]
+            words += motion_warnings(motion, names)
+        if "radiometry" in capture.rig.provenance and len(stack) >= 5:
+            drift, said = _drift(capture, band, stack, lights, inside)
+            found["light_drift"] = drift
+            words += said
+        begin = f"{name} band: "
+        return found, [text.after(begin) if isinstance(text, Note) else begin + text for text in words]
+
+    with ThreadPoolExecutor(2) as pool:
+        found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
+    quality = {name: figures for name, (figures, _) in found.items()}
+    return quality, tuple(text for _, words in found.values() for text in words)
+
+
+def _drift(
+    capture: Capture, band: Band, stack: FloatArray, lights: NDArray[np.float64], outline: BoolArray
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
+    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.spectral]
+    groups = band.lights
+    names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in groups]
+    try:
+        drift = led_drift(stack, lights, outline)
+    except BadInput:  # too little of the finger is lit by all of them: nothing can be said
+        return None, []
+    facts = {"gain": [float(v) for v in drift.gain], "error": [float(v) for v in drift.error]}
+    return facts, drift_words(drift, names)
+
+
+def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
+    """A mask on a smaller grid: pixels that lie in it by more than half."""
+    small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
+    return np.asarray(small)
+
+
+def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
+    """A mask of blocks on the full grid, its outline smooth."""
+    return mask if factor == 1 else np.asarray(enlarged(mask.astype(np.float32), factor, shape) > 0.5)
+
+
+def _scaled(upright: Upright, factor: int) -> Upright:
+    if factor == 1:
+        return upright
+    grow = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64)
+    column, row = upright.tip
+    return replace(
+        upright,
+        input_from_upright=grow @ upright.input_from_upright @ np.linalg.inv(grow),
+        size=(upright.size[0] * factor, upright.size[1] * factor),
+        tip=((column + 0.5) * factor - 0.5, (row + 0.5) * factor - 0.5),
+        width_px=upright.width_px * factor,
+    )

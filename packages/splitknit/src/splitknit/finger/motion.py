@@ -1,0 +1,206 @@
+"""Whether the finger moved between the shots. Measured and warned of; :mod:`.registration` undoes it.
+
+On copies of at most 10 px/mm, coarser for the coarse bands. Shots differ in illumination, and a moving light looks like
+a moving finger: a ridge lit from the left seems shifted against the same ridge lit from the right by up to a tenth of a
+millimetre. That apparent shift follows the light's direction, so it is fitted and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import Note, check_mask, check_stack
+from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
+from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_BANDS_MM = (0.3, 0.15, 0.08)
+"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the first."""
+_ITERATIONS = 6
+"""Maximum refinements in each band."""
+_SAMPLES = 20_000
+"""Pixels that are compared in each band, at least, of those on the finger and around it."""
+WORKING_PX_PER_MM = 10.0
+"""Scale of the copies that are compared in the finest band."""
+WARN_MM = 0.05
+"""Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
+CORRECT_MM = 0.02
+"""Motion from here on is undone. Still simulated fingers show at most 0.014 mm."""
+MOST_LEFT = 0.35
+"""Fraction of the details that may be left over once the motion is undone, before the shots are refused."""
+MIN_RELIABILITY = 0.8
+"""Motion of a shot with less reliability than this is ignored."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings(Checked):
+    """How motion between shots is measured, and undone."""
+
+    correct: Literal["auto", "on", "off"] = "auto"
+    """``auto``: motion of skin is undone from 0.02 mm on; ``on``: any motion is; ``off``: it is only warned of."""
+    most_mm: Annotated[float, Limits(0, above=True)] = 0.8
+    """More motion is refused: ridges may be taken for their neighbours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ShotMotion:
+    shift_mm: NDArray[np.float64]
+    """(L, 2): x right, y up."""
+    reliability: NDArray[np.float64]
+    """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
+
+
+def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMotion:
+    """By how much the finger shifted in each shot of `stack` (L, H, W), linear, against the others. Each shot, over its
+    local brightness and band-passed, is registered to the others' mean (Lucas-Kanade with a gain, robustly weighted),
+    coarse to fine; what of the shifts is a linear function of the light's centroid is illumination, the rest motion.
+    All is zero below five shots, and a drift that follows the lights around is underestimated. Source: Lucas, B. and
+    Kanade, T., "An iterative image registration technique", IJCAI 1981.
+    """
+    stack = check_stack(stack)
+    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
+    box = bounding_box(mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
+    count = len(stack)
+    if count < 5:
+        return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
+    scale = reduction(mask[box].shape, px_per_mm, WORKING_PX_PER_MM, 600)
+    stack = np.stack([reduce_image(image[box], scale) for image in stack])
+    mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
+    shifts = np.zeros((count, 2))  # columns, rows; mm
+    agreement = np.zeros(count)
+    for band in _BANDS_MM:
+        bands, region, light, px = _details(stack, mask, px_per_mm, band)
+        aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
+        total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
+        found = np.zeros_like(shifts)
+        for k in range(count):
+            reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
+            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
+        shifts = _without_illumination(found / px, light)
+    return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
+
+
+def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str, ...]:
+    """Warnings for shots in which the finger moved by more than `WARN_MM`; `names`: of the photographs' files."""
+    length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
+    moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
+    if len(moved) == 0:
+        return ()
+    which = ", ".join(f"{names[int(k)] if names else f'image {k}'} by {{:.2f mm}}" for k in moved)
+    remedy = "the relief is blurred there; rest the finger on its support and capture again."
+    return (Note(f"the finger moved between the shots ({which}): {remedy}", *length[moved].tolist()),)
+
+
+def _reduced(mask: BoolArray, scale: float) -> BoolArray:
+    fraction = reduce_mask(mask, scale)
+    return np.asarray(fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0)
+
+
+def _details(
+    stack: FloatArray, mask: BoolArray, px_per_mm: float, band_mm: float
+) -> tuple[FloatArray, BoolArray, NDArray[np.float64], float]:
+    """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
+    scale = min(1.0, 0.8 / band_mm / px_per_mm)
+    px = px_per_mm * scale
+    inside = _reduced(mask, scale)
+    region = dilate(inside, SURROUND_MM * px)
+    reach = BAND_RATIO * band_mm
+    box = bounding_box(dilate(region, 2.0 * reach * px))
+    rim = max(2, round(reach * px))
+    framed = np.zeros_like(region)
+    framed[rim:-rim, rim:-rim] = region[rim:-rim, rim:-rim]
+    region = (framed if framed.any() else inside)[box]
+    inside = inside[box]
+    rows, columns = (axis.astype(np.float64) for axis in np.nonzero(inside))
+    details, light = [], []
+    for image in stack:
+        small = reduce_image(image, scale)[box]
+        on_finger = np.maximum(small[inside], np.float32(0.0))
+        power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
+        light.append(tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows)))
+        floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
+        local = np.maximum(blur(small, 1.2 * px), np.float32(floor))
+        relative: FloatArray = np.divide(small, local, dtype=np.float32)
+        details.append(np.subtract(blur(relative, band_mm * px), blur(relative, reach * px)))
+    return np.stack(details), region, np.array(light) / px, px
+
+
+def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
+    """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
+    across, down = (_cubic(float(along)) for along in shift)
+    moved = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float32)
+
+
+def _cubic(shift: float) -> NDArray[np.float64]:
+    """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
+    reach = int(np.ceil(abs(shift))) + 1
+    away = np.abs(np.arange(-reach, reach + 1) - shift)
+    near, far = (1.25 * away - 2.25) * away * away + 1.0, ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
+    return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
+
+
+def _register(
+    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray
+) -> tuple[NDArray[np.float64], float]:
+    """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
+    places = np.flatnonzero(region)
+    places = places[:: max(1, len(places) // _SAMPLES)]
+    some = slice(None, None, max(1, len(places) // 4_000))  # a median needs no more
+    down, right = np.gradient(reference)
+    rows = np.stack([-right.ravel()[places], -down.ravel()[places], reference.ravel()[places], np.zeros(len(places))])
+    rows = rows.astype(np.float32)
+    values = rows[3]
+    shift = start.astype(np.float64)
+    root = np.ones(len(places), dtype=np.float32)  # of the weights
+    for _ in range(_ITERATIONS):
+        values[:] = _shifted(image, shift).ravel()[places]
+        for _ in range(2):
+            solution = _least_squares(_products(rows * root))
+            x, y, gain = solution.astype(np.float32)
+            residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
+            spread = max(1.4826 * quantile(residual[some]), 1e-12)
+            root = 1.0 / np.sqrt(np.maximum(np.float32(1.0), residual / np.float32(1.5 * spread)))
+        step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
+        shift = shift + step
+        if float(np.abs(step).max()) < 0.01:
+            break
+    products = _products(rows[2:] * root)
+    return shift, float(products[0, 1]) / max(float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30)
+
+
+def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What of the shifts (L, 2) is no linear function of the light's place (L, 2): least absolute deviations."""
+    place = light - light.mean(axis=0)
+    place = place / max(float(np.abs(place).max()), 1e-9)
+    design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
+    weights = np.ones(len(place))
+    residual = shifts
+    for _ in range(30):
+        weighted = design * weights[:, None]
+        normal = np.einsum("li,lj->ij", weighted, design) + 1e-9 * np.eye(3)
+        solution = np.linalg.solve(normal, np.einsum("li,lj->ij", weighted, shifts))
+        residual = shifts - np.einsum("li,ij->lj", design, solution)
+        weights = 1.0 / np.maximum(np.hypot(residual[:, 0], residual[:, 1]), 1e-3)
+    return residual
+
+
+def _products(rows: FloatArray) -> NDArray[np.float64]:
+    """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
+    return np.asarray(np.einsum("in,jn->ij", rows, rows), dtype=np.float64)
+
+
+def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
+    normal, target = products[:-1, :-1], products[:-1, -1]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+    normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(normal, target / scale) / scale)

@@ -1,0 +1,302 @@
+"""Where the first phalange ends: the first flexion crease below the tip.
+
+Searched in the upright frame at about 8 px/mm: a crease is half a millimetre wide and more, ridges must be gone. The
+cut itself is a straight line on the full grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import Note, check_image, check_mask
+from splitknit.finger.orientation import Upright
+from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
+from splitknit.imaging.geometry import smoothed, warp
+from splitknit.model import BoolArray, FloatArray
+
+_WORKING_PX_PER_MM = 8.0
+"""Scale of the copy that is searched."""
+_SMOOTHING_MM = 0.3
+"""Blur (sigma) across the crease; takes out ridges of 0.43 mm period."""
+_SIDE_MM = 1.6
+"""A valley must be darker than the skin this far above and below it."""
+_MIN_DEPTH = 0.025
+"""Minimum relative darkening, averaged over the finger's width."""
+_MIN_COVERAGE = 0.6
+"""Fraction of the finger's width along which the valley must be seen."""
+_MIN_PROMINENCE = 2.5
+"""Minimum depth in units of what lines across this finger usually show (80th percentile of the profile)."""
+_MAX_TILT_DEG = 15.0
+"""Creases may lean by this much against the finger's axis."""
+_RATIO_RANGE = (0.95, 2.4)
+"""Where the first crease may lie: distance from the tip in finger widths."""
+_DISTANCE_RANGE_MM = (14.0, 38.0)
+"""Where it may lie in millimetres."""
+_EXPECTED_RATIO = 1.55
+"""Distance of the first crease in finger widths, on average."""
+_RATIO_SPREAD = 0.35
+"""Standard deviation of that ratio, with which two candidates are weighed against each other."""
+_ROUNDS, _EQUALISED_MM, _MIN_PROMINENT = 3, 0.5, 0.2
+"""The thesis's rounds of equalisation and blur; its sigma; fewer light pixels than beside a row, over the width."""
+_DOUBLET_MM = 5.0
+"""Two creases nearer than this are the two lines of one joint."""
+_DOUBLET_FRACTION = 0.75
+"""Least depth of the upper of two such lines, over that of the lower one, for the upper to be taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crease:
+    """The first flexion crease, or the statement that none was seen."""
+
+    found: bool
+    distance_mm: float
+    """From the tip along the finger's axis; NaN if not found."""
+    row: float
+    """Row in the upright frame (full resolution) at the finger's middle; NaN if not found."""
+    line: tuple[tuple[float, float], tuple[float, float]] | None
+    """Two ends of the crease, (column, row) in the input."""
+    candidates: tuple[_Valley, ...] = field(default=())
+    """All transverse valleys that were seen, from the tip down."""
+    verdict: str = ""
+    """What was decided and why, as text."""
+
+
+def find_crease(
+    mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float, *, equalised: bool = False
+) -> Crease:
+    """Find the first flexion crease below the tip; where none is in view, the verdict says why.
+
+    The thesis equalises and blurs the mean grey image, binarises it and takes the row with the most dark pixels. Here a
+    logarithm equalises, which removes tone and brightness. A place counts as dark if it is darker than the skin on
+    *both* sides of it along the finger; the edge of a shadow and a smooth gradient are not. Rows may lean, and a crease
+    must cross most of the finger's width. Of several candidates, the clearest at a usual distance from the tip is
+    taken. Two lines of one joint are one crease, cut at the upper line unless that is the fainter. Source: the thesis,
+    section 3.3.1.1, "Phalange Segmentation", steps 1-5. `mean_grey`: (H, W) float32 linear; `mask`: (H, W) bool;
+    `equalised`: the thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds
+    nor the width of the blur; three and 0.5 mm here..
+    """
+    grey = check_image(mean_grey, name="the mean grey image")
+    mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
+    scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
+    small, inside = _upright_copy(grey, mask, upright, scale)
+    seek = _darkest_rows if equalised else _transverse_valleys
+    valleys = seek(small, inside, px_per_mm * scale)
+    width_mm = upright.width_px / px_per_mm
+    tip_row = upright.tip_row
+    at_full_scale = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in valleys)
+    length_mm = (upright.size[0] - tip_row) / px_per_mm
+    chosen, verdict = _judge(at_full_scale, width_mm, length_mm)
+    if chosen is None:
+        return Crease(False, float("nan"), float("nan"), None, at_full_scale, verdict)
+    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), at_full_scale, verdict)
+
+
+def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
+    """The part of `mask` (H, W) on the tip's side of the crease, if any, cut normal to the finger's axis."""
+    if not crease.found:
+        return mask
+    across, along, offset = upright.upright_from_input[1]
+    columns = np.arange(mask.shape[1], dtype=np.float32) * np.float32(across)
+    rows = np.arange(mask.shape[0], dtype=np.float32) * np.float32(along) + np.float32(offset - crease.row)
+    kept = mask & (columns[None, :] + rows[:, None] < 0.0)
+    return largest_component(kept) if kept.any() else mask
+
+
+def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
+    small, fraction = reduce_image(grey, scale), reduce_mask(mask, scale)
+    size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
+    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
+    ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
+    shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
+    grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
+    transform = shrink @ upright.input_from_upright @ grow
+    return warp(small, transform, size), np.asarray(warp(fraction, transform, size) > 0.9, dtype=np.bool_)
+
+
+def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:
+    """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
+    keep = "the whole visible finger is kept."
+    if not candidates:
+        return None, Note(f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}", length_mm)
+    low, high = _RATIO_RANGE
+    near, far = _DISTANCE_RANGE_MM
+    near, far = max(near, low * width_mm), min(far, high * width_mm)
+    plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
+    if not plausible:
+        places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
+        none = f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}"
+        distances = (valley.distance_mm for valley in candidates)
+        return None, Note(f"dark lines lie {places} below the tip, {none}", *distances, width_mm)
+
+    def weight(valley: _Valley) -> float:
+        offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
+        return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
+
+    best = max(plausible, key=weight)
+    for valley in plausible:
+        double = 0.0 < best.distance_mm - valley.distance_mm <= _DOUBLET_MM
+        if double and valley.depth >= _DOUBLET_FRACTION * best.depth:
+            best = valley
+            break
+    others = len(candidates) - 1
+    extra = "" if others == 0 else f" ({others} further dark line{'s' if others > 1 else ''} weighed against it)"
+    return best, Note(f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}.", best.distance_mm)
+
+
+def _ends(valley: _Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:
+    half = 0.5 * (valley.right - valley.left)
+    rise = half * float(np.tan(valley.tilt_rad))
+    points = np.array([[valley.left, valley.row + rise, 1.0], [valley.right, valley.row - rise, 1.0]], dtype=np.float64)
+    first, second = (points @ upright.input_from_upright.T)[:, :2]
+    return (float(first[0]), float(first[1])), (float(second[0]), float(second[1]))
+
+
+# Dark lines across an upright finger.
+
+
+@dataclass(frozen=True, slots=True)
+class _Valley:
+    """A line across the finger that is darker than the skin above and below it (rows, columns: upright frame)."""
+
+    row: float
+    """At the middle of the finger."""
+    left: float
+    """Column where the finger begins."""
+    right: float
+    """Column where it ends."""
+    tilt_rad: float
+    """Lean against the horizontal, counter-clockwise."""
+    depth: float
+    """Relative darkening, averaged over the width."""
+    coverage: float
+    """Fraction of the width along which it is seen."""
+    distance_mm: float = float("nan")
+    """From the tip."""
+
+    def moved(self, factor: float, tip_row: float, px_per_mm: float) -> _Valley:
+        """The same valley on a grid `factor` times finer, with its distance from `tip_row` there."""
+        row, left, right = ((place + 0.5) * factor - 0.5 for place in (self.row, self.left, self.right))
+        return replace(self, row=row, left=left, right=right, distance_mm=(row - tip_row) / px_per_mm)
+
+
+def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[_Valley, ...]:
+    """Rows with fewer light pixels than those above and below, from the tip down: thesis, 3.3.1.1, steps 2 and 3."""
+    from scipy.signal import find_peaks  # slow to load, and needed here alone
+
+    smooth = image
+    for _ in range(_ROUNDS):  # histogram equalisation of the finger alone, then Gaussian blur
+        level = np.zeros_like(image)
+        level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(int(inside.sum()), 1)
+        smooth = smoothed(level, inside, _EQUALISED_MM * px_per_mm)
+    width = inside.sum(axis=1)
+    dark = np.where(width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0)
+    rows, found = find_peaks(dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm)))
+    sides = [np.flatnonzero(inside[row])[[0, -1]] for row in rows]
+    return tuple(
+        _Valley(float(row), float(left), float(right), 0.0, float(depth), float(dark[row]))
+        for row, (left, right), depth in zip(rows, sides, found["prominences"], strict=True)
+    )
+
+
+def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[_Valley, ...]:
+    """All dark lines across an upright finger, from the tip down: places of the blurred image darker than the skin
+    `_SIDE_MM` above and below, averaged along lines that lean by up to `_MAX_TILT_DEG`.
+    """
+    response, valid = _response(image, inside, px_per_mm)
+    core = valid & (depth_inside(inside) > 0.08 * _width(inside))
+    found: list[_Valley] = []
+    tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
+    lines = [_along_lines(response, core, inside, float(tilt)) for tilt in tilts]
+    depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
+    best, rows = np.argmax(depths * coverages, axis=0), np.arange(depths.shape[1])
+    depth, coverage, tilt = depths[best, rows], coverages[best, rows], tilts[best].astype(np.float32)
+    known = depth[depth != 0.0]
+    usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0  # depth of other lines
+    reach = max(1, round(_SIDE_MM * px_per_mm))
+    peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
+    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
+    for row in np.flatnonzero(strong):
+        columns = np.flatnonzero(inside[row])
+        if len(columns) == 0 or (found and row - found[-1].row <= reach):
+            continue
+        here = (float(one[row]) for one in (tilt, depth, coverage))
+        found.append(_Valley(_refine(depth, int(row)), float(columns[0]), float(columns[-1]), *here))
+    return tuple(found)
+
+
+def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[FloatArray, BoolArray]:
+    """Relative darkness against the lesser of the two sides (H, W), and where it is known. It is of logarithms, free of
+    tone and brightness. Each side is continued to the centre with the slope that *both* share (the lesser, none of
+    opposite ones), so that no smooth gradient hides a crease; but a place must be darker than both sides as they are: a
+    shadow's edge or foot is not.
+    """
+    weight = inside.astype(np.float32)
+    sigma = max(_SMOOTHING_MM * px_per_mm, 0.3)
+    light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
+    cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
+    smooth = np.asarray(light / np.maximum(cover, np.float32(1e-3)), dtype=np.float32)
+    typical = float(np.median(smooth[inside])) if inside.any() else 1.0
+    level = np.log(np.maximum(smooth, np.float32(max(0.02 * typical, 1e-12))))
+    step = max(1, round(_SIDE_MM * px_per_mm))
+    above, has_above = _moved_down(level, inside, step)
+    below, has_below = _moved_down(level, inside, -step)
+    farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
+    farther_below, has_slope_below = _moved_down(level, inside, -2 * step)
+    slope_above, slope_below = above - farther_above, farther_below - below
+    agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
+    lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
+    slope = np.where(agree, lesser, np.float32(0.0))
+    plain = np.minimum(above, below) - level
+    response = np.minimum(np.minimum(above + slope, below - slope) - level, np.float32(3.0) * np.maximum(plain, 0.0))
+    response = np.where(plain > 0.0, response, np.minimum(plain, 0.0))
+    known = inside & has_above & has_below
+    return np.where(known, response, np.float32(0.0)).astype(np.float32), known
+
+
+def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatArray, BoolArray]:
+    """What lies `step` rows above every pixel, and whether that is finger."""
+    moved, known = np.zeros_like(level), np.zeros_like(inside)
+    if abs(step) < level.shape[0]:
+        target, source = (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
+        moved[target], known[target] = level[source], inside[source]
+    return moved, known
+
+
+def _along_lines(
+    response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
+    height, width = response.shape
+    shown = np.flatnonzero(inside.any(axis=0))
+    centre = float(shown.mean()) if len(shown) else 0.5 * inside.shape[1]
+    x = np.arange(width, dtype=np.float32)
+    shift = (-(x - np.float32(centre)) * np.float32(np.tan(tilt))).astype(np.float32)
+    rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
+    columns = np.broadcast_to(x, rows.shape).astype(np.float32)
+    values = cv2.remap(response, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    valid = cv2.remap(core.astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0.99
+    count = valid.sum(axis=1).astype(np.float32)
+    enough = count > 0.6 * _width(inside)
+    clipped = np.clip(values, -0.2, 0.2)
+    depth = np.where(enough, (clipped * valid).sum(axis=1) / np.maximum(count, 1.0), 0.0)
+    hits = ((values > 0.4 * _MIN_DEPTH) & valid).sum(axis=1)
+    coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
+    return depth.astype(np.float32), coverage.astype(np.float32)
+
+
+def _width(inside: BoolArray) -> float:
+    widths = inside.sum(axis=1)
+    return float(np.percentile(widths[widths > 0], 80)) if bool((widths > 0).any()) else 1.0
+
+
+def _refine(profile: NDArray[np.float32], row: int) -> float:
+    """Peak to a fraction of a row, by a parabola through three values."""
+    if row == 0 or row == len(profile) - 1:
+        return float(row)
+    before, here, after = (float(v) for v in profile[row - 1 : row + 2])
+    bend = before - 2.0 * here + after
+    return float(row) if bend >= 0.0 else row + 0.5 * (before - after) / bend

@@ -1,0 +1,356 @@
+"""How good a capture is, in numbers and sentences.
+
+Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else on whatever stack is
+given (a reduced one will do; saturation is best counted at full resolution).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import Note, check_image, check_mask, check_stack, require
+from splitknit.finger.mask import touched_borders
+from splitknit.finger.regions import (
+    blur,
+    depth_inside,
+    erode,
+    fill_holes,
+    largest_component,
+    quantile,
+    reduce_image,
+    reduce_mask,
+    reduction,
+)
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+# Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
+#
+# A speck is dark, or bright, under every light, and short in every direction. Valleys, wrinkles, hairs and scars are
+# long in one direction; shading and specular reflection change from light to light; pores are too small and too weak
+# to count much. Everything is measured on a copy of one scale, 12 px/mm, so that finer cameras see no other specks;
+# lines are laid over it at twice that scale, so that a thin hair does not fall into beads.
+
+DIRECTIONS = 16
+_FINER = 2
+_SMOOTH_MM = 0.04
+"""Sigma of a Gaussian before lines are laid: pixels of the copy leave no steps."""
+_LEVEL_MM = 0.3
+"""Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
+_EDGE_MM = 1.5
+"""Pixels nearer to the outline are left out: skin is slanted there."""
+_SPECK_PX_PER_MM = 12.0
+"""Scale of the copy on which specks are sought; coarser images are not measured."""
+_DARK_MM = 0.35
+"""Dark marks that are longer in any direction are valleys, wrinkles or hairs."""
+_DARKER = 0.08
+"""How much darker than what surrounds it a pixel of a dark speck is."""
+_BRIGHT_MM = 0.5
+"""Bright marks that are longer in any direction are ridges."""
+_BRIGHTER = 0.08
+"""How much brighter than what surrounds it a pixel of a bright speck is."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeckSettings(Checked):
+    """What counts as a speck, and how much of the finger they may cover."""
+
+    _group = "quality.specks"
+    most_dark: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.002
+    """Fraction of the finger that dark specks may cover."""
+    most_bright: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.005
+    """Fraction of the finger that bright specks may cover."""
+
+
+def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
+    """Fractions of the finger, but its edge, under dark and under bright specks; None below 12 px/mm (less a
+    twentieth). Images (L, H, W) are divided by their surroundings; a pixel is dark by its brighter half of the images,
+    bright by its darker half. The least of closings by lines in all directions fills marks that hold no line; openings
+    find bright ones. Source: P. Soille, H. Talbot, Directional morphological filtering, IEEE PAMI 23(11), 2001.
+    """
+    if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
+        return None, None
+    scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
+    px = px_per_mm * scale
+    box, core = _core(mask, scale, px)
+    if not core.any():
+        return None, None
+    images = np.sort(np.stack([_relative(reduce_image(image, scale)[box], core, px) for image in stack]), axis=0)
+    half = max(1, len(images) // 2)
+    lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
+    core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
+    filled = _short_marks_filled(lit, _DARK_MM * px * _FINER)
+    levelled = -_short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
+    dark = lit[core] < (1.0 - _DARKER) * filled[core]
+    bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
+    return float(dark.mean()), float(bright.mean())
+
+
+def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice], BoolArray]:
+    """Box of the finger on a reduced copy of `px` pixels a millimetre, and what of it there is not near its outline."""
+    inside = reduce_mask(mask, scale) > 0.99
+    depth = depth_inside(inside)
+    box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
+    return box, np.asarray(depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max())))
+
+
+def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
+    """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
+    filled = np.full_like(image, np.inf)
+    closed = np.empty_like(image)
+    for line in _lines(length_px):
+        np.minimum(filled, cv2.morphologyEx(image, cv2.MORPH_CLOSE, line, dst=closed), out=filled)
+    return filled
+
+
+def _lines(length_px: float) -> list[NDArray[np.uint8]]:
+    """Straight lines through the middle of a small square, in all directions."""
+    reach = int(np.ceil(0.5 * length_px))
+    along = np.linspace(-0.5 * length_px, 0.5 * length_px, 4 * reach + 1)
+    lines = []
+    for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+        line = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+        rows, columns = np.rint(reach - along * np.sin(angle)), np.rint(reach + along * np.cos(angle))
+        line[rows.astype(np.intp), columns.astype(np.intp)] = 1
+        lines.append(line)
+    return lines
+
+
+def _finer(image: NDArray[np.float32], px: float) -> NDArray[np.float32]:
+    large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
+    return blur(np.asarray(large, dtype=np.float32), _SMOOTH_MM * px * _FINER)
+
+
+def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray[np.float32]:
+    wide = blur(image, _LEVEL_MM * px)
+    least = np.float32(0.05 * max(quantile(wide[core][::4]), 1e-12))
+    return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
+
+
+_SATURATION = 0.98
+"""Values from here on are saturated, unless the caller gives another level."""
+_MAX_SATURATED = 0.02
+"""Fraction of the finger that may be saturated in any image."""
+_MIN_RIDGE_CONTRAST = 0.006
+"""Minimum relative contrast (standard deviation over mean) of the ridge band."""
+_MAX_AMBIENT = 0.3
+"""Ambient light as a fraction of the median lit brightness."""
+_MIN_BRIGHTNESS = 0.02
+"""Median brightness of the mean image (full scale is one)."""
+_LED_RANGE = (0.5, 2.0)
+"""Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
+_DEAD_LED = 0.1
+"""Relative brightness below which an LED is called dead."""
+_MIN_LENGTH_MM = 12.0
+"""Visible length of the finger."""
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """What is measured and when it is warned of."""
+
+    specks: SpeckSettings = field(default_factory=SpeckSettings)
+    """Dust, and the scales of dry skin."""
+
+
+def capture_quality(
+    stack: FloatArray,
+    mask: BoolArray,
+    px_per_mm: float,
+    *,
+    finger: bool = True,
+    lights: NDArray[np.float64] | None = None,
+    ambient: FloatArray | None = None,
+    saturation: float | NDArray[np.float64] | None = None,
+) -> dict[str, Any]:
+    """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
+
+    Returns what JSON can hold: ``ridge_contrast`` (relative, mean of the images), ``ridge_contrast_per_image``,
+    ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and ``bright_specks`` (fractions of
+    the finger; None where the stack is too coarse), ``saturated_per_image``, ``brightness`` (median of the mean image),
+    ``ambient_share`` (or None), ``area_mm2``, ``length_mm``, ``width_mm``, ``frame_share``, ``borders``,
+    ``led_relative`` (measured over promised brightness, median one; or None). Source: Nayar, S. K. and Nakagawa, Y.,
+    "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian). `stack`: (L, H, W) float32 linear grey, ambient
+    removed; `mask`: (H, W) bool, the finger; `px_per_mm`: of the stack that is given; `lights`: (L, 3) vectors whose
+    length is the relative irradiance the rig promises (``Rig.light_vectors``); `ambient`: (H, W) linear image with all
+    LEDs off; `saturation`: value at which all images saturate, or (L,) at which each does.
+    """
+    stack = check_stack(stack)
+    shape = (stack.shape[1], stack.shape[2])
+    mask = check_mask(mask, shape)
+    stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
+    some = np.s_[::stride, ::stride]
+    some = some if mask[some].any() else np.s_[::1, ::1]
+    light = [image[some][mask[some]] for image in stack]
+    medians = np.array([quantile(image) for image in light])
+    brightness = quantile(np.mean(light, axis=0))
+    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
+    pairs = zip(stack, ceilings, strict=True)
+    saturated = [float((image[mask] >= limit).mean()) if float(image.max()) >= limit else 0.0 for image, limit in pairs]
+    found, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
+    if finger:
+        found["dark_specks"], found["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
+    ambient_share = None
+    if ambient is not None:
+        dark = check_image(ambient, name="the ambient image")
+        require(dark.shape == shape, f"the ambient image must have the shape {shape}, but it has {dark.shape}.")
+        ambient_share = quantile(dark[mask]) / max(brightness, 1e-12)
+    return {
+        **found,
+        "sharpness": sharpness,
+        "saturated_per_image": saturated,
+        "brightness": brightness,
+        "brightness_per_image": [float(v) for v in medians],
+        "ambient_share": ambient_share,
+        **outline_figures(mask, px_per_mm),
+        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
+    }
+
+
+def outline_figures(mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
+    """What :func:`capture_quality` reports of the finger's outline alone."""
+    rows, columns = bounding_box(mask)
+    return {
+        "area_mm2": float(mask.sum()) / px_per_mm**2,
+        "length_mm": float(rows.stop - rows.start) / px_per_mm,
+        "width_mm": float(columns.stop - columns.start) / px_per_mm,
+        "frame_share": float(mask.mean()),
+        "borders": list(touched_borders(mask)),
+    }
+
+
+def quality_warnings(
+    quality: Mapping[str, Any],
+    settings: QualitySettings | None = None,
+    *,
+    finger: bool = True,
+    names: Sequence[str] = (),
+    promised: bool = True,
+) -> tuple[str, ...]:
+    """What is wrong with a capture, by its :func:`capture_quality`, and what to do, a sentence each. Without `finger`
+    ridges, skin and tip are left out, without `promised` the lights' brightness. `names`: of the photographs' files.
+    """
+    names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
+    settings = settings or QualitySettings()
+    words: list[str] = []
+    if quality["brightness"] < _MIN_BRIGHTNESS:
+        words.append(f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure.")
+    worst = int(np.argmax(quality["saturated_per_image"]))
+    fraction = quality["saturated_per_image"][worst]
+    if fraction > _MAX_SATURATED:
+        what, cure = ("finger", " or dry the finger") if finger else ("surface", "")
+        words.append(
+            f"{100 * fraction:.0f} % of the {what} is saturated in {names[worst]}: shorten the exposure{cure}."
+        )
+    if finger and quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
+        remedy = "focus the camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
+        words.append(f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): {remedy}")
+    dark, bright = quality.get("dark_specks") or 0.0, quality.get("bright_specks") or 0.0
+    if finger and dark > settings.specks.most_dark:  # at most one sentence: dust has bright grains too
+        words.append(f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover.")
+    elif finger and bright > settings.specks.most_bright:
+        remedy = "wipe it if it is dusty, moisten it if its skin is dry."
+        words.append(f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}")
+    ambient = 100 * (quality["ambient_share"] or 0.0)
+    if ambient > 100 * _MAX_AMBIENT:
+        words.append(f"ambient light is {ambient:.0f} % of the LEDs' light: close the box, dim the room.")
+    for k, relative in enumerate((quality["led_relative"] or []) if promised else []):
+        if relative < _DEAD_LED:
+            words.append(f"{names[k]} is almost black: its LED seems dead; check its wiring.")
+        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
+            odd = f"{names[k]} is {relative:.2f} times as bright as the rig file promises"
+            words.append(f"{odd}: check the LED, or calibrate the rig again.")
+    if not finger:
+        return tuple(words)
+    if quality["length_mm"] < _MIN_LENGTH_MM:
+        short = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
+        words.append(Note(short, quality["length_mm"]))
+    opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
+    if opposite:
+        words.append("the finger crosses the whole image, so its tip is not in view: move it back.")
+    return tuple(words)
+
+
+def _ridge_contrast(
+    stack: FloatArray, mask: BoolArray, px_per_mm: float, *, finger: bool
+) -> tuple[dict[str, Any], float]:
+    """Of a finger the relative standard deviation of the ridge band; and the mean modified Laplacian of the mean."""
+    scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
+    px = px_per_mm * scale
+    box, core = _core(mask, scale, px)
+    contrast = [] if core.any() else [0.0] * len(stack)
+    total = np.zeros(core.shape, dtype=np.float32)
+    for image in stack if core.any() else ():
+        small = reduce_image(image, scale)[box]
+        total += small
+        if not finger:
+            continue
+        fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
+        fine, wide = fine[core], wide[core]
+        level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
+        contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
+    found = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
+    if not core.any():
+        return found, 0.0
+    smooth = blur(total, 0.06 * px)
+    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
+    overall = max(float(total[core].mean()), 1e-12)
+    return found, float(laplacian[core].mean()) / overall
+
+
+_SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
+
+
+def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
+    """Measured over promised brightness of every image, median one; a light counts with its z, as facing the camera."""
+    require(lights.shape == (len(medians), 3), f"lights must have the shape ({len(medians)}, 3), not {lights.shape}.")
+    ratio = medians / np.maximum(lights[:, 2], 1e-6)
+    middle = float(np.median(ratio))
+    return [float(value / middle) if middle > 0 else 0.0 for value in ratio]
+
+
+# Which of the finger's pixels carry enough light for photometric stereo.
+
+_DARK_FRACTION = 0.03
+"""A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""
+_MIN_LIGHTS = 3
+"""Lights that must reach a pixel unsaturated; three determine a normal."""
+_PINHOLE_MM2 = 1.0
+"""Holes up to this area are filled: a few unreliable pixels harm less than a hole in the surface."""
+
+
+def photometric_mask(
+    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] | None = None
+) -> BoolArray:
+    """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without pinholes, at full
+    resolution. The thesis's threshold (3.3.1.5, refined mask) follows the finger's own brightness here, and three
+    lights must pass it. `saturation`: at which each image of `stack` (L, H, W) saturates, or (L,). Raises BadInput if
+    nothing is left.
+    """
+    stack = check_stack(stack)
+    finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")
+    box = bounding_box(finger)
+    inside = finger[box]
+    least = min(_MIN_LIGHTS, len(stack))
+    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
+    sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
+    sample = sample if sample.size else stack[:, finger]
+    floor = np.float32(_DARK_FRACTION * float(np.median(sample)))
+    count = np.zeros(inside.shape, dtype=np.uint8)
+    for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
+        count += (image > floor) & (image < np.float32(ceiling))
+    good = fill_holes(inside & (count >= least), _PINHOLE_MM2 * px_per_mm**2)
+    # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is no surface
+    good = largest_component(good & inside)
+    dark = f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the exposure."
+    require(bool(erode(good, 2.0).any()), dark)
+    result = np.zeros(finger.shape, dtype=np.bool_)
+    result[box] = good
+    return result

@@ -1,0 +1,150 @@
+"""Small operations on binary regions and on reduced copies that the preprocessing steps share."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+
+
+def reduction(shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float, longest: int) -> float:
+    """Scale (at most one) of a working copy with `working_px_per_mm` and no side above `longest` pixels."""
+    return float(min(1.0, working_px_per_mm / px_per_mm, longest / max(shape)))
+
+
+def reduce_image(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """Area-averaged copy of an image (H, W) or (H, W, C), float32, sides times `scale`."""
+    if scale >= 1.0:
+        return np.ascontiguousarray(image, dtype=np.float32)
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
+    """Fraction of every reduced pixel that `mask` covers, float32 in [0, 1]."""
+    if scale >= 1.0:
+        return mask.astype(np.float32)
+    size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))
+    fraction = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(fraction, dtype=np.float32) / np.float32(255.0)
+
+
+def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Gaussian blur, `sigma` in pixels, borders mirrored."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+
+
+def quantile(values: NDArray[np.float32], fraction: float = 0.5) -> float:
+    """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`, which means two."""
+    place = int(fraction * values.size)
+    return float(np.partition(values, place, axis=None)[place])
+
+
+def dilate(mask: BoolArray, radius: float) -> BoolArray:
+    """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
+    if radius < 1.0 or not mask.any():
+        return mask
+    if radius <= _SMALL_PX:
+        return cv2.dilate(mask.view(np.uint8), _disc(radius)).view(np.bool_)
+    return np.asarray(distance_outside(mask, radius) <= radius, dtype=np.bool_)
+
+
+def erode(mask: BoolArray, radius: float) -> BoolArray:
+    """Shrink `mask` by `radius` pixels; beyond the image's border the mask is taken to go on."""
+    if radius < 1.0 or mask.all():
+        return mask
+    if radius <= _SMALL_PX:
+        return cv2.erode(mask.view(np.uint8), _disc(radius)).view(np.bool_)
+    return np.asarray(depth_inside(mask) > radius, dtype=np.bool_)
+
+
+_SMALL_PX = 2.0
+"""Up to this radius a disc is laid everywhere; the same pixels, sooner."""
+
+
+def _disc(radius: float) -> NDArray[np.uint8]:
+    along = np.arange(-int(radius), int(radius) + 1)
+    return np.asarray(np.hypot(along[:, None], along[None, :]) <= radius, dtype=np.uint8)
+
+
+def depth_inside(mask: BoolArray) -> FloatArray:
+    """Distance of every pixel of `mask` to the nearest pixel outside; the image's border does not count as outside."""
+    if mask.all():
+        return np.full(mask.shape, float(max(mask.shape)), dtype=np.float32)
+    depth = np.zeros(mask.shape, dtype=np.float32)
+    if mask.any():
+        box = bounding_box(mask, 1)
+        depth[box] = _distance_to(~mask[box])
+    return depth
+
+
+def distance_outside(mask: BoolArray, reach: float) -> FloatArray:
+    """Distance of every pixel outside `mask` to the nearest one inside; infinite well beyond `reach`."""
+    away = np.full(mask.shape, np.inf, dtype=np.float32)
+    if mask.any():
+        box = bounding_box(mask, int(reach) + 1)
+        away[box] = _distance_to(mask[box])
+    return away
+
+
+def _distance_to(mask: BoolArray) -> FloatArray:
+    source = np.logical_not(mask).view(np.uint8)
+    return np.asarray(cv2.distanceTransform(source, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), dtype=np.float32)
+
+
+def largest_component(mask: BoolArray) -> BoolArray:
+    """The largest 4-connected component of `mask` (empty stays empty)."""
+    if not mask.any():
+        return mask
+    box = bounding_box(mask)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask[box].astype(np.uint8), connectivity=4)
+    if count <= 2:
+        return mask
+    best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    result = np.zeros_like(mask)
+    result[box] = labels == best
+    return result
+
+
+def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
+    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is no hole."""
+    if not mask.any():
+        return mask
+    box = bounding_box(mask, 1)
+    part = mask[box]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.logical_not(part).view(np.uint8), connectivity=4)
+    rows, columns = part.shape
+    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    closed = (left > 0) & (top > 0) & (right < columns) & (bottom < rows)
+    hole = closed & (stats[:, cv2.CC_STAT_AREA] <= largest_area)
+    hole[0] = False
+    if count == 1 or not hole.any():
+        return mask
+    filled = mask.copy()
+    filled[box] |= hole[labels]
+    return filled
+
+
+def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
+    """Cut away what is thinner than `fraction` of the region's own width, keep the largest rest: an opening with a
+    disc, the region going on beyond the image's border; what it shaves off the outline itself is put back.
+    """
+    depth = depth_inside(mask)
+    radius = fraction * float(depth.max())
+    if radius < 1.0:
+        return largest_component(mask)
+    core = largest_component(np.asarray(depth > radius))
+    if not core.any():
+        return largest_component(mask)
+    opened = dilate(core, radius)
+    return largest_component(np.asarray(mask & dilate(opened, 1.0 + 0.15 * radius), dtype=np.bool_))
+
+
+def remove_specks(mask: BoolArray, radius: float) -> BoolArray:
+    """Opening of `mask` with a disc of `radius` pixels, largest part kept."""
+    core = erode(mask, radius)
+    return largest_component(np.asarray(mask & dilate(core, radius), dtype=np.bool_)) if core.any() else mask

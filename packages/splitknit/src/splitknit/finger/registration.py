@@ -1,0 +1,360 @@
+"""The shots of a moving finger, brought onto one of them: shift and turn.
+
+Every shot is lit from elsewhere, so two shots of a still finger differ, and a method that compares them takes light for
+motion. But what all shots of a matt surface may show together is known: at every pixel their brightnesses are a
+combination of the three components of the light vectors, whatever the surface is. What is left after the best such
+combination has been taken off is motion (or specular reflection, which colours separate before). All shots are moved
+at once until the rest is minimal: the surface itself is never needed, it is eliminated pixel by pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_mask, check_stack, require
+from splitknit.finger.regions import blur, dilate, erode
+from splitknit.imaging.geometry import sampled_at
+from splitknit.model import BoolArray, FloatArray
+
+Array = NDArray[np.float64]
+Basis = Callable[[Array, Array], Array]
+"""From places x and y (N,) in mm to the shift (N, 2, M) of every parameter there."""
+NODE_MM = 0.5
+"""Pitch of the nodes between which shifts are interpolated."""
+TURN_MM = 8.0
+"""A turn's parameter is the shift that it causes at this distance."""
+SETTLED_MM, SETTLED_PX = 5e-4, 0.02
+"""Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
+ITERATIONS = 20
+"""Maximum refinements in each band."""
+COARSE_MM = (0.5, 0.3, 0.15)
+"""Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
+FINE_MM = (0.08,)
+"""Fine ends of the filters in which only the skin counts."""
+BAND_RATIO = 3.2
+"""Coarse end of each filter over its fine end."""
+WORKING_PX_PER_MM = 12.5
+"""Scale of the copies that are compared in the finest band."""
+SURROUND_MM = 0.7
+"""Width of the background around the finger that is used, for the sake of its silhouette."""
+RIM_MM = 0.8
+"""Width of the finger's edge that is left out of the fine bands."""
+BLOCK_MM = 0.6
+"""Pitch at which the light of near LEDs is computed."""
+
+
+# Where the skin of one shot lies in the others: shifts and turns, and the details of images that show them.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flow:
+    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart, from the reference to each shot."""
+
+    nodes_mm: Array
+    origin_mm: tuple[float, float] = (0.0, 0.0)
+    """Place of the first node, right of and below the first pixel."""
+
+    def at(self, x_mm: Array, y_mm: Array) -> Array:
+        """(L, 2, N) shifts at places (N,), right and down from the first pixel."""
+        height, width = self.nodes_mm.shape[2:]
+        column = np.clip((x_mm - self.origin_mm[0]) / NODE_MM, 0, width - 1.001)
+        row = np.clip((y_mm - self.origin_mm[1]) / NODE_MM, 0, height - 1.001)
+        j, i = column.astype(int), row.astype(int)
+        a, b = column - j, row - i
+        above = (1 - a) * self.nodes_mm[..., i, j] + a * self.nodes_mm[..., i, j + 1]
+        below = (1 - a) * self.nodes_mm[..., i + 1, j] + a * self.nodes_mm[..., i + 1, j + 1]
+        return np.asarray((1 - b) * above + b * below)
+
+    def affine(self, shot: int, px_per_mm: float) -> Array:
+        """(2, 3) matrix from columns and rows of the reference to those of a shot, which only shifted and turned."""
+        nodes = self.nodes_mm[shot]
+        right, down = nodes[:, 0, 1] - nodes[:, 0, 0], nodes[:, 1, 0] - nodes[:, 0, 0]
+        slopes = np.stack([right, down], axis=1) / NODE_MM
+        start = nodes[:, 0, 0] - slopes @ np.asarray(self.origin_mm)
+        return np.column_stack([np.eye(2) + slopes, start * px_per_mm])
+
+
+def still(count: int, shape: tuple[int, int], px_per_mm: float) -> Flow:
+    """No shift of any of `count` images of `shape`."""
+    height, width = (int(np.ceil(n / px_per_mm / NODE_MM)) + 2 for n in shape)
+    return Flow(np.zeros((count, 2, height, width)))
+
+
+def places_of(flow: Flow) -> tuple[Array, Array]:
+    """x and y (N,) of the nodes in mm."""
+    height, width = flow.nodes_mm.shape[2:]
+    y, x = np.mgrid[0:height, 0:width] * NODE_MM
+    return x.ravel(), y.ravel()
+
+
+def rigid_shifts(mask: BoolArray, px_per_mm: float, *, turns: bool) -> Basis:
+    """What shifts a shot of the finger under `mask` may have: right, down and, with `turns`, about its middle."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    left, right = columns[0] / px_per_mm, columns[-1] / px_per_mm
+    top, bottom = rows[0] / px_per_mm, rows[-1] / px_per_mm
+    centre = (0.5 * (left + right), 0.5 * (top + bottom))
+
+    def basis(x: Array, y: Array) -> Array:
+        one, none = np.ones_like(x), np.zeros_like(x)
+        parts = [(one, none), (none, one)]
+        if turns:
+            parts.append((-(y - centre[1]) / TURN_MM, (x - centre[0]) / TURN_MM))
+        return np.stack([np.stack(part, axis=-1) for part in parts], axis=-1)
+
+    return basis
+
+
+# Details of one size in all shots, at the pixels that matter, and the shifts they imply.
+
+SAMPLES = 16_000
+"""Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
+SAME_SCALE = 1.1
+"""Copies are not reduced by less than this: it would blur some pixels more than others."""
+STEPS = np.float32(32.0)
+"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
+FLOPS = 200_000
+"""Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """Details of one size."""
+
+    images: tuple[FloatArray, ...]
+    """L of (h, w, 3): details, and their derivatives to the right and down the rows, a mm."""
+    columns: FloatArray
+    """(N,) of the pixels that are used."""
+    rows: FloatArray
+    """(N,)"""
+    weight: FloatArray
+    """(N,)"""
+    px_per_mm: float
+
+    def places(self) -> tuple[Array, Array]:
+        """x and y (N,) of the pixels in mm from the first pixel."""
+        return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(np.float64) / self.px_per_mm
+
+    def sampled(self, shifts_mm: FloatArray) -> FloatArray:
+        """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
+        count = self.columns.size
+        values = np.empty((len(self.images), 3, count), dtype=np.float32)
+        size = np.float32(self.px_per_mm)
+        for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
+            columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
+            near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
+            values[k] = sampled_at(image, near[0], near[1], cv2.INTER_CUBIC).T
+            # details vary with the shift without steps: what lies between follows from the slopes
+            values[k, 0] += (values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])) / size
+        return values
+
+
+def details_of(
+    stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], working_px_per_mm: float
+) -> Level:
+    """Band-passed copies (`band_mm`: sigma, fine and coarse end) of (L, H, W), of at most `working_px_per_mm`, weighted
+    by one over the square of the brightness in `region` (H, W).
+    """
+    finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
+    finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
+    size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
+    px = px_per_mm * size[0] / region.shape[1]
+    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]
+    inside = cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+    level = blur(np.asarray(np.mean(small, axis=0), dtype=np.float32), 1.0 * px)
+    floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
+    rows, columns = np.nonzero(inside)
+    every = max(1, rows.size // SAMPLES)
+    rows, columns = rows[every // 2 :: every], columns[every // 2 :: every]
+    weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
+    images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
+    return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
+
+
+def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
+    """(h, w, 3) an image and its derivatives to the right and down the rows, a mm."""
+    half = 0.5 * px_per_mm
+    slopes = [
+        cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
+        for right in (1, 0)
+    ]
+    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
+
+
+def robust_weight(level: Level, error: FloatArray) -> FloatArray:
+    """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
+    typical = 1.4826 * float(np.median(error)) + 1e-12
+    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)), dtype=np.float32)
+
+
+def gram(columns: FloatArray) -> Array:
+    """(K, K) inner products of `columns` (K, N), the same bytes whatever the number of threads."""
+    count, total = columns.shape
+    part = int(np.clip(FLOPS // count**2, 16, 4096))
+    padded = np.pad(columns, ((0, 0), (0, -total % part)))
+    parts = np.ascontiguousarray(padded.reshape(count, -1, part).transpose(1, 0, 2))
+    return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+
+
+# What surfaces may show under lights that differ from place to place.
+
+
+def check_light_vectors(lights: Array, count: int) -> None:
+    """Refuse light vectors that are neither (L, 3) nor (L, 3, h, w)."""
+    fits = lights.shape[:2] == (count, 3) and lights.ndim in (2, 4)
+    require(fits, f"lights must have the shape ({count}, 3) or ({count}, 3, h, w), but they have {lights.shape}.")
+
+
+def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: float) -> FloatArray:
+    """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
+    if lights.ndim == 2:
+        return lights[..., None].astype(np.float32)
+    height, width = lights.shape[2:]  # of nodes that lie evenly over the image, ends included
+    x, y = level.places()
+    columns = (x * (width - 1) / max((shape[1] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    rows = (y * (height - 1) / max((shape[0] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    flat = np.ascontiguousarray(lights, dtype=np.float32).reshape(-1, height, width)
+    found = np.stack([sampled_at(part, columns, rows) for part in flat])
+    return np.asarray(found.reshape(-1, 3, x.size), dtype=np.float32)
+
+
+def shown_by_surfaces(lights: FloatArray) -> FloatArray:
+    """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L, 3, N)."""
+    axes = lights.astype(np.float64)
+    for k in range(3):
+        for other in range(k):
+            axes[:, k] -= (axes[:, k] * axes[:, other]).sum(axis=0) * axes[:, other]
+        axes[:, k] /= np.maximum(np.sqrt((axes[:, k] ** 2).sum(axis=0)), 1e-12)
+    return axes.astype(np.float32)
+
+
+def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
+    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N) or (L, 3, 1)."""
+    along = (axes * images[:, None]).sum(axis=0)
+    return np.asarray(images - (axes * along).sum(axis=1), dtype=np.float32)
+
+
+# All shots at once, the surface eliminated.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where the skin of the reference shot lies in every shot."""
+
+    flow: Flow
+    before: NDArray[np.float64]
+    """(L,) details of each image that no matt surface explains, as they are, over its details (rms)."""
+    after: NDArray[np.float64]
+    """(L,) the same with the motion undone."""
+
+
+def register_shots(
+    stack: FloatArray,
+    lights: NDArray[np.float64],
+    mask: BoolArray,
+    px_per_mm: float,
+    *,
+    reference: int,
+    shots: NDArray[np.intp] | None = None,
+) -> Registration:
+    """Find where the skin of shot `reference` lies in every other shot.
+
+    Raises BadInput with fewer than five images, or where shapes do not fit. Source: Golub, G. and Pereyra, V., "The
+    differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
+    Anal. 10(2), 1973 (the surface is eliminated from the least squares). `stack`: (L, H, W) float32 linear, at least
+    five images, best without glare (:func:`without_glare`); `lights`: (L, 3) towards the light, its length the relative
+    strength, or, under near LEDs, (L, 3, h, w) on nodes that lie evenly over the image, first and last pixel included;
+    `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought; `shots`: (L,) shot of
+    every image, where several lights share one; None = every image is a shot.
+    """
+    stack = check_stack(stack, least=5)
+    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
+    count = len(stack)
+    lights = np.asarray(lights, dtype=np.float64)
+    check_light_vectors(lights, count)
+    shots = np.arange(count) if shots is None else np.asarray(shots)
+    require(shots.shape == (count,), f"shots must have the shape ({count},), but they have {shots.shape}.")
+    number = int(shots.max()) + 1
+    require(0 <= reference < number, f"the reference must be one of {number} shots, but it is {reference}.")
+    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
+    flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
+    for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
+        fine = step >= len(COARSE_MM)
+        region = skin if fine and skin.any() else around
+        band = (sigma, BAND_RATIO * sigma)
+        level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
+        here = lights_on(lights, level, mask.shape, px_per_mm)
+        problem = _Problem(level, shown_by_surfaces(here), shots, reference)
+        flow = problem.settled(flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
+    return Registration(flow, problem.unexplained(unmoved), problem.unexplained(flow))
+
+
+def without_glare(colours: FloatArray) -> FloatArray:
+    """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
+    return np.asarray(colours[0] - colours[2], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Details of one size: which images belong together, and what they may show."""
+
+    level: Level
+    axes: FloatArray
+    """(L, 3, N) or (L, 3, 1): orthonormal brightnesses that span what a matt surface may show."""
+    shots: NDArray[np.intp]
+    """(L,)"""
+    reference: int
+
+    def settled(self, flow: Flow, basis_at: Basis) -> Flow:
+        """Move the shots by Gauss-Newton steps within a basis of shifts until they hardly move."""
+        x, y = self.level.places()
+        first = flow.at(x, y)
+        free = [k for k in range(len(first)) if k != self.reference]
+        basis = basis_at(x, y)
+        parameters = np.zeros((len(free), basis.shape[2]))
+        most, least = 1.0 / self.level.px_per_mm, max(SETTLED_MM, SETTLED_PX / self.level.px_per_mm)
+        for _ in range(ITERATIONS):
+            shifts = first.copy()
+            shifts[free] += np.einsum("km,ncm->kcn", parameters, basis)
+            sampled = self.level.sampled(shifts[self.shots].astype(np.float32))
+            step = np.clip(self._step(sampled, basis, free), -most, most)
+            parameters += step
+            if float(np.abs(step).max()) < least:
+                break
+        nodes = flow.nodes_mm.copy()
+        moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
+        nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
+        return Flow(nodes)
+
+    def unexplained(self, flow: Flow) -> NDArray[np.float64]:
+        """(L,) rms of what no surface explains over the rms of each image's details."""
+        images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
+        residual = beyond_surface(images, self.axes)
+        error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
+        return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
+
+    def _step(self, sampled: FloatArray, basis: Array, free: list[int]) -> Array:
+        """(F, M) change of the parameters of the free shots: the normal equations."""
+        residual = beyond_surface(sampled[:, 0], self.axes)
+        root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
+        width, number, total = basis.shape[2], len(free), root.size
+        right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
+        matrix, force = np.zeros((number, width, number, width)), np.zeros((number, width))
+        shown = np.zeros((3, number, width, total), dtype=np.float32)
+        for image, shot in enumerate(self.shots):
+            if shot == self.reference:
+                continue
+            k = free.index(int(shot))
+            columns = (sampled[image, 1] * right + sampled[image, 2] * down) * root
+            matrix[k, :, k] += gram(columns)
+            force[k] += np.einsum("mn,n->m", columns, residual[image] * root)
+            shown[:, k] += columns * self.axes[image][:, None]
+        for part in shown:
+            matrix -= gram(part.reshape(number * width, total)).reshape(matrix.shape)
+        flat = matrix.reshape(number * width, number * width)
+        flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
+        return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))

@@ -1,0 +1,129 @@
+"""How many pixels lie between the ridges, at any scale: the ruler that a finger carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_mask, require
+from splitknit.model import BoolArray, FloatArray
+from splitknit.plausible import RIDGE_PERIOD
+
+PEOPLE = 0.08
+"""Standard deviation of the ridge distance between fingers, relative: sexes, people and digits, as the simulator's
+population has them (Cummins, Waits and McQuitty, Am. J. Anat. 68, 1941: 20.7 ridges a centimetre in men, 23.4 in
+women)."""
+_BLOCK, _STEP = 64, 16
+"""Side of a block of the reduced picture, and the usual distance of the blocks, pixels."""
+_SHORTEST, _LONGEST = 4.0, 10.0
+"""Periods that are sought in a reduced picture, pixels; the next picture has half the size."""
+_LEVELS = 6
+_FACING = 0.7
+"""Cosine of the slant up to which blocks are used."""
+_CONCENTRATED = 0.4
+"""Part of a block's power, of all periods around, that one wave of ridges has at least."""
+_MIN_BLOCKS, _MIN_FRACTION = 6, 0.25
+"""Blocks with one wave: that many, and part of all (fingers 0.6 to 0.8, DiLiGenT's bear 0.08, a ball none)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _RidgePeriod:
+    period_px: float
+    """Median of the blocks."""
+    error_px: float
+    """Standard deviation of the median."""
+    blocks: int
+
+
+def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _RidgePeriod:
+    """Measure the distance of the ridges in a map of normals whose scale is unknown.
+
+    The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must hold most of the
+    power. The size in which such waves cover most of the surface counts. Periods are corrected for the surface's slant.
+    `normals`: (H, W, 3) unit normals, x right, y up, z to the camera; `mask`: (H, W) bool; `step`: distance of the
+    blocks, pixels. Raises BadInput if no ridges
+    are found.
+
+    >>> x = np.tile(np.arange(400.0), (400, 1))
+    >>> slope = 0.2 * np.cos(2 * np.pi * x / 12.0)
+    >>> normals = np.stack([-slope, 0 * x, np.ones_like(x)], axis=-1).astype(np.float32)
+    >>> normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    >>> round(ridge_period(normals, np.ones((400, 400), bool)).period_px, 1)
+    12.0
+    """
+    mask = check_mask(mask, (normals.shape[0], normals.shape[1]))
+    steep = np.maximum(normals[..., 2], np.float32(0.2))
+    slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
+    fields = np.dstack([np.where(mask[..., None], slopes, np.float32(0.0)), mask.astype(np.float32)])
+    best: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(0))
+    for level in range(_LEVELS):
+        factor = 2**level
+        size = (mask.shape[1] // factor, mask.shape[0] // factor)
+        if min(size) < _BLOCK:
+            break
+        small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
+        periods, blocks = _periods(np.asarray(small, dtype=np.float32), step)
+        area = float(len(periods) * factor**2)
+        if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
+            best = area, periods * factor
+    periods = best[1]
+    none = "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
+    require(len(periods) > 0, f"{none}; give `px_per_mm`.")
+    middle = float(np.median(periods))
+    spread = 1.4826 * float(np.median(np.abs(periods - middle)))
+    apart = max(1.0, len(periods) * (step / _BLOCK) ** 2)
+    return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods))
+
+
+def scale_of_ridges(
+    normals: FloatArray, mask: BoolArray, px_per_mm: float | None, period_mm: float
+) -> tuple[float, str]:
+    """Pixels a millimetre at which ridges lie `period_mm` apart, and how well known. BadInput if `px_per_mm` is given
+    too, `period_mm` is no distance of ridges, or none are found.
+    """
+    require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
+    odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")
+    found = ridge_period(normals, mask)
+    known, px_per_mm = float(np.hypot(found.error_px / found.period_px, PEOPLE)), found.period_px / period_mm
+    measured = f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks}"
+    scale = f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
+    also = "".join(f" Also, {note}" for note in odd)
+    return px_per_mm, f"scale from the ridges: {measured} {scale} {100 * known:.0f} %.{also}"
+
+
+def _periods(fields: FloatArray, step: int) -> tuple[NDArray[np.float64], int]:
+    """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the number of blocks."""
+    window = np.outer(np.hanning(_BLOCK), np.hanning(_BLOCK)).astype(np.float32)
+    v, u = np.meshgrid(np.fft.fftfreq(_BLOCK), np.fft.rfftfreq(_BLOCK), indexing="ij")
+    u, v = u.astype(np.float32).ravel(), v.astype(np.float32).ravel()
+    frequency = np.hypot(u, v)
+    around = (frequency > 0.5 / _LONGEST) & (frequency < 0.45)
+    sought = (frequency >= 1.0 / _LONGEST) & (frequency <= 1.0 / _SHORTEST)
+    weight = np.where(u > 0, np.float32(2.0), np.float32(1.0)) * around  # the other half plane is the same, mirrored
+    back = -np.arange(_BLOCK) % _BLOCK
+    mirrored = np.ix_(back, back[: _BLOCK // 2 + 1])
+    lattice = tuple(slice(0, length - _BLOCK + 1, step) for length in fields.shape[:2])
+    side, corner = (_BLOCK, _BLOCK), (0, 0)
+    tilts = cv2.blur(fields[..., :2], side, anchor=corner)[lattice]
+    whole = cv2.erode(fields[..., 2], np.ones(side, np.uint8), anchor=corner)[lattice] >= 0.99
+    usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= _FACING)
+    periods = []
+    for row, column in np.argwhere(usable):
+        tilt, (top, left) = tilts[row, column], (row * step, column * step)
+        block = (fields[top : top + _BLOCK, left : left + _BLOCK, :2] - tilt) * window[..., None]
+        real, imaginary = cv2.split(cv2.dft(block, flags=cv2.DFT_COMPLEX_OUTPUT))  # of x slope + i y slope
+        both = real * real + imaginary * imaginary
+        power = (both[:, : _BLOCK // 2 + 1] + both[mirrored]).ravel() * weight
+        peak = int(np.argmax(power * sought))
+        apart = [(u - s * u[peak]) ** 2 + (v - s * v[peak]) ** 2 for s in (1, -1)]
+        near = power * (np.minimum(*apart) < (2.5 / _BLOCK) ** 2)
+        held = near.sum()
+        mean = (near @ frequency) / max(held, 1e-30)
+        # else the flank of a wave that is sought in another size
+        if held >= _CONCENTRATED * power.sum() and 1.0 / _LONGEST <= mean <= 1.0 / _SHORTEST:
+            along = (u[peak] * tilt[0] - v[peak] * tilt[1]) / frequency[peak]
+            periods.append(np.sqrt(1.0 + along**2) / mean)
+    return np.array(periods), int(usable.sum())

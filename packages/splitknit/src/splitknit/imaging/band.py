@@ -1,0 +1,375 @@
+"""Linear light of all images of a band: ambient removed, exposures made equal, colours separated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.view import lens_shading
+from splitknit.model import Band, FloatArray, PixelArray, coarse_grid
+from splitknit.steps import let_go
+
+# Linear light of one stored image.
+
+CHANNELS = {"red": 0, "green": 1, "blue": 2}
+GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+"""ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""
+
+_CODE_NOISE = 0.003
+"""Residual of 8 bits, below which no two models differ."""
+_SRGB_RATIO = 0.97
+
+CHUNK_ROWS = 64
+"""Rows of an image that are made at a time."""
+
+
+@lru_cache(maxsize=4)
+def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
+    """Read-only table from stored integer to linear light in [0, 1]: ``linear`` or ``srgb`` (IEC 61966-2-1)."""
+    require(encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
+    full_scale = int(np.iinfo(dtype).max)
+    values = np.arange(full_scale + 1, dtype=np.float64) / full_scale
+    if encoding == "srgb":
+        values = np.asarray(_srgb_light(values), dtype=np.float64)
+    table = values.astype(np.float32)
+    table.setflags(write=False)
+    return table
+
+
+def _srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Stored sRGB values in [0, 1] as linear light in [0, 1] (IEC 61966-2-1)."""
+    return np.asarray(np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4))
+
+
+def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Linear light in [0, 1] as sRGB stores it (IEC 61966-2-1), in [0, 1]."""
+    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+
+
+def shading_is_srgb(codes: NDArray[np.floating], vectors: NDArray[np.float64]) -> bool:
+    """Whether stored values fit shading by known vectors clearly better if they are sRGB than if they are linear.
+
+    Both models predict the stored values (L, n) in [0, 1]: I = v . g, or its sRGB code, with g by least squares over
+    the vectors (L, 3) that light a pixel without clipping. Compared is the quarter of the pixels that fit best, which
+    gloss, shadows and scattering bend least. Of linear images the ratio of both residuals was 1.04 to 1.5 (balls, the
+    DiLiGenT bear, fingers), of the same as sRGB 0.56 to 0.94, but up to 1.7 where skin scatters the light: such images,
+    and fewer than six vectors, decide nothing.
+    """
+    top = codes.max(axis=0)
+    lit = (codes > 0.25 * top) & (codes < 0.97)
+    shaded = top - codes.min(axis=0) > 0.05  # no background
+    good = (np.count_nonzero(lit, axis=0) >= 4) & (top > 0.15) & shaded
+    codes, lit = codes[:, good].astype(np.float64), lit[:, good].astype(np.float64)
+    if len(vectors) < 6 or not codes.size:
+        return False
+    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    moments = np.einsum("ln,li,lj->nij", lit, unit, unit)
+    moments += 1e-9 * np.eye(3)
+    residuals = []
+    for light, code in ((codes, np.asarray), (_srgb_light(codes), srgb_code)):
+        g = np.linalg.solve(moments, np.einsum("ln,ln,li->ni", lit, light, unit)[..., None])[..., 0]
+        rest = (codes - code(np.clip(unit @ g.T, 0.0, 1.0))) * lit
+        residuals.append(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)))
+    linear, srgb = residuals
+    both = linear * srgb
+    best = both <= np.quantile(both, 0.25)
+    ratio = np.exp(np.mean(np.log((srgb[best] + _CODE_NOISE) / (linear[best] + _CODE_NOISE))))
+    return bool(ratio < _SRGB_RATIO)
+
+
+def linear_image(
+    pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: float = 1
+) -> FloatArray:
+    """Linear light (H // binning, W // binning, C) float32 of one stored image (H, W, C) uint8 or uint16.
+
+    `exposure`: relative (time times gain), by which the light is divided; `black_level`: stored value of no light;
+    `binning`: average blocks of this many pixels a side, a multiple of 1/8 from 1 upwards; rows and columns that fill
+    no block are dropped.
+    """
+    height, width = (int(n // binning) for n in pixels.shape[:2])
+    table = decode_table(pixels.dtype, encoding)
+    light = np.empty((height, width, pixels.shape[2]), dtype=np.float32)
+    columns = ceil(width * binning)
+    for top in range(0, height, CHUNK_ROWS):  # what is between stored values and means stays small
+        part = slice(top, min(top + CHUNK_ROWS, height))
+        stored = pixels[int(part.start * binning) : ceil(part.stop * binning), :columns]
+        decoded = _decoded(np.ascontiguousarray(stored), table, encoding)
+        if binning > 1:
+            decoded = block_means(decoded, (part.stop - part.start, width), binning)
+        light[part] = decoded.reshape(light[part].shape)
+    light -= np.float32(np.interp(black_level, np.arange(table.size), table))
+    light *= np.float32(1.0 / exposure)
+    return light
+
+
+def block_means(image: NDArray[Any], shape: tuple[int, int], side: float) -> FloatArray:
+    """Means (h, w) or (h, w, C) over blocks of `side` pixels, fractions of pixels by their area."""
+    if side == int(side):
+        means = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
+    else:
+        means = cv2.resize(image, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA)
+    return np.asarray(means, dtype=np.float32)[: shape[0], : shape[1]]
+
+
+def _decoded(stored: NDArray[Any], table: FloatArray, encoding: str) -> FloatArray:
+    """Linear light of contiguous stored values, by `table` of :func:`decode_table`."""
+    if encoding == "linear":
+        light = stored.astype(np.float32)
+        light *= table[1]
+        return light
+    if stored.dtype == np.uint8:
+        return np.asarray(cv2.LUT(stored.view(np.uint8), table), dtype=np.float32).reshape(stored.shape)
+    return np.asarray(table[stored])
+
+
+def pick_channel(light: FloatArray, channel: str) -> FloatArray:
+    """One channel (h, w) of linear light (h, w, C)."""
+    if light.shape[-1] == 1:
+        return np.asarray(light[..., 0])
+    if channel == "grey":
+        return np.asarray(cv2.transform(light, GREY_WEIGHTS[None]), dtype=np.float32).reshape(light.shape[:2])
+    return np.asarray(light[..., CHANNELS[channel]])
+
+
+def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+    """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
+    if factor == 1:
+        return image
+    height, width = (int(n // factor) for n in image.shape[-2:])
+    trimmed = image[..., : ceil(height * factor), : ceil(width * factor)]
+    flat = trimmed.reshape(-1, *trimmed.shape[-2:])
+    small = [block_means(plane, (height, width), factor) for plane in np.ascontiguousarray(flat)]
+    return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)
+
+
+Window = tuple[slice, slice]
+
+
+def linear_channels(
+    band: Band, encoding: str, channels: Sequence[str], window: Window | None = None, binning: float = 1
+) -> FloatArray:
+    """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
+
+    `channels`: names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them.
+    L is the number of `band.lights`: where coloured LEDs share an exposure, each colour has an image of its own,
+    without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise gives
+    where there is no light, are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
+    """
+    for channel in channels:
+        require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
+        coloured = f"the band '{band.name}' was lit by coloured LEDs, one colour an image"
+        require(channel == "grey" or not band.colours, f"{coloured}; it has no channel '{channel}'.")
+    where = window if window is not None else (slice(None), slice(None))
+    ambient = ambient_light(band, encoding, where, binning)
+    shape = band.pixels[0][where].shape[:2]
+    count = band.pixels.shape[0]
+    size = (int(n // binning) for n in shape)
+    stack = np.empty((len(channels), len(band.lights), *size), dtype=np.float32)
+    first, levels = _first_lights(band), _clip_levels(band, encoding)
+
+    def work(k: int) -> None:
+        light = _lit_light(band, k, encoding, where, binning, ambient)
+        let_go(band.pixels)
+        if band.colours and band.colours[k][0]:
+            separated = _colours_apart(light, band.colours[k], band.crosstalk, float(levels[k]))
+            stack[:, first[k] : first[k] + len(separated)] = separated
+            return
+        for c, channel in enumerate(channels):
+            stack[c, first[k]] = pick_channel(light, channel)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(work, range(count)))
+    return stack
+
+
+def linear_stack(
+    band: Band, encoding: str, channel: str = "grey", window: Window | None = None, binning: int = 1
+) -> FloatArray:
+    """One channel (L, h, w) of :func:`linear_channels`."""
+    return np.asarray(linear_channels(band, encoding, (channel,), window, binning)[0])
+
+
+def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Mean (h, w, C) float32 over all images with all channels (grey for coloured LEDs, which light different sides),
+    and every image in grey, (L, h, w) as :func:`linear_stack`, never all of both in memory.
+    """
+    if band.colours:
+        grey = linear_stack(band, encoding, "grey", binning=binning)
+        return np.asarray(grey.mean(axis=0)[..., None], dtype=np.float32), grey
+    count = band.pixels.shape[0]
+    height, width = (n // binning for n in band.pixels.shape[1:3])
+    total = np.zeros((height, width, band.pixels.shape[3]), dtype=np.float32)
+    grey = np.empty((count, height, width), dtype=np.float32)
+    ambient = ambient_light(band, encoding, (slice(None), slice(None)), binning)
+
+    def work(top: int) -> None:  # all images of a few rows: their sum stays in a core's cache
+        part = slice(top, min(top + CHUNK_ROWS, height))
+        rows = slice(part.start * binning, part.stop * binning)
+        dark = None if ambient is None else ambient[part]
+        for k in range(count):
+            light = _lit_light(band, k, encoding, (rows, slice(None)), binning, dark)
+            grey[k, part] = pick_channel(light, "grey")
+            total[part] += light
+            let_go(band.pixels)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(work, range(0, height, CHUNK_ROWS)))
+    total /= np.float32(count)
+    return total, grey
+
+
+def ambient_light(band: Band, encoding: str, window: Window, binning: float) -> FloatArray | None:
+    """Linear light (h, w, C) of the ambient image inside a window; None where there is none."""
+    if band.ambient is None:
+        return None
+    return linear_image(band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning)
+
+
+def _lit_light(  # noqa: PLR0917
+    band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
+) -> FloatArray:
+    """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean. Where either
+    clips in two channels, all have the light at which the parallel one does, so that it counts as clipped.
+    """
+    if band.crossed is not None:
+        own, dark = replace(band, crossed=None), ambient_light(band.crossed, encoding, window, binning)
+        lights, clipped = [], np.False_
+        for one, room in ((own, ambient), (band.crossed, dark)):
+            light = _lit_light(one, k, encoding, window, binning, room)
+            stored = light if one.transmission is None else light * one.transmission[k].astype(np.float32)
+            stored = stored if room is None else stored + room
+            full = (stored >= _clip_levels(one, encoding)[k]).sum(axis=-1, keepdims=True)
+            clipped = clipped | (full >= min(2, light.shape[-1]))
+            lights.append(light)
+        let_go(band.crossed.pixels)
+        level = np.float32(_clip_levels(band, encoding)[k])
+        return np.where(clipped, np.maximum(lights[0], level), np.float32(0.5) * (lights[0] + lights[1]))
+    exposure, black = float(band.exposure[k]), float(band.black_level[k])
+    light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
+    if ambient is not None:
+        light -= ambient
+    if band.shading:
+        rows, columns = (range(*part.indices(n)) for part, n in zip(window, band.pixels.shape[1:3], strict=True))
+        fall_off = lens_shading(band.shading, band.pixels.shape[1:3], rows.start, columns.start, binning, light.shape)
+        light /= fall_off[..., None]
+    if band.flat is not None:
+        corner = tuple(part.indices(n)[0] for part, n in zip(window, band.pixels.shape[1:3], strict=True))
+        flat = flat_light(band, encoding)
+        own = flat[k] / flat.mean() if band.promised is None else flat[k] / flat.mean() / band.promised[k]
+        light /= flat_at(own, band.pixels.shape[1:3], corner, binning, light.shape)[..., None]
+    if band.transmission is not None:
+        light /= band.transmission[k].astype(np.float32)
+    return light
+
+
+def flat_light(band: Band, encoding: str) -> FloatArray:
+    """(L, h, w) linear light of a band's flat images. Raises BadInput if they are black in places."""
+    assert band.flat is not None
+    scale = float(np.iinfo(band.flat.dtype).max) / float(np.iinfo(band.pixels.dtype).max)
+    light = [
+        linear_image(image[..., None], encoding, float(exposure), scale * float(black))[..., 0]
+        for image, exposure, black in zip(band.flat, band.exposure, band.black_level, strict=True)
+    ]
+    return np.stack([_lit(one) for one in light])
+
+
+def _lit(flat: FloatArray) -> FloatArray:
+    dark = "the flat photographs are black in places; light the whole field, and check their black level."
+    require(float(flat.min()) > 1e-4 * float(flat.max()) > 0.0, dark)
+    return flat
+
+
+def coarse_flat(image: FloatArray) -> FloatArray:
+    """A flat surface's image (H, W) on a coarse grid, smoothed over its pixels; BadInput if it is black in places."""
+    return _lit(np.asarray(coarse_grid(image), dtype=np.float32))
+
+
+def over_flat(images: FloatArray, flat: FloatArray) -> FloatArray:
+    """Images (L, H, W) over those of a flat surface (L, h, w) on the coarse grid; BadInput if they differ in number."""
+    count, shape = len(images), images.shape[1:]
+    require(len(flat) == count, f"there are {len(flat)} flat photographs for {count} of the object; give one a light.")
+    return np.stack([image / flat_at(one, shape, (0, 0), 1, shape) for image, one in zip(images, flat, strict=True)])
+
+
+def flat_at(
+    flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
+) -> FloatArray:
+    """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at `corner`."""
+    places = []
+    for axis in (1, 0):
+        step = flat.shape[axis] / size[axis]
+        places.append((binning * step, (corner[axis] + 0.5 * binning) * step - 0.5))
+    (x_step, x), (y_step, y) = places
+    matrix = np.array([[x_step, 0.0, x], [0.0, y_step, y]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _colours_apart(
+    light: FloatArray, colours: Sequence[str], crosstalk: NDArray[np.float64] | None, clips_at: float
+) -> FloatArray:
+    """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue. Light that
+    clips in a channel is kept as stored, so that it still counts as clipped.
+    """
+    present = [c for name, c in CHANNELS.items() if name in colours]
+    if light.shape[2] == 1:
+        return np.moveaxis(light, 2, 0)
+    if crosstalk is None:
+        return np.ascontiguousarray(np.moveaxis(light[..., present], 2, 0))
+    inverse = np.linalg.inv(np.asarray(crosstalk, dtype=np.float64))[present]
+    apart = np.moveaxis(cv2.transform(light, inverse).reshape(*light.shape[:2], len(present)), 2, 0)
+    stored = np.moveaxis(light[..., present], 2, 0)
+    return np.where(stored >= np.float32(clips_at), stored, apart).astype(np.float32)
+
+
+def _first_lights(band: Band) -> list[int]:
+    """For each exposure the first of its images in the stack."""
+    counts = [len(set(names)) for names in band.colours] if band.colours else [1] * band.pixels.shape[0]
+    return [sum(counts[:k]) for k in range(len(counts))]
+
+
+def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+    """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
+    count = np.diff([*_first_lights(band), len(band.lights)])
+    levels = _clip_levels(band, encoding)
+    if band.transmission is not None and not band.polarisation:
+        levels = levels * (1.0 / band.transmission).mean(axis=1)
+    return np.repeat(levels, count)
+
+
+def _clip_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+    """The same for each exposure."""
+    table = decode_table(band.pixels.dtype, encoding)
+    black = np.interp(band.black_level, np.arange(table.size), table)
+    return np.asarray((0.985 - black) / band.exposure)
+
+
+def grey_as_grey(band: Band) -> Band:
+    """The band in one channel where its three are equal: a grey camera's images that were stored as colour."""
+    parts = [band.pixels, *([] if band.ambient is None else [band.ambient[None]])]
+
+    def equal(pixels: PixelArray) -> bool:
+        least = pixels.min(axis=-1)
+        return bool((pixels.max(axis=-1) - least <= np.iinfo(pixels.dtype).max // 255).all())
+
+    def grey(pixels: PixelArray) -> bool:  # a coarse look first, which nearly all coloured images end at
+        return equal(pixels[:, ::16, ::16]) and all(equal(image) for image in pixels)
+
+    if not has_colour(band) or not all(grey(part) for part in parts):
+        return band
+    ambient = None if band.ambient is None else band.ambient[..., 1:2]
+    return replace(band, pixels=band.pixels[..., 1:2], ambient=ambient)
+
+
+def has_colour(band: Band) -> bool:
+    """Whether the band's images carry three channels of one light."""
+    return bool(band.pixels.shape[-1] == 3) and not band.colours

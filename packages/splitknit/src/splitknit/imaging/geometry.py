@@ -1,0 +1,163 @@
+"""Frames, poses, finite differences and resampling, with one convention: x right, y up, z towards the camera.
+
+Rows run downwards, so a derivative along y is minus the derivative along the rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput
+from splitknit.model import BoolArray, FloatArray
+
+
+def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
+    """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it, inside the image."""
+    places = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows, columns = (
+        slice(max(0, int(found[0]) - margin), min(side, int(found[-1]) + 1 + margin))
+        for found, side in zip(places, mask.shape, strict=True)
+    )
+    return rows, columns
+
+
+def gradients_from_normals(
+    normals: FloatArray, mask: BoolArray | None = None, max_slope: float = 10.0
+) -> tuple[FloatArray, FloatArray]:
+    """dz/dx and dz/dy (y up) of normals (H, W, 3), zero outside `mask`; beyond `max_slope` cut, direction kept."""
+    nz = np.maximum(normals[..., 2], np.float32(1e-6))
+    gradient_x = -normals[..., 0] / nz
+    gradient_y = -normals[..., 1] / nz
+    slope = np.hypot(gradient_x, gradient_y)
+    scale = np.minimum(np.float32(1.0), np.float32(max_slope) / np.maximum(slope, np.float32(1e-6)))
+    if mask is not None:
+        scale = np.where(mask, scale, np.float32(0.0))
+    return (gradient_x * scale).astype(np.float32), (gradient_y * scale).astype(np.float32)
+
+
+def normals_from_gradients(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatArray:
+    """Unit normals (H, W, 3) of a surface with these slopes (dimensionless, y up)."""
+    normals = np.empty((*gradient_x.shape, 3), dtype=np.float32)
+    length = np.sqrt(gradient_x * gradient_x + gradient_y * gradient_y + np.float32(1.0))
+    normals[..., 0] = -gradient_x / length
+    normals[..., 1] = -gradient_y / length
+    normals[..., 2] = 1.0 / length
+    return normals
+
+
+def height_gradients(height: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    """Slopes dz/dx and dz/dy (y up) of `height` (H, W), NaN outside the surface, in units of `pitch` a pixel: central
+    differences, one-sided beside a missing neighbour, zero without both.
+    """
+    return _difference(height, 1) / np.float32(pitch), -_difference(height, 0) / np.float32(pitch)
+
+
+def _difference(height: FloatArray, axis: int) -> FloatArray:
+    values = np.moveaxis(height, axis, 0)
+    step = values[1:] - values[:-1]  # NaN where either end is missing
+    known = np.isfinite(step)
+    step = np.where(known, step, np.float32(0.0))
+    total = np.zeros_like(values)
+    count = np.zeros(values.shape, dtype=np.float32)
+    total[1:] += step
+    total[:-1] += step
+    count[1:] += known
+    count[:-1] += known
+    return np.moveaxis((total / np.maximum(count, np.float32(1.0))).astype(np.float32), 0, axis)
+
+
+def warp(
+    image: NDArray[np.float32], source_from_target: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic, zero from outside; `source_from_target`
+    (3 x 3) takes (column, row, 1) of the target to the source.
+    """
+    if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
+        raise BadInput("the transform between two frames is singular.")
+    pixels, flags = np.ascontiguousarray(image, dtype=np.float32), cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags), dtype=np.float32)
+
+
+def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:
+    """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    to_origin = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
+    back = np.array([[1.0, 0.0, centre[0]], [0.0, 1.0, centre[1]], [0.0, 0.0, 1.0]])
+    return np.asarray(back @ turn @ to_origin)
+
+
+def gaussian_mean(image: NDArray[Any], sigma: float) -> FloatArray:
+    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels, none below 0.2."""
+    if sigma < 0.2:
+        return np.asarray(image, dtype=np.float32)
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
+    """Gaussian mean (H, W) of `values` (H, W) float32 over what lies inside the mask (H, W); zero outside it."""
+
+    def blurred(image: FloatArray) -> FloatArray:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+
+    # about the mean, so that float32 keeps what matters
+    middle = np.float32(values[mask].mean()) if bool(mask.any()) else np.float32(0.0)
+    inside = mask.astype(np.float32)
+    total = blurred(np.where(mask, values - middle, np.float32(0.0)).astype(np.float32))
+    fraction = np.maximum(blurred(inside), np.float32(1e-6))
+    return np.asarray(np.where(mask, total / fraction + middle, np.float32(0.0)), dtype=np.float32)
+
+
+def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
+    factor = int(sigma / 4.0)
+    if factor < 2:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+    size = (image.shape[1], image.shape[0])
+    reduced = (-(-size[0] // factor), -(-size[1] // factor))
+    small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    smooth = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(smooth, dtype=np.float32)
+
+
+_LINE = 128
+"""Places in one row of what OpenCV reads, which takes no long ones."""
+
+
+def sampled_at(
+    field: FloatArray,
+    columns: NDArray[Any],
+    rows: NDArray[Any],
+    how: int = cv2.INTER_LINEAR,
+    outside: float | None = None,
+) -> FloatArray:
+    """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels, by OpenCV's
+    interpolation `how`; `outside`: value beside the field, by default the nearest pixel's.
+    """
+    missing, shape = -columns.size % _LINE, (*columns.shape, *field.shape[2:])
+    padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
+    x, y = (part.reshape(-1, _LINE) for part in padded)
+    border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
+    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4) if x.size else np.zeros(0)
+    return np.asarray(taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape), dtype=np.float32)
+
+
+def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
+    """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
+    size = (field.shape[1] * factor, field.shape[0] * factor)
+    large = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    return np.pad(large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge")
+
+
+def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
+    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
+    away = (~known).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    table[labels[known]] = values[known]
+    return np.asarray(table[labels])

@@ -1,0 +1,252 @@
+"""Photographs behind linear films: light as without them, and the light that the surface itself reflects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.band import CHUNK_ROWS, GREY_WEIGHTS, linear_stack
+from splitknit.imaging.geometry import bounding_box, wide_blur
+from splitknit.imaging.light_field import lights_in_front
+from splitknit.model import Band, Capture, Films, FloatArray
+
+NOT_SPECULAR = (
+    "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
+    "change its exposure between the series?"
+)
+_EVEN_MM = 0.5
+"""Size over which a specular picture is made even: a ridge's period."""
+_AS_ALIKE = 0.1
+"""Difference of two correlations below which they count as equal: an LED halfway between two others matches both."""
+_FILMS_DEG = ((90, 45), (135, 0))
+"""Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR."""
+
+
+def without_films(capture: Capture) -> Capture:
+    """The capture whose white light is the mean of its parallel and crossed series, where it has both; taken where
+    images are made linear. It has half the brightness of light without films, and its shading.
+    """
+    crossed = capture.bands.get("white_crossed")
+    if crossed is None:
+        return capture
+    white = replace(capture.bands["white"], crossed=crossed)
+    if white.side is not None:
+        white = replace(white, side=replace(white.side, crossed=crossed.side))
+    return replace(capture, bands={**capture.bands, "white": white})
+
+
+IN_FRONT = 4
+"""So many lights in front do without those to the side."""
+
+
+def without_side_lights(capture: Capture) -> Capture:
+    """The capture whose white bands have the lights in front of the finger, and the others as their `side`.
+
+    A light from the side leaves half of a finger, and valleys between ridges, in shadow: skin under it looks like no
+    surface under the lights in front. What is not skin, coloured lights, and lights in mirrors stay as they are.
+    """
+    white = capture.bands["white"]
+    if capture.material != "skin" or capture.rig.mirrors or white.colours:
+        return capture
+    front = lights_in_front(capture.rig.select(white.leds))
+    if front.all() or front.sum() < IN_FRONT:
+        return capture
+    both = {name: band for name, band in capture.bands.items() if name in {"white", "white_crossed"}}
+    parts = {name: replace(_chosen(band, front), side=_chosen(band, ~front)) for name, band in both.items()}
+    return replace(capture, bands={**capture.bands, **parts})
+
+
+def _chosen(band: Band, which: NDArray[np.bool_]) -> Band:
+    names = "pixels", "exposure", "black_level", "flat", "promised", "transmission"
+    arrays: dict[str, Any] = {name: None if (one := getattr(band, name)) is None else one[which] for name in names}
+    numbers = np.flatnonzero(which)
+    leds, files = tuple(band.leds[k] for k in numbers), tuple(band.files[k] for k in numbers if band.files)
+    return replace(band, leds=leds, files=files, **arrays)
+
+
+def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The parallel and the crossed image in one frame of a camera that has films on its pixels.
+
+    The light behind films of four directions gives its Stokes parameters, and they the light behind a film of any
+    direction: I(a) = (S0 + S1 cos 2a + S2 sin 2a) / 2. Light of each direction is interpolated to the middle of its
+    block of 2 x 2 pixels first: an edge would seem polarised otherwise. Raises BadInput if the frame has several
+    channels or sides that hold no whole blocks. Source: E. Collett, "Field Guide to Polarization", 2005: Stokes
+    parameters, Malus's law. `mosaic`: (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees
+    (Sony IMX250MZR); `film_deg`: direction of the film before the LEDs, as the camera states its own: 0 along the rows;
+    `colour`: whether the blocks lie behind a Bayer pattern (red, green / green, blue; Sony IMX250MYR). Returns (H / 2,
+    W / 2, C) of the mosaic's type, the parallel image clipped where one of a block's pixels is.
+
+    >>> import numpy as np
+    >>> mirrored = np.tile(np.array([[200, 100], [100, 0]], np.uint8), (4, 4))  # polarised along 90 degrees
+    >>> [int(image[2, 2, 0]) for image in split_mosaic(mirrored, film_deg=90.0)]
+    [200, 0]
+    """
+    rows, columns, block = *mosaic.shape[:2], 4 if colour else 2
+    wanted = f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
+    fits = mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0
+    require(fits, f"{wanted}, but it is {mosaic.shape} {mosaic.dtype}.")
+    full = np.iinfo(mosaic.dtype).max
+    light, clips = {}, np.zeros((rows // 2, columns // 2), dtype=np.bool_)
+    for row, column in np.ndindex(2, 2):
+        part = np.ascontiguousarray(mosaic.reshape(rows, columns)[row::2, column::2])
+        clips |= part >= 0.985 * full
+        if colour:
+            part = cv2.cvtColor(part, cv2.COLOR_BayerRGGB2RGB)
+        shift = np.array([[1, 0, 0.25 - 0.5 * column], [0, 1, 0.25 - 0.5 * row]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        light[_FILMS_DEG[row][column]] = cv2.warpAffine(
+            part.astype(np.float32), shift, part.shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+        ).reshape(rows // 2, columns // 2, -1)
+    clips = cv2.dilate(clips.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # as far as light was interpolated
+    total = (light[0] + light[45] + light[90] + light[135]) / 2
+    angle = np.deg2rad(2 * film_deg)
+    part = (light[0] - light[90]) * np.float32(np.cos(angle)) + (light[45] - light[135]) * np.float32(np.sin(angle))
+    parallel, crossed = (np.clip(np.rint((total + sign * part) / 2), 0, full) for sign in (1, -1))
+    parallel[clips] = full
+    return parallel.astype(mosaic.dtype), crossed.astype(mosaic.dtype)
+
+
+def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Specular and diffuse light of linear images through a parallel and a crossed analyser.
+
+    What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
+    depolarised passes either. Light that was scattered once or twice stays in part with the specular light. `parallel`
+    and `crossed`: (..., H, W) or (..., H, W, C) linear light of one exposure. Returns the difference, zero where noise
+    makes it negative, and the crossed images as they are. Raises BadInput if the two differ in shape. Source: S. L.
+    Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", 2002.
+
+    >>> specular, diffuse = separate_polarised(np.full((1, 4, 4), 0.5), np.full((1, 4, 4), 0.3))
+    >>> float(specular[0, 0, 0].round(3)), float(diffuse[0, 0, 0])
+    (0.2, 0.3)
+    """
+    differ = f"parallel and crossed images must have one shape, but they have {parallel.shape} and {crossed.shape}."
+    require(parallel.shape == crossed.shape, differ)
+    return np.maximum(parallel - crossed, np.float32(0.0)), crossed
+
+
+def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
+    series = [np.maximum(stack[:, mask], np.float32(1e-6)) for stack in (parallel, crossed)]
+    if series[1].mean() >= series[0].mean():
+        return (NOT_SPECULAR,)
+    shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
+    alike = np.corrcoef(*shares)[: len(parallel), len(parallel) :]
+    wrong = np.flatnonzero(np.diag(alike) < alike.max(axis=0) - _AS_ALIKE)
+    if wrong.size == 0:
+        return ()
+    k, like = wrong[0], alike[:, wrong[0]].argmax()
+    lit = f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
+    return (f"{lit}: list both series in the same order of lights.",)
+
+
+def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
+    """One specular image of all lights, of even brightness and contrast: the most legible picture of a finger.
+
+    Returns (H, W) float32, standard deviations from the local mean, NaN outside the mask. Bright is skin that is turned
+    towards half the angle between camera and a light: where it faces the camera, both flanks of a ridge; elsewhere one
+    of them. `specular`: (L, H, W) specular light, or (1, H, W) its mean; `mask`: (H, W) where it is looked at;
+    `sigma_px`: standard deviation, in pixels, of the Gaussian over which brightness and contrast are made even; about a
+    ridge's period.
+
+    >>> specular_picture(np.random.default_rng(0).random((7, 40, 40)), np.ones((40, 40), bool), 5.0).shape
+    (40, 40)
+    """
+    light = np.asarray(specular.mean(axis=0), dtype=np.float32)
+    weight = mask.astype(np.float32)
+
+    def smooth(values: FloatArray) -> FloatArray:
+        return np.asarray(wide_blur(values * weight, sigma_px) / around, dtype=np.float32)
+
+    around = np.asarray(np.maximum(wide_blur(weight, sigma_px), np.float32(1e-3)), dtype=np.float32)
+    detail = light - smooth(light)
+    contrast = np.sqrt(smooth(detail * detail))
+    least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
+    return np.where(mask, detail / np.maximum(contrast, least), np.float32(np.nan))
+
+
+def specular_of(capture: Capture, mask: NDArray[np.bool_]) -> FloatArray | None:
+    """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None without films."""
+    white = capture.bands["white"]
+    if white.crossed is None:
+        return None
+    rows, columns = bounding_box(mask)
+    specular = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
+    for top in range(rows.start, rows.stop, CHUNK_ROWS):  # of all images a few rows at a time
+        window = (slice(top, min(top + CHUNK_ROWS, rows.stop)), columns)
+        both = replace(white, crossed=None), white.crossed
+        series = (linear_stack(band, capture.encoding, "grey", window) for band in both)
+        specular[top - rows.start : window[0].stop - rows.start] = separate_polarised(*series)[0].mean(axis=0)
+    picture = np.full(mask.shape, np.nan, dtype=np.float32)
+    sigma_px = _EVEN_MM * capture.rig.camera.px_per_mm
+    picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], sigma_px)
+    return picture
+
+
+def picture_bytes(picture: FloatArray) -> NDArray[np.uint8]:
+    """A specular picture (H, W) in 8 bits: its local mean 102, a standard deviation 51, 0 where it is not known."""
+    return np.where(np.isfinite(picture), np.clip(np.nan_to_num(51 * picture + 102), 1, 255), 0).astype(np.uint8)
+
+
+# What a rig's polarising films do to its captures, undone: image shift, brightness and tint, light that they leak.
+
+
+def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
+    """The capture whose crossed series has the place and the brightness of the parallel one, and facts on its films.
+
+    The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series stays as it is: skin
+    does not show its brightness, because light that is scattered once keeps its polarisation. In a path-traced finger
+    behind films that pass the same, the crossed images have 0.89 of the parallel ones' red light, and 0.83 of the
+    green, even under the light that the surface reflects least. Raises BadInput if the rig's films were measured under
+    other LEDs.
+    """
+    parallel, crossed, films = capture.bands["white"], capture.bands.get("white_crossed"), capture.rig.films
+    if crossed is None or films is None:
+        return capture, {} if crossed is None else {"films": "taken as ideal"}
+    brightness = np.array(films.brightness)[_lights(films, parallel)]
+    if crossed.pixels.shape[3] == 1:
+        brightness = brightness @ GREY_WEIGHTS[:, None]
+    if films.shift_px != (0.0, 0.0) or films.scale != 1.0:
+        pixels = np.stack([undone(image, films).reshape(image.shape) for image in crossed.pixels])
+        crossed = replace(crossed, pixels=pixels)
+    crossed = replace(crossed, transmission=brightness)
+    return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}
+
+
+def contrast(capture: Capture, band: Band) -> NDArray[np.float64]:
+    """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects: the films leave `leak`
+    of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed one, P - C = (1 - 2 leak) M. Ideal films: 1.
+    """
+    films = capture.rig.films
+    if films is None:
+        return np.ones(len(band.leds))
+    return np.asarray(1.0 - 2.0 * np.array(films.leak)[_lights(films, band)])
+
+
+def crossed_place(films: Films, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
+    x, y = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    s, (dx, dy) = films.scale, films.shift_px
+    return np.array([[s, 0.0, (1.0 - s) * x + dx], [0.0, s, (1.0 - s) * y + dy]])
+
+
+def undone(image: FloatArray, films: Films) -> FloatArray:
+    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel one's pixels."""
+    matrix, size = crossed_place(films, image.shape), (image.shape[1], image.shape[0])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _lights(films: Films, parallel: Band) -> list[int]:
+    """Entry of the films for every image."""
+    entries = []
+    for group in parallel.leds:
+        measured = f"the rig's films were measured under LEDs {', '.join(map(str, films.leds))} only"
+        other = f"LED {group[0]} lights a polarised image, but {measured}; calibrate the polarisers again."
+        require(group[0] in films.leds, other)
+        entries.append(films.leds.index(group[0]))
+    return entries

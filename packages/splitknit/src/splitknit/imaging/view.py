@@ -1,0 +1,245 @@
+"""Where every pixel of a calibrated camera looks, and surfaces along its rays.
+
+A camera stands at (0, 0, height) of the rig's frame and looks down. An orthographic camera's rays are parallel; a
+perspective camera's pass through its centre, lens distortion taken off, and meet the finger plane (z = 0) where this
+module says.
+
+Surfaces *along the rays*: with D the camera's height and r the distance of a surface point from the camera's centre,
+h = D log(D / r) plays the part that the height plays under parallel rays. In the frame that is turned so that the
+pixel's ray is its z axis, the slopes of the surface are the derivatives of h by the angle times D. So everything that
+is known about slopes and light under parallel rays holds, each pixel in its own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray
+
+Points = NDArray[np.float64]
+Axis = NDArray[np.float64]
+
+LATTICE_PX = 16
+"""Distortion is computed at every so many pixels and interpolated by cubic splines."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
+
+    x_mm: Axis
+    """(W,) or (H, W)."""
+    y_mm: Axis
+    """(H,) or (H, W)."""
+    apex_mm: float | None = None
+    """Height of the camera's centre, through which all rays pass; None for parallel rays."""
+    along_rays: bool = False
+    """Whether heights run along the rays and vectors are in each pixel's frame; else both in the rig's frame."""
+
+    def on_plane(self, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """x and y on the finger plane of the pixels of some rows, to be broadcast to (h, W)."""
+        x = (self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]).astype(np.float32)
+        y = (self.y_mm[chunk, None] if self.y_mm.ndim == 1 else self.y_mm[chunk]).astype(np.float32)
+        return x, y
+
+    def points(self, height_mm: FloatArray, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y and z (h, W) of the surface points that the pixels of some rows see."""
+        x, y = self.on_plane(chunk)
+        if self.apex_mm is None:
+            return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape), height_mm
+        apex = np.float32(self.apex_mm)
+        if not self.along_rays:
+            nearer = np.float32(1.0) - height_mm / apex
+            return x * nearer, y * nearer, height_mm
+        # r over the distance at which the ray meets the plane
+        nearer = np.exp(-height_mm / apex) / np.sqrt(np.float32(1.0) + (x * x + y * y) / (apex * apex))
+        return x * nearer, y * nearer, apex * (np.float32(1.0) - nearer)
+
+    def along(self, z_mm: FloatArray) -> FloatArray:
+        """Heights along the rays (H, W) of surface points at `z_mm` (H, W): what :meth:`points` takes back to them."""
+        if self.apex_mm is None:
+            return z_mm
+        x, y = self.on_plane()
+        apex = np.float32(self.apex_mm)
+        far = np.sqrt(x * x + y * y + apex * apex) * (np.float32(1.0) - z_mm / apex)
+        return _f32(apex * np.log(apex / far))
+
+    def of_rows(self, chunk: slice) -> View:
+        """The view of some rows."""
+        x = self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]
+        return View(x, self.y_mm[chunk], self.apex_mm, self.along_rays)
+
+    def turned(self, vectors: FloatArray, chunk: slice = slice(None), where: Any = None) -> FloatArray:
+        """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the pixels' own frames."""
+        if not self._spread:
+            return vectors
+        a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
+        vx, vy, vz = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+        sideways = a * vx + b * vy
+        common = sideways / (np.float32(1.0) + c) + vz
+        return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
+
+    def in_rig(self, vectors: FloatArray) -> FloatArray:
+        """Vectors (H, W, 3) of the pixels' own frames in the rig's frame: the inverse of :meth:`turned`."""
+        if not self._spread:
+            return vectors
+        a, b, c = self._towards(slice(None), vectors.shape[:2], None)
+        rx, ry, rz = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        sideways = a * rx + b * ry
+        common = rz - sideways / (np.float32(1.0) + c)
+        return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
+
+    def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Movements (x_x, x_y, y_x, y_y), (H, W) each, in the pixel's frame, over `pitch_mm`, on an image of `shape`.
+
+        Along the frame's x by a step of a pixel to the right (``x_x``) and up (``x_y``), and along its y. Under
+        parallel rays on a regular grid: 1, 0, 0, 1.
+        """
+        x, y = (np.broadcast_to(v, shape) for v in self.on_plane())
+        x_right, x_up = np.gradient(x, axis=1) / pitch_mm, -np.gradient(x, axis=0) / pitch_mm
+        y_right, y_up = np.gradient(y, axis=1) / pitch_mm, -np.gradient(y, axis=0) / pitch_mm
+        if not self._spread:
+            return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
+        a, b, c = self._towards(slice(None), shape, None)
+        k = np.float32(1.0) / (np.float32(1.0) + c)
+        xx, xy, yy = c * (1 - a * a * k), -c * a * b * k, c * (1 - b * b * k)
+        x_x, x_y = xx * x_right + xy * y_right, xx * x_up + xy * y_up
+        y_x, y_y = xy * x_right + yy * y_right, xy * x_up + yy * y_up
+        return _f32(x_x), _f32(x_y), _f32(y_x), _f32(y_y)
+
+    @property
+    def _spread(self) -> bool:
+        return self.along_rays and self.apex_mm is not None
+
+    def _towards(self, chunk: slice, shape: Any, where: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Unit vectors from the plane towards the camera."""
+        assert self.apex_mm is not None
+        x, y = (np.broadcast_to(v, shape) for v in self.on_plane(chunk))
+        if where is not None:
+            x, y = x[where], y[where]
+        apex = np.float32(self.apex_mm)
+        far = np.sqrt(x * x + y * y + apex * apex)
+        return _f32(-x / far), _f32(-y / far), _f32(apex / far)
+
+
+def view_of(
+    camera: Camera,
+    rows: slice | None = None,
+    columns: slice | None = None,
+    *,
+    binning: float = 1,
+    along_rays: bool = False,
+) -> View:
+    """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no block is dropped)."""
+    starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
+    (top, bottom, _), (left, right, _) = starts
+    middle = 0.5 * (binning - 1)
+    row = np.asarray(top + np.arange(int((bottom - top) // binning)) * binning + middle, dtype=np.float64)
+    column = np.asarray(left + np.arange(int((right - left) // binning)) * binning + middle, dtype=np.float64)
+    if camera.model == "orthographic":
+        return View(*_pixel_axes_mm(camera, row, column))
+    some_rows, some_columns = (_lattice(axis) for axis in (row, column))
+    grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
+    points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
+    from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
+
+    x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
+    return View(np.asarray(x), np.asarray(y), camera.height_mm, along_rays)
+
+
+def _lattice(axis: Axis) -> Axis:
+    first, last = float(axis[0]), float(axis[-1])
+    count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
+    return np.linspace(first, max(last, first + 3.0), count)
+
+
+def _f32(values: Any) -> FloatArray:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
+    """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
+    height, width = camera.image_size
+    column = np.arange(width, dtype=np.float64) if columns is None else columns
+    row = np.arange(height, dtype=np.float64) if rows is None else rows
+    x = (column - (width - 1) / 2) * camera.pitch_mm
+    return np.asarray(x), np.asarray(((height - 1) / 2 - row) * camera.pitch_mm)
+
+
+def plane_points(camera: Camera, pixels: Any) -> Points:
+    """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's centre is (0, 0))
+    look at. Raises BadInput for another shape, or what is not finite.
+    """
+    places = np.asarray(pixels, dtype=np.float64)
+    sound = places.ndim == 2 and places.shape[1] == 2 and bool(np.isfinite(places).all())
+    require(sound, f"pixels must be finite and of the shape (N, 2), but they have the shape {places.shape}.")
+    if camera.model == "orthographic":
+        return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
+    assert camera.matrix is not None
+    distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+    matrix = np.asarray(camera.matrix, dtype=np.float64)
+    rays = cv2.undistortPointsIter(places[:, None], matrix, distortion, np.eye(3), matrix, criteria)[:, 0]
+    rays = (rays - matrix[:2, 2]) / np.diag(matrix)[:2]
+    rays[:, 0] -= matrix[0, 1] / matrix[0, 0] * rays[:, 1]
+    return np.asarray(rays * (camera.height_mm, -camera.height_mm), dtype=np.float64)
+
+
+def pixels_of(camera: Camera, points_mm: Any) -> Points:
+    """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
+    Raises BadInput for another shape, what is not finite, or points at or beyond a perspective camera's height.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    sound = points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
+    require(sound, f"points_mm must be finite and of the shape (N, 3), but it has the shape {points.shape}.")
+    rows, columns = camera.image_size
+    if camera.model == "orthographic":
+        column = points[:, 0] * camera.px_per_mm + (columns - 1) / 2
+        return np.stack([column, (rows - 1) / 2 - points[:, 1] * camera.px_per_mm], axis=1)
+    require(bool((points[:, 2] < camera.height_mm).all()), "points_mm must lie below the camera.")
+    assert camera.matrix is not None
+    seen = np.stack([points[:, 0], -points[:, 1], camera.height_mm - points[:, 2]], axis=1)
+    distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
+    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), np.asarray(camera.matrix, np.float64), distortion)
+    return np.asarray(pixels[:, 0], dtype=np.float64)
+
+
+# How the lens darkens towards the corners.
+
+
+def lens_shading(  # noqa: PLR0917
+    shading: Sequence[float],
+    image_size: Sequence[int],
+    first_row: int = 0,
+    first_column: int = 0,
+    binning: float = 1,
+    shape: Sequence[int] | None = None,
+) -> FloatArray:
+    """(h, w) brightness of the lens relative to the image's centre: 1 + a r^2 + b r^4 + ...
+
+    `shading`: a, b, ... of :class:`splitknit.model.Camera`; `image_size`: rows, columns of the whole image, half whose
+    diagonal is r = 1; `first_row`, `first_column`: where the window starts; `binning`: pixels a side of its blocks;
+    `shape`: of the window in blocks, by default that of the whole image.
+    """
+    rows, columns = int(image_size[0]), int(image_size[1])
+    height, width = (int(rows // binning), int(columns // binning)) if shape is None else (int(shape[0]), int(shape[1]))
+    middle = 0.5 * (binning - 1)
+    y = first_row + np.arange(height) * binning + middle - 0.5 * (rows - 1)
+    x = first_column + np.arange(width) * binning + middle - 0.5 * (columns - 1)
+    squared = (y[:, None] ** 2 + x[None, :] ** 2) / (0.25 * (rows**2 + columns**2))
+    return shading_at(shading, squared).astype(np.float32)
+
+
+def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.model.Camera`."""
+    brightness = np.ones_like(squared)
+    for k, coefficient in enumerate(shading):
+        brightness += coefficient * squared ** (k + 1)
+    return brightness

@@ -1,0 +1,513 @@
+"""Least-squares integration over any mask: the height whose differences are nearest to the integrated gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+# Geometric multigrid for the graph Laplacian of a masked, weighted pixel grid.
+#
+# A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them does. The weight of a
+# coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth surface.
+# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask, and residuals
+# to the coarser grid by its exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
+# One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
+#
+# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
+# coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
+#
+# Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
+# (cell-centred grids).
+
+
+# Differences between neighbouring pixels, their adjoint, and the difference that a gradient field predicts.
+#
+# Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
+# j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
+
+Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+
+
+def _difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Height of the right neighbour, and of the lower neighbour, less the pixel's own."""
+    right, down = np.zeros_like(height), np.zeros_like(height)
+    np.subtract(height[:, 1:], height[:, :-1], out=right[:, :-1])
+    np.subtract(height[1:], height[:-1], out=down[:-1])
+    return right, down
+
+
+def _difference_adjoint(right: Floats, down: Floats) -> Floats:
+    """Adjoint of :func:`_difference`: what flows into a pixel less what flows out of it."""
+    result = -right - down
+    result[:, 1:] += right[:, :-1]
+    result[1:] += down[:-1]
+    return result
+
+
+def _edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Mean weight of an edge's two pixels, zero unless both lie in the mask."""
+    own = mask.astype(np.float32) if weights is None else np.where(mask, weights, np.float32(0.0))
+    right, down = np.zeros_like(own), np.zeros_like(own)
+    both_right, both_down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
+    right[:, :-1] = np.float32(0.5) * (own[:, 1:] + own[:, :-1]) * both_right
+    down[:-1] = np.float32(0.5) * (own[1:] + own[:-1]) * both_down
+    return right, down
+
+
+def _predicted_differences(
+    slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, quadrature: str
+) -> tuple[FloatArray, FloatArray]:
+    """Integral of the slopes (y up) along every edge; what lies outside the mask is never used.
+
+    ``trapezoidal`` is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the
+    mean: where they fall with the slope, as trust does, steep sides would come out too low. ``cubic`` integrates the
+    parabola-exact rule (-1, 13, 13, -1) / 24 where an edge has two more pixels of the surface in line, and falls back
+    to the mean elsewhere and wherever there are weights.
+    """
+    right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
+    cubic = quadrature == "cubic" and weights is None
+    right[:, :-1] = _edge_integral(slope_x.T, mask.T, None if weights is None else weights.T, cubic).T
+    down[:-1] = -_edge_integral(slope_y, mask, weights, cubic)
+    return right, down
+
+
+def _edge_integral(slope: FloatArray, mask: BoolArray, weights: FloatArray | None, cubic: bool) -> FloatArray:
+    """Integral between successive rows, (H - 1, W)."""
+    if weights is not None:
+        used = (weights > _WEIGHT_FLOOR).astype(np.float32)
+        kept = slope * used
+        return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], np.float32(1)))
+    mean = np.float32(0.5) * (slope[1:] + slope[:-1])
+    if cubic and slope.shape[0] > 3:
+        # (13 (b + c) - (a + d)) / 24 = (b + c) / 2 + (b + c - a - d) / 24
+        inner = mean[1:-1] - np.float32(0.5) * (slope[3:] + slope[:-3])
+        inner *= mask[3:] & mask[:-3]
+        inner *= np.float32(1.0 / 12.0)
+        mean[1:-1] += inner
+    return mean
+
+
+_CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
+_SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
+_STEPS = (0.5618, 1.3894)
+"""Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum;
+as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
+_COARSEST = 4
+_COARSEST_SWEEPS = 48
+_LONG = 16
+"""A coarsest grid with a longer side is solved directly, not by sweeps."""
+_WELDED = 0.02
+"""Fraction of coarse pixels that may join what is not joined inside them."""
+_DIRECT = 100_000
+"""Unknowns that a direct solver is trusted with."""
+_GROUND = 1e-9
+"""Added to the diagonal of the direct system, relative to its mean: it fixes the free constant of every part."""
+
+
+class _Grid:
+    """One level: edge weights, and the operators on heights that are zero outside the surface."""
+
+    def __init__(self, right: FloatArray, down: FloatArray, unit: bool) -> None:
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask."""
+        self.right, self.down, self.unit = right, down, unit
+        degree = right + down
+        degree[:, 1:] += right[:, :-1]
+        degree[1:] += down[:-1]
+        self.degree = degree
+        self.inverse = np.where(degree > 0, 1 / np.maximum(degree, np.float32(1e-30)), 0).astype(np.float32)
+        self.inside = (degree > 0).astype(np.float32)
+        self._target, self._term = np.empty_like(right), np.empty_like(right)
+        self.coarser: _Grid | None = None
+        self.direct: _DirectSolver | None = None
+        self.fraction = self.inside  # replaced where there is a coarser grid
+
+    def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
+        """Weighted sum of the four neighbours (not masked on a unit grid)."""
+        total = np.empty_like(height) if out is None else out
+        if self.unit:
+            cv2.filter2D(height, -1, _CROSS, dst=total, borderType=cv2.BORDER_CONSTANT)
+            return total
+        right, down = self.right[:, :-1], self.down[:-1]
+        term = self._term if height.dtype == self._term.dtype else np.empty_like(height)
+        np.multiply(right, height[:, 1:], out=total[:, :-1])
+        total[:, -1] = 0
+        np.multiply(right, height[:, :-1], out=term[:, 1:])
+        total[:, 1:] += term[:, 1:]
+        np.multiply(down, height[1:], out=term[:-1])
+        total[:-1] += term[:-1]
+        np.multiply(down, height[:-1], out=term[1:])
+        total[1:] += term[1:]
+        return total
+
+    def apply(self, height: Floats) -> Floats:
+        """Laplacian (positive semidefinite) of `height`, in the precision of `height`."""
+        around = self.neighbours(height)
+        if self.unit:
+            around *= self.inside
+        np.subtract(self.degree * height, around, out=around)
+        return around
+
+    def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> None:
+        """One damped Jacobi step in place."""
+        target = self.neighbours(height, out=self._target)
+        target += right_side
+        target *= self.inverse
+        cv2.addWeighted(height, 1 - step, target, step, 0, dst=height)
+
+    def cycle(self, right_side: FloatArray) -> FloatArray:
+        """One V-cycle from zero: an approximate solution of `apply`(height) = right_side."""
+        if self.direct is not None:
+            return self.direct(right_side)
+        height = self.inverse * right_side
+        height *= np.float32(_STEPS[0])
+        self._smooth(height, right_side, _STEPS[1])
+        if self.coarser is None:
+            for _ in range(_COARSEST_SWEEPS):
+                for step in _STEPS:
+                    self._smooth(height, right_side, step)
+        else:
+            residual = right_side - self.apply(height)
+            height += self.prolong(self.coarser.cycle(self.restrict(residual)))
+        for step in _STEPS:
+            self._smooth(height, right_side, step)
+        return height
+
+    def solve_nested(self, right_side: FloatArray) -> FloatArray:
+        """Full multigrid: the coarse solution as the start of one V-cycle."""
+        if self.coarser is None or self.direct is not None:
+            return self.cycle(right_side)
+        height = self.prolong(self.coarser.solve_nested(self.restrict(right_side)))
+        height += self.cycle(right_side - self.apply(height))
+        return height
+
+    def prolong(self, coarse: FloatArray) -> FloatArray:
+        """Interpolate heights of the coarser grid to this one."""
+        rows, columns = self.inside.shape
+        fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(fine * self.fraction, dtype=np.float32)
+
+    def restrict(self, residual: FloatArray) -> FloatArray:
+        """Adjoint of :meth:`prolong`."""
+        assert self.coarser is not None
+        spread = cv2.sepFilter2D(
+            residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
+        )
+        return np.ascontiguousarray(spread[::2, ::2]) * self.coarser.inside
+
+
+class _DirectSolver:
+    """Pseudo-inverse of one grid's Laplacian by sparse factorisation: every connected part keeps a zero mean."""
+
+    def __init__(self, grid: _Grid) -> None:
+        """Factorise."""
+        self.pixels = np.flatnonzero(grid.inside)
+        index = np.full(grid.inside.size, -1)
+        index[self.pixels] = np.arange(self.pixels.size)
+        columns = grid.inside.shape[1]
+        ends, values = [], []
+        for weight, stride in ((grid.right, 1), (grid.down, columns)):
+            start = np.flatnonzero(weight)
+            ends.append((index[start], index[start + stride]))
+            values.append(weight.ravel()[start].astype(np.float64))
+        first, second = np.concatenate([e[0] for e in ends]), np.concatenate([e[1] for e in ends])
+        value = -np.concatenate(values)
+        degree = grid.degree.ravel()[self.pixels].astype(np.float64)
+        own = np.arange(self.pixels.size)
+        from scipy.sparse.csgraph import connected_components  # slow to import
+        from scipy.sparse.linalg import splu  # slow to import
+
+        matrix = scipy.sparse.csc_matrix(
+            (
+                np.concatenate([value, value, degree + _GROUND * degree.mean()]),
+                (np.concatenate([first, second, own]), np.concatenate([second, first, own])),
+            )
+        )
+        parts, self.part = connected_components(matrix, directed=False)
+        self.size = np.bincount(self.part, minlength=parts)
+        self.factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def __call__(self, right_side: FloatArray) -> FloatArray:
+        """Solve for one right side (H, W)."""
+        height = np.zeros(right_side.size, dtype=np.float32)
+        balanced = self._balance(right_side.ravel()[self.pixels].astype(np.float64))
+        height[self.pixels] = self._balance(self.factor.solve(balanced))
+        return height.reshape(right_side.shape)
+
+    def _balance(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        mean = np.bincount(self.part, weights=values, minlength=self.size.size) / self.size
+        return np.asarray(values - mean[self.part])
+
+
+def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
+    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
+    finest = _Grid(right, down, unit)
+    grid = finest
+    while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
+        coarse = _Grid(
+            np.float32(0.5) * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
+            np.float32(0.5) * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
+            unit=False,
+        )
+        small = np.count_nonzero(grid.inside) <= _DIRECT
+        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
+            break
+        cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
+        grid.coarser = coarse
+        grid = coarse
+    if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
+        grid.direct = _DirectSolver(grid)
+    return finest
+
+
+def _welded_fraction(grid: _Grid) -> float:
+    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
+    rows, columns = (side // 2 * 2 for side in grid.inside.shape)
+    inside = grid.inside[:rows, :columns]
+    members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
+    right, down = grid.right[:rows, :columns] > 0, grid.down[:rows, :columns] > 0
+    edges = np.add(right[::2, ::2], right[1::2, ::2], dtype=np.float32)
+    edges += down[::2, ::2]
+    edges += down[::2, 1::2]
+    return int(np.count_nonzero(edges < members - 1)) / max(int(np.count_nonzero(members)), 1)
+
+
+def _padded_size(rows: int, columns: int) -> tuple[int, int]:
+    """Smallest size not below the given one that halves until its smaller side is at most four."""
+    halvings = 0
+    while min(rows, columns) / 2**halvings > _COARSEST:
+        halvings += 1
+    block = 2**halvings
+    return -(-rows // block) * block, -(-columns // block) * block
+
+
+_TOLERANCE = 1e-5
+"""Stop when the estimated rms error of the solver falls below this part of the rms height."""
+_WEIGHT_FLOOR = 1e-3
+"""Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoissonSettings(Checked):
+    """Accuracy and limits of the masked solver."""
+
+    max_iterations: Annotated[int, Limits(0, above=True)] = 300
+    """Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
+    quadrature: Literal["trapezoidal", "cubic"] = "trapezoidal"
+    """Integral between neighbours: ``trapezoidal`` or ``cubic`` (exact for slopes up to a cubic)."""
+
+
+def poisson(
+    gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None, settings: PoissonSettings | None = None
+) -> FloatArray:
+    """Height whose neighbour differences are nearest, in the (weighted) least-squares sense, to the gradients.
+
+    Only differences between pixels of the mask count, so that the surface may end steeply, be cut by the image border,
+    have holes, or fall into several parts. A whole rectangle without weights is solved directly by cosine transforms;
+    everything else by conjugate gradients with a multigrid preconditioner.
+
+    Parameters
+    ----------
+    gradient_x, gradient_y, mask
+        As of :func:`splitknit.integration.frankot_chellappa`.
+    weights : (H, W), optional
+        Trust in each pixel's gradient, in [0, 1].
+    settings : PoissonSettings, optional
+
+    Returns
+    -------
+    (H, W) float32
+        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients fix
+        nothing about the height of one part over another.
+
+    Raises
+    ------
+    BadInput
+        If shapes differ, the mask is empty, or a gradient or weight inside the mask is not finite or out of range.
+
+    References
+    ----------
+    B. K. P. Horn and M. J. Brooks, "The variational approach to shape from shading", CVGIP 33 (1986); Y. Queau,
+    J.-D. Durou and J.-F. Aujol, "Normal integration: a survey", JMIV 60 (2018), section 3; the thesis, (3.35) to
+    (3.39).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rows, columns = np.mgrid[0:40, 0:60]
+    >>> inside = np.hypot(rows - 20, columns - 30) < 18
+    >>> height = poisson(np.full((40, 60), 0.5), np.full((40, 60), -0.25), inside)
+    >>> round(float(height[20, 40] - height[20, 20]), 3), round(float(height[10, 30] - height[30, 30]), 3)
+    (10.0, -5.0)
+    """
+    chosen = settings if settings is not None else PoissonSettings()
+    slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
+    trust = None if weights is None else _check_weights(weights, inside)
+    if trust is None and bool(inside.all()):
+        right, down = _predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
+        return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
+    window = bounding_box(inside)
+    height = _solve_masked(
+        slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window], chosen
+    )
+    result = np.full(inside.shape, np.nan, dtype=np.float32)
+    result[window] = _zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
+    return result
+
+
+_BLOCK = 4
+"""Pixels a side of a block that weights act on."""
+
+
+def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray) -> FloatArray:
+    """Height (H, W) of a whole rectangle in pixels, its mean about zero, by weighted least squares.
+
+    :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights (in [0, 1]) are even nearly
+    everywhere, the unweighted height differs from the weighted one by what is smooth: the weighted height of the slopes
+    that it leaves, in means over blocks of pixels.
+    """
+    height = poisson(gradient_x, gradient_y)
+    if min(height.shape) < 8 * _BLOCK:
+        return poisson(gradient_x, gradient_y, weights=weights)
+    size = tuple(-(-side // _BLOCK) for side in height.shape[::-1])
+    trust = np.minimum(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32(1.0))
+    least = np.maximum(trust, np.float32(_WEIGHT_FLOOR))
+    left = []
+    for axis, gradient in ((1, gradient_x), (0, gradient_y)):
+        own = np.gradient(height, axis=axis)
+        own = (gradient - own if axis else gradient + own) * weights  # y is up
+        block = np.float32(height.shape[axis] / size[1 - axis])
+        left.append(cv2.resize(own, size, interpolation=cv2.INTER_AREA) * (block / least))
+    rest = poisson(left[0], left[1], weights=trust)
+    height += cv2.resize(rest, height.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return height
+
+
+def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
+    array = np.asarray(weights)
+    require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
+    trust = np.where(mask, array, 0.0).astype(np.float32)
+    require(
+        bool(np.isfinite(trust).all()) and float(trust.min()) >= 0 and float(trust.max()) <= 1,
+        "weights must lie between 0 and 1 inside the mask.",
+    )
+    return np.maximum(trust, np.float32(_WEIGHT_FLOOR))
+
+
+def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return `height` with a zero mean over every 4-connected component of the mask, NaN outside it."""
+    count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    if count <= 2:
+        return zero_mean(height, mask)
+    flat = labels.ravel()
+    size = np.bincount(flat, minlength=count)
+    total = np.bincount(flat, weights=height.ravel(), minlength=count)
+    mean = (total / np.maximum(size, 1)).astype(np.float32)
+    return np.where(mask, height - mean[labels], np.float32(np.nan))
+
+
+def _solve_rectangle(right_side: FloatArray) -> FloatArray:
+    """Laplacian with free borders, inverted in its eigenbasis, the cosines."""
+    rows, columns = right_side.shape
+    row_value = 2 - 2 * np.cos(np.pi * np.arange(rows) / rows)
+    column_value = 2 - 2 * np.cos(np.pi * np.arange(columns) / columns)
+    eigenvalues = (row_value[:, None] + column_value[None, :]).astype(np.float32)
+    eigenvalues[0, 0] = 1.0
+    spectrum = scipy.fft.dctn(right_side, type=2, workers=WORKERS)
+    spectrum /= eigenvalues
+    spectrum[0, 0] = 0.0
+    return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
+
+
+def _solve_masked(
+    slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, settings: PoissonSettings
+) -> FloatArray:
+    rows, columns = mask.shape
+    size = _padded_size(rows, columns)
+    frame = ((0, size[0] - rows), (0, size[1] - columns))
+    inside = np.pad(mask, frame)
+    trust = None if weights is None else np.pad(weights, frame)
+    weight_right, weight_down = _edge_weights(inside, trust)
+    target_right, target_down = _predicted_differences(
+        np.pad(slope_x, frame), np.pad(slope_y, frame), inside, trust, settings.quadrature
+    )
+    grid = _build_grids(weight_right, weight_down, unit=weights is None)
+    height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
+    # The residual of edges, not of heights: differences of neighbouring heights are exact in single precision.
+    step_right, step_down = _difference(height)
+    residual = _difference_adjoint(
+        (weight_right * (target_right - step_right)).astype(np.float64),
+        (weight_down * (target_down - step_down)).astype(np.float64),
+    )
+    del target_right, target_down, step_right, step_down
+    height += _conjugate_gradients(grid, residual, _rms(height), settings)
+    return height[:rows, :columns]
+
+
+def _conjugate_gradients(
+    grid: _Grid, residual: NDArray[np.float64], scale: float, settings: PoissonSettings
+) -> FloatArray:
+    """Solve for the correction until the estimated rms error is small.
+
+    Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few
+    pixels shift against each other by the rounding of the residual, divided by a very small stiffness. For the same
+    reason the preconditioned residual is divided by the smallest eigenvalue that the iteration has met (Lanczos).
+    """
+    correction = np.zeros(residual.shape, dtype=np.float32)
+    direction = np.zeros_like(residual)
+    lengths: list[float] = []
+    ratios: list[float] = []
+    energy = 1.0
+    for _ in range(settings.max_iterations):
+        estimate = grid.cycle(residual.astype(np.float32))
+        previous, energy = energy, _dot(residual, estimate)
+        if energy <= 0:
+            break
+        ratios.append(energy / previous)
+        if lengths and _rms(estimate) <= _TOLERANCE * scale * _smallest_eigenvalue(lengths, ratios):
+            correction += estimate
+            break
+        direction *= ratios[-1]
+        direction += estimate
+        image = grid.apply(direction)
+        curvature = _dot(direction, image)
+        if curvature <= 0:
+            break
+        lengths.append(energy / curvature)
+        image *= lengths[-1]
+        residual -= image
+        correction += np.multiply(direction, lengths[-1], out=image)
+    return correction
+
+
+def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:
+    """Smallest Ritz value of the preconditioned operator, from the coefficients of conjugate gradients so far.
+
+    The tridiagonal Lanczos matrix has 1 / a_k + b_k / a_(k-1) on its diagonal and sqrt(b_k) / a_(k-1) beside it (Y.
+    Saad, "Iterative methods for sparse linear systems", 2nd edition, eq. 6.82).
+    """
+    step, ratio = np.array(lengths), np.array(ratios[1 : len(lengths)])
+    diagonal = 1 / step
+    diagonal[1:] += ratio / step[:-1]
+    beside = np.sqrt(ratio) / step[:-1]
+    return float(np.linalg.eigvalsh(np.diag(diagonal) + np.diag(beside, -1))[0])  # it reads the lower triangle
+
+
+def _dot(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """Inner product whose bytes do not depend on threads: along the rows, then their sum in double precision."""
+    return float(np.sum(np.einsum("ij,ij->i", a, b), dtype=np.float64))
+
+
+def _rms(a: NDArray[Any]) -> float:
+    return float(np.sqrt(_dot(a, a) / a.size))

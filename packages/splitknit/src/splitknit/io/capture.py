@@ -1,0 +1,281 @@
+"""Capture folders, format ``splitknit-capture`` version 1: read with every check, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+import shutil
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitknit.errors import BadInput, check_mask, require
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture_file import (
+    BANDS,
+    CAPTURE_FORMAT,
+    CAPTURE_VERSION,
+    CapturePlan,
+    check_pair,
+    read_plan,
+)
+from splitknit.io.content import check_contents, mask_from_image
+from splitknit.io.images import StackReader, cores, encode_image, read_image
+from splitknit.io.npz import write_npz
+from splitknit.io.provenance import JsonValue, file_hash, plain_json
+from splitknit.io.rig import read_rig, rig_to_json
+from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid
+from splitknit.steps import let_go
+
+
+def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, threads: int = 0) -> Capture:
+    """Read a capture folder.
+
+    Parameters
+    ----------
+    path : the folder, or the ``capture.json`` in it
+    may_be_dark : take images that are nearly black, such as those of a black ball
+    threads : that decode images; 0: one for each core, at most eight
+
+    Returns
+    -------
+    Capture
+        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.imaging.band.linear_stack` makes light of
+        them.
+
+    Raises
+    ------
+    BadInput
+        With one sentence that names the file and the remedy: missing, truncated or damaged files, images that differ
+        in size from each other or from the rig's camera, black or overexposed images, too few images, LEDs that are
+        missing, of the wrong band, coplanar or duplicate, broken JSON, and paths that leave the folder.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> splitknit.read_capture("demo/capture").rig.camera.px_per_mm  # doctest: +SKIP
+    """
+    plan = read_plan(_document(path))
+    folder = _document(path).parent
+    rig = plan.capture.rig
+    size, rig_name = rig.camera.image_size, f"{plan.rig_file} (is the rig for another camera?)"
+    with StackReader(threads) as reader:
+        stacks = {key: reader.start(band.files, size, rig_name) for key, band in plan.bands.items()}
+        dark = {key: band.ambient for key, band in plan.bands.items() if band.ambient is not None}
+        ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
+        mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
+        hashes = reader.finish()
+    bands: dict[str, Band] = {}
+    for key, band in plan.bands.items():
+        full = int(np.iinfo(stacks[key].dtype).max)
+        for name, black in zip(band.band.files, band.band.black_level, strict=True):
+            require(black < full, f"{name} has the black level {black:g}, but its full scale is {full}.")
+        bands[key] = _seen_by(rig, replace(band.band, pixels=stacks[key], ambient=ambients.get(key)))
+    if not may_be_dark:
+        check_contents(bands.values())
+    for key, band in plan.bands.items():
+        if band.flat:
+            flat = [coarse_grid(read_image(file).mean(axis=2, dtype=np.float32)) for file in band.flat]
+            kind = read_image(band.flat[0]).dtype
+            scale = 65535.0 / float(np.iinfo(kind).max)
+            bands[key] = replace(bands[key], flat=np.rint(scale * np.stack(flat)).astype(np.uint16))
+            hashes |= {str(file): file_hash(file) for file in band.flat}
+    if (shading := plan.capture.shading) is not None:
+        hashes[str(shading)] = file_hash(shading)
+    hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
+    mask = None if mask_pixels is None else mask_from_image(mask_pixels, str(plan.mask))
+    hashes = {Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)}
+    return replace(plan.capture, bands=bands, mask=mask, hashes=hashes)
+
+
+def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
+    """The capture as taken by another file's rig, such as a later calibration of it. Raises BadInput if the file is not
+    a rig's, its camera has another image size, or it lacks LEDs or has other bands.
+    """
+    rig = read_rig(path)
+    name, (rows, columns), own = os.fspath(path), capture.shape, rig.camera.image_size
+    other = f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
+    require(own == capture.shape, f"{other}, the capture's have {rows} x {columns}.")
+    for band in capture.bands.values():
+        for index in sorted({k for group in band.leds for k in group}):
+            there = f"of the band '{rig.leds[index].band}' there" if index < len(rig.leds) else "not in it"
+            lit = f"LED {index}, which lit images of the band '{band.name}', is {there}."
+            fits = index < len(rig.leds) and rig.leds[index].band == band.spectral
+            require(fits, f"{name} does not fit the capture: {lit}")
+    bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
+    if "white_crossed" in bands:
+        check_pair(bands["white"], bands["white_crossed"], name, rig)
+    hashes = {**capture.hashes, f"replaced rig: {Path(path).name}": file_hash(path)}
+    return replace(capture, rig=rig, bands=bands, hashes=hashes)
+
+
+def write_capture(
+    capture: Capture,
+    folder: str | os.PathLike[str],
+    truth: Mapping[str, Any] | None = None,
+    image_format: str = "png",
+    overwrite: bool = False,
+) -> None:
+    """Write `capture` as a folder that :func:`read_capture` reads back, pixel for pixel.
+
+    Files are named ``white_0.png``, ``ambient_white.png``, ``mask.png``, ``rig.json``, ``truth.npz``, whatever the
+    capture's own files were called. The folder appears when it is complete.
+
+    Parameters
+    ----------
+    truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
+    image_format : ``png`` or ``tiff``
+    overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty is refused
+
+    Raises
+    ------
+    BadInput
+        If the capture's parts do not fit each other or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1)
+    >>> splitknit.write_capture(capture, "finger", truth)  # doctest: +SKIP
+    """
+    require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
+    _check_parts(capture)
+    suffix = "." + image_format
+    plain = {key: _is_plain(band) for key, band in capture.bands.items()}
+    if "white_crossed" in plain:  # two series state their exposures both or neither
+        plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
+    with atomic_folder(folder, overwrite=overwrite) as target:
+        images: list[tuple[str, PixelArray]] = []
+        listed = [key for key in BANDS if key in capture.bands]
+        document: dict[str, JsonValue] = {
+            "format": CAPTURE_FORMAT,
+            "version": CAPTURE_VERSION,
+            "rig": "rig.json",
+            "bands": {key: _band_json(capture.bands[key], suffix, images, plain=plain[key]) for key in listed},
+            "encoding": capture.encoding,
+            "material": capture.material,
+        }
+        if capture.shading is not None:
+            require(capture.shading.is_file(), f"{capture.shading}, the shading of the capture, does not exist.")
+            shutil.copyfile(capture.shading, target / "shading.npz")
+            document["shading"] = "shading.npz"
+        if capture.tip_direction_deg is not None:
+            document["tip_direction_deg"] = float(capture.tip_direction_deg)
+        if capture.mask is not None:
+            images.append(("mask.png", np.asarray(capture.mask, dtype=np.uint8) * np.uint8(255)))
+            document["mask"] = "mask.png"
+        if capture.subject:
+            document["subject"] = plain_json(capture.subject, "subject")
+        if capture.captured_at is not None:
+            document["captured_at"] = capture.captured_at
+        if truth is not None:
+            write_npz(target / "truth.npz", truth)
+        elif capture.truth is not None:
+            require(capture.truth.is_file(), f"{capture.truth}, the truth of the capture, does not exist.")
+            shutil.copyfile(capture.truth, target / "truth.npz")
+        if truth is not None or capture.truth is not None:
+            document["truth"] = "truth.npz"
+
+        def write(image: tuple[str, PixelArray]) -> None:
+            (target / image[0]).write_bytes(encode_image(image[1], Path(image[0]).suffix))
+            let_go(image[1])
+
+        with ThreadPoolExecutor(cores()) as pool:
+            list(pool.map(write, images))
+        for name, content in (("rig.json", rig_to_json(capture.rig)), ("capture.json", document)):
+            text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+            (target / name).write_text(text, encoding="ascii")
+
+
+def photographs_hint(folder: Path) -> str:
+    """What to do with a folder of photographs where a capture is wanted, in brackets."""
+    command = f"splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
+    return f"(photographs: {command}, or splitknit import)"
+
+
+def _document(path: str | os.PathLike[str]) -> Path:
+    try:
+        given = Path(path)
+        if given.is_dir():
+            file, hint = given / "capture.json", photographs_hint(given)
+            require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json {hint}.")
+            return file
+        require(given.is_file(), f"{given} does not exist; name a capture folder.")
+        require(given.suffix == ".json", f"{given} is not a capture; name its folder or the capture.json in it.")
+        return given
+    except BadInput:
+        raise
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
+
+
+def _seen_by(rig: Rig, band: Band) -> Band:
+    """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
+    colours = rig.colours_of(band.leds)
+    for k, names in enumerate(colours):
+        name, count = band.files[k] if band.files else f"image {k}", len(set(names))
+        mixed = f"but LEDs of {count} colours lit it; their light can be separated in colour images only."
+        require(band.pixels.shape[3] == 3 or count == 1, f"{name} is grey, {mixed}")
+    crosstalk = rig.camera.crosstalk if colours else None
+    return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
+
+
+def _check_parts(capture: Capture) -> None:
+    size = capture.rig.camera.image_size
+    require("white" in capture.bands, "a capture needs a band 'white'.")
+    for key, band in capture.bands.items():
+        require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
+        shape, least = band.pixels.shape, 1 if band.colours else 3
+        fits = len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least
+        expected = f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected."
+        require(fits, f"the pixels of the band '{key}' have the shape {shape}; {expected}")
+        fits = band.ambient is None or band.ambient.shape[:2] == size
+        require(fits, f"the ambient image of the band '{key}' has another size than the rig's camera.")
+        leds, exposures, levels = map(len, (band.leds, band.exposure, band.black_level))
+        differ = f"{shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels."
+        require(leds == exposures == levels == shape[0], f"the band '{key}' has {differ}")
+    if "white_crossed" in capture.bands:
+        check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
+    if capture.mask is not None:
+        check_mask(capture.mask, size)
+
+
+def _is_plain(band: Band) -> bool:
+    """Whether its images need no more than their names: the exposure is 1, the black level 0."""
+    plain = bool((band.exposure == 1.0).all() and (band.black_level == 0.0).all())
+    return plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
+
+
+def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
+    """Return the band's entry in the document, and add its files to `images`."""
+    entries: list[JsonValue] = []
+
+    def entry(name: str, pixels: PixelArray, exposure: float, black_level: float) -> JsonValue:
+        images.append((name, pixels))
+        return name if plain else {"file": name, "exposure_s": exposure, "black_level": black_level}
+
+    for k, pixels in enumerate(band.pixels):
+        name = f"{band.name}_{k}{suffix}"
+        entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
+    leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
+    result: dict[str, JsonValue] = {"images": entries, "leds": leds}
+    if band.polarisation:
+        result["polarisation"] = band.polarisation
+    if band.ambient is not None:
+        name = f"ambient_{band.name}{suffix}"
+        result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
+    if band.flat is not None:
+        names = [f"flat_{band.name}_{k}{suffix}" for k in range(len(band.flat))]
+        images += [(name, image[..., None]) for name, image in zip(names, band.flat, strict=True)]
+        result["flat"] = list(names)
+    return result
+
+
+__all__ = ["CapturePlan", "read_capture", "write_capture"]

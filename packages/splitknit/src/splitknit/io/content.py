@@ -1,0 +1,126 @@
+"""What the pictures themselves must show: light, not too much of it, and directions that determine a normal."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
+from math import ceil, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadExposure, require
+from splitknit.model import Band, BoolArray, PixelArray
+from splitknit.steps import let_go
+
+# When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as stored.
+_DARK_FRACTION = 0.01
+"""Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits hold no shading."""
+_RELATIVE_DARK = 0.03
+"""Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor of 3 at most."""
+_BRIGHT_QUANTILE = 0.999
+"""Which pixels are "bright": all but the brightest thousandth, so that hot pixels do not count as light."""
+_FULL_SCALE = 0.995
+"""A stored value from here on counts as clipped (254 of 255; 10- and 12-bit data shifted to 16 bits end above)."""
+_LIT_FRACTION = 0.02
+"""Pixels above this (black level taken off) are lit: the finger, not its black background."""
+_SATURATED_FRACTION = 0.2
+"""Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
+_SATURATED_AREA = 0.005
+"""It must be more than this part of the whole image too: a dark object with a small highlight is no overexposure."""
+_SAMPLE_PIXELS = 200_000
+"""About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
+
+
+def check_contents(bands: Collection[Band]) -> None:
+    """Refuse bands as :func:`check_content`, and images with the same pixels (noise differs); BadInput names both."""
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(check_content, bands))
+    seen: dict[bytes, tuple[Band, int]] = {}
+    cure = "one is a copy; correct the names, or capture it again."
+    for band in bands:
+        for k, image in enumerate(band.pixels):
+            one, j = seen.setdefault(_sample(image).tobytes(), (band, k))
+            same = (one is not band or j != k) and np.array_equal(one.pixels[j], image)
+            let_go(band.pixels)
+            require(not same, f"{_name(one, j)} and {_name(band, k)} hold the same pixels: {cure}")
+
+
+def check_content(band: Band) -> None:
+    """Refuse a band in which an image is black, unlit, without any structure, or overexposed.
+
+    An overexposed pixel is one in which two of the three channels are clipped: with one channel clipped (red, on light
+    skin) the others still carry the shading. Raises BadExposure naming the file and its LED.
+    """
+    ambient = _ambient_light(band)
+    peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
+    scaled = peaks / band.exposure
+    fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
+    for k, part in enumerate(100 * fraction):
+        unlit = f"(its bright pixels reach {part:.1f} % of theirs): {_leds(band, k)} did not light; capture it again."
+        dark = bool(part < 100 * _RELATIVE_DARK)
+        require(not dark, f"{_name(band, k)} is almost black beside the other images {unlit}", BadExposure)
+
+
+def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> float:
+    """Return the light of the bright pixels of image k as a fraction of the full scale."""
+    scale = float(np.iinfo(band.pixels.dtype).max)
+    sample = _sample(band.pixels[k])
+    let_go(band.pixels)
+    black, most, name = np.float32(band.black_level[k]), int(sample.max()), _name(band, k)
+    cure = f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them)."
+    dark = f"{name} is black: its largest value is {most} of {int(scale)}; check {cure}"
+    require(most - float(black) > _DARK_FRACTION * scale, dark, BadExposure)
+    varies = most > int(sample.min()) or sample.size == 1
+    require(varies, f"{name} shows nothing: every pixel is {most}; capture it again.", BadExposure)
+    clips_at = ceil(_FULL_SCALE * scale)
+    if most >= clips_at:
+        clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
+        lit = sample.max(axis=0) > black + np.float32(_LIT_FRACTION * scale)
+        fraction = float(clipped.sum()) / max(1.0, float(lit.sum()))
+        over = f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it"
+        few = fraction <= _SATURATED_FRACTION or float(clipped.mean()) <= _SATURATED_AREA
+        require(few, f"{over} again with a shorter exposure or a lower gain.", BadExposure)
+    light = sample.max(axis=0) - black
+    if ambient is not None:
+        light = np.maximum.reduce(sample - (black + ambient * np.float32(scale * float(band.exposure[k]))))
+    peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
+    dark = f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
+    above = " above the ambient image" if band.ambient is not None else ""
+    require(peak > _DARK_FRACTION, f"{dark}{above}; check {cure}", BadExposure)
+    return peak
+
+
+def _ambient_light(band: Band) -> NDArray[np.float32] | None:
+    """Sample (C, n) of the ambient light as a fraction of the full scale at exposure 1, in the images' channels."""
+    if band.ambient is None:
+        return None
+    ambient = _sample(band.ambient) - np.float32(band.ambient_black_level)
+    ambient *= np.float32(1.0 / (float(np.iinfo(band.ambient.dtype).max) * band.ambient_exposure))
+    return ambient if len(ambient) == band.pixels.shape[3] else ambient.mean(axis=0, keepdims=True)
+
+
+def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
+    """Mask (H, W) of an image (H, W, C): above half the scale, or 1 in an image of 0, 1; BadInput if none is."""
+    bright = pixels.max(axis=2)
+    top = int(bright.max())
+    half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
+    mask: BoolArray = np.asarray(bright > half)
+    require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
+    return mask
+
+
+def _sample(image: PixelArray) -> NDArray[Any]:
+    """Pixels (C, n) on a regular grid."""
+    step = max(1, round(sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
+    return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
+
+
+def _name(band: Band, k: int) -> str:
+    return band.files[k] if band.files else f"image {k} of the band '{band.name}'"
+
+
+def _leds(band: Band, k: int) -> str:
+    group = band.leds[k]
+    return f"LED {group[0]}" if len(group) == 1 else "LEDs " + ", ".join(map(str, group))

@@ -1,0 +1,174 @@
+"""Small pictures for people: resampled upright, coloured, outlined, encoded."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.io.png import codecs
+from splitknit.model import BoolArray, FloatArray, Reconstruction
+
+ColourArray = NDArray[np.uint8]
+"""(H, W, 3) red, green, blue."""
+
+PAPER = (255, 255, 255)
+ORANGE = (213, 94, 0)
+BLUE = (0, 114, 178)
+SKY = (86, 180, 233)
+"""Colours that stay apart for colour-blind readers (Okabe and Ito 2008)."""
+
+_CIVIDIS = np.array(
+    [
+        (0, 34, 78), (8, 51, 112), (53, 69, 108), (79, 87, 108), (102, 105, 112), (125, 124, 120),
+        (148, 142, 119), (174, 163, 113), (200, 184, 102), (229, 207, 82), (254, 232, 56),
+    ],
+    dtype=np.float64,
+)  # fmt: skip
+"""Eleven stops of the cividis map (Nunez, Anderton and Renslow 2018)."""
+
+_DIVERGING = np.array([(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10)], dtype=np.float64)
+"""Blue for low, white for zero, orange for high."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureFrame:
+    """A small upright frame over a part of a large input."""
+
+    input_from_picture: NDArray[np.float64]
+    """(3, 3) on (column, row, 1)."""
+    size: tuple[int, int]
+    """Rows, columns of the picture."""
+    pitch_mm: float
+    """Size of one picture pixel."""
+
+
+def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> PictureFrame:
+    """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a side."""
+    margin = margin_mm / result.pitch_mm + 4.0
+    (left, top), (right, bottom) = np.add(upright_limits(result), ((-margin, -margin), (margin, margin))).tolist()
+    step = max(1.0, max(right - left, bottom - top) / longest)
+    size = (int((bottom - top) / step), int((right - left) / step))
+    to_upright = np.array([[step, 0.0, left + (step - 1) / 2], [0.0, step, top + (step - 1) / 2], [0.0, 0.0, 1.0]])
+    return PictureFrame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
+
+
+def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
+    """Least and largest (column, row) of the upright frame in the mask, pixels, (2, 2); to about four pixels."""
+    height, width = result.mask.shape
+    fours = np.pad(result.mask, ((0, -height % 4), (0, -width % 4))).view(np.uint32)  # four booleans in one number
+    mask = np.bitwise_or.reduce(fours.reshape(-1, 4, fours.shape[1]), axis=1) != 0
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    points = np.stack([np.concatenate([first, last]), np.concatenate([rows, rows])]) * 4.0 + 1.5
+    from_input = np.linalg.inv(result.input_from_upright)
+    upright = from_input[:2, :2] @ points + from_input[:2, 2:]
+    return np.stack([upright.min(axis=1), upright.max(axis=1)])
+
+
+def upright_turn(input_from_upright: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
+    turn = np.linalg.inv(input_from_upright[:2, :2])
+    turn = turn / np.sqrt(abs(np.linalg.det(turn)))
+    flip = np.diag([1.0, -1.0])  # rows run down, y runs up
+    return np.asarray(flip @ turn @ flip)
+
+
+def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
+    """Average `field` (H, W) or (H, W, C) over the picture's pixels inside `mask`. Returns (h, w) or (h, w, C) float32,
+    zero where nothing is inside; and (h, w), the fraction of each pixel inside the mask.
+    """
+    (values,), weight = fields_to_frame([field], mask, frame)
+    return values, weight
+
+
+def fields_to_frame(
+    fields: Sequence[NDArray[np.generic]], mask: BoolArray, frame: PictureFrame
+) -> tuple[list[FloatArray], FloatArray]:
+    """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
+    factor, window, input_from_small = _blocks(mask, frame)
+    small_from_picture = np.linalg.inv(input_from_small) @ frame.input_from_picture
+    inside = mask[window].view(np.uint8)
+    weight = _warp_linear(_binned(inside, inside, factor), small_from_picture, frame.size)
+    divisor = np.maximum(weight, np.float32(1e-3))
+    nowhere = weight <= 1e-3
+    found = []
+    for field in fields:
+        values = _warp_linear(_binned(field[window], inside, factor), small_from_picture, frame.size)
+        values /= divisor if values.ndim == 2 else divisor[..., None]
+        values[nowhere] = 0.0
+        found.append(values)
+    return found, np.clip(weight, 0.0, 1.0).astype(np.float32)
+
+
+def _blocks(mask: BoolArray, frame: PictureFrame) -> tuple[int, tuple[slice, slice], NDArray[np.float64]]:
+    """Side of whole blocks up to the picture's pixel, its window, and (3, 3) from its blocks to the input."""
+    step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
+    factor = max(1, int(step + 0.01))
+    height, width = frame.size
+    outline = [[-1.0, width, -1.0, width], [-1.0, -1.0, height, height], [1.0, 1.0, 1.0, 1.0]]
+    corners = frame.input_from_picture @ np.array(outline)
+    low = np.maximum(np.floor(corners[:2].min(axis=1)).astype(int) - factor, 0)
+    high = np.minimum(np.ceil(corners[:2].max(axis=1)).astype(int) + factor, (mask.shape[1], mask.shape[0]))
+    require(bool((low < high).all()), "the picture's frame lies outside the input.")
+    x, y = low + (factor - 1) / 2
+    origin = np.array([[factor, 0.0, x], [0.0, factor, y], [0.0, 0.0, 1.0]])
+    return factor, (slice(low[1], high[1]), slice(low[0], high[0])), origin
+
+
+def _binned(part: NDArray[np.generic], inside: NDArray[np.uint8], factor: int) -> FloatArray:
+    """Mean of a field over blocks, zero outside the mask."""
+    rows, columns = inside.shape
+    values = np.zeros((rows + -rows % factor, columns + -columns % factor, *part.shape[2:]), dtype=np.float32)
+    cv2.copyTo(part.astype(np.float32, copy=False), inside, values[:rows, :columns])
+    if factor == 1:
+        return values
+    small = (values.shape[1] // factor, values.shape[0] // factor)
+    return np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _warp_linear(image: FloatArray, source_from_target: NDArray[np.float64], size: tuple[int, int]) -> FloatArray:
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpAffine(image, source_from_target[:2], (size[1], size[0]), flags=flags)
+    return np.asarray(warped, dtype=np.float32)
+
+
+def colour(values: FloatArray, low: float, high: float, *, diverging: bool = False) -> ColourArray:
+    """Colour `values` between `low` and `high`: cividis, or blue-white-orange where zero matters."""
+    stops = _DIVERGING if diverging else _CIVIDIS
+    positions = np.linspace(0.0, 255.0, len(stops))
+    table = np.stack([np.interp(np.arange(256), positions, stops[:, c]) for c in range(3)], axis=1)
+    index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(np.uint8)
+    return np.asarray(np.round(table).astype(np.uint8)[index])
+
+
+def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
+    """Blend `picture` into a plain background where `weight` is below one."""
+    alpha = weight[..., None]
+    return np.round(picture * alpha + np.asarray(PAPER, dtype=np.float32) * (1.0 - alpha)).astype(np.uint8)
+
+
+def normal_colours(normals: FloatArray) -> ColourArray:
+    """Colour unit normals the usual way: red = x right, green = y up, blue = z towards the camera."""
+    return np.clip(np.round((normals + 1.0) * np.float32(127.5)), 0, 255).astype(np.uint8)
+
+
+def grey(values: FloatArray, low: float, high: float) -> ColourArray:
+    """Grey values between `low` (black) and `high` (white), as three equal channels."""
+    level = np.clip((values - low) / max(high - low, 1e-12) * 255.0, 0, 255).astype(np.uint8)
+    return np.repeat(level[..., None], 3, axis=2)
+
+
+def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -> str:
+    """Encode a picture as a ``data:`` address: PNG, or JPEG for photographs and shaded views."""
+    imagecodecs, image = codecs(), np.ascontiguousarray(picture)
+    if photo:
+        kind, data = "jpeg", imagecodecs.jpeg8_encode(image, level=88)
+    else:  # maps repeat few colours: without row filters they are smaller than at level 6, in a fifth of the time
+        kind, data = "png", imagecodecs.png_encode(image, level=1, filter=imagecodecs.PNG.FILTER.NONE)
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

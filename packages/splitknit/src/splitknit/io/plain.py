@@ -1,0 +1,736 @@
+"""Other people's data: photographs and a list of light directions become a capture."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, check_lights, check_mask, naming, refusing, require
+from splitknit.imaging.band import (
+    block_means,
+    coarse_flat,
+    decode_table,
+    linear_image,
+    pick_channel,
+    shading_is_srgb,
+    srgb_code,
+)
+from splitknit.imaging.light_field import few_lights
+from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
+from splitknit.io.content import check_contents, mask_from_image
+from splitknit.io.images import STACK_BYTES
+from splitknit.io.light_list import read_intensities, read_light_list
+from splitknit.io.photographs import PhotographOptions
+from splitknit.io.photos import FORMATS, RAW_SUFFIXES, SUFFIXES, Photo, encoding_of, read_photo
+from splitknit.io.provenance import file_hash
+from splitknit.io.rig import read_rig
+from splitknit.model import (
+    UNKNOWN_SCALE,
+    Band,
+    Camera,
+    Capture,
+    FloatArray,
+    Led,
+    PixelArray,
+    Rig,
+    camera_without_scale,
+    vector_at_origin,
+)
+from splitknit.steps import IN_MEMORY, large_array, let_go
+
+_SAME_DEG = 0.5
+"""Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
+_MAX_PHOTOS = 1000
+_NO_CAMERA = Camera(1.0, (1, 1))
+_ASKED, _ASKED_PIXELS = 24, 20_000
+"""Photographs and pixels of each that show the encoding."""
+_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
+"""Size of one photograph, and of all, above which a note is given."""
+_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
+"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
+_BRIGHTEST = 0.9
+"""What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
+
+
+_LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
+"""Names of lists beside photographs, DiLiGenT's among them."""
+UNKNOWN = "unknown"
+"""In place of the lights: nobody knows their directions, which are estimated."""
+_NO_OPTIONS = PhotographOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photographs:
+    """Photographs as a capture, and what is to be known about how they became one."""
+
+    capture: Capture
+    skipped: tuple[str, ...]
+    """Files of the folder that were not used, each with the reason."""
+    notes: tuple[str, ...]
+    """What was assumed or done, one sentence each."""
+
+
+def capture_from_photographs(
+    folder: str | os.PathLike[str],
+    lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
+    px_per_mm: float | None = None,
+    options: PhotographOptions = _NO_OPTIONS,
+    announce: Callable[[str], None] | None = None,
+) -> Photographs:
+    """Make a capture of a folder of photographs, one for each light.
+
+    Raises BadInput as :func:`capture_from_plain_images`; also if the folder holds no photographs, their number is not
+    that of the lights, or the lights' file names one that is not there. `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
+    or RAW files, all of one size, in the order of their names; or a pattern of their names, such as
+    ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
+    (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
+    default ``lights.txt`` in the folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object,
+    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others; `announce`:
+    called with a sentence on memory and disk before many or large photographs are read.
+
+    >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
+    >>> found.skipped  # doctest: +SKIP
+    ('notes.docx (not a photograph)',)
+    """
+    root = Path(folder)
+    require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
+    table, rig, names, colours = _lights_of(root, lights)
+    named = (options.mask, options.background_image, table)
+    own = [Path(os.path.realpath(value)) for value in named if value is not None]
+    found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
+    options = replace(options, mask=masks[0]) if masks else options
+    left_out = f"; skipped: {some_of(skipped)}" if skipped else ""
+    require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
+    if table == Path(UNKNOWN):
+        rig = _unknown_rig(len(found))
+    if len(found) == 1 and len(rig.leds) == 3:  # three coloured lights at once: its channels are the photographs
+        found = found * 3
+    holds, ends = f"{root} holds {len(found)} photographs", f"({found[0].name} to {found[-1].name})"
+    remedy = "let each of its lines begin with the name of a photograph."
+    lights_differ = f"{holds} {ends}, but {table} has {len(rig.leds)} lights{left_out}; {remedy}"
+    require(len(found) == len(rig.leds), lights_differ)
+    crossed: list[Path] = []
+    if options.crossed is not None:
+        second = Path(options.crossed)
+        remedy = "name the folder of the crossed photographs with `crossed`."
+        require(second.is_dir(), f"{second} is not a folder; {remedy}")
+        crossed, _, _ = photographs_in(second, table, names, own)
+        remedy = "both series need one photograph a light, in the same order."
+        require(len(crossed) == len(found), f"{holds}, but {second} {len(crossed)}; {remedy}")
+    capture, notes = _assembled(found, rig, px_per_mm, options, announce, crossed, colours)
+    if table.is_file():
+        capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
+    if masks:
+        notes.append(f"the mask is {masks[0].name}, which lies beside the photographs.")
+    if skipped:
+        notes.append(f"skipped in {root}: {some_of(skipped)}.")
+    white = Photographs(capture, tuple(skipped), tuple(notes))
+    if options.nir is None:
+        return white
+    own_rig = isinstance(lights, Rig) or table.suffix.lower() == ".json"
+    one_folder = f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own"
+    remedy = "give them by a rig file, or put each series into a folder with its list."
+    require(own_rig or _home(Path(options.nir)) != _home(root), f"{one_folder}: {remedy}")
+    encoding: Any = options.encoding or (capture.encoding if options.max_megapixels is None else None)
+    near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
+    rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
+    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near, announce)
+    return _with_nir(white, infrared, Path(options.nir))
+
+
+def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs:
+    """One capture of both bands; the mask is that of the white photographs."""
+    one, other = white.capture, nir.capture
+    ours, theirs = (f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (one, other))
+    differ = f"the photographs of {folder} are of {theirs}, and the white ones of {ours}"
+    require(ours == theirs, f"{differ}; both must agree (`encoding`).")
+    count, band = len(one.rig.leds), other.bands["white"]
+    leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
+    band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
+    hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
+    capture = replace(one, rig=replace(one.rig, leds=leds), bands={**one.bands, "nir": band}, hashes=hashes)
+    notes = [note if note in white.notes else f"NIR: {note}" for note in nir.notes]
+    return Photographs(capture, white.skipped + nir.skipped, tuple(dict.fromkeys([*white.notes, *notes])))
+
+
+def _home(folder: Path) -> Path:
+    """The folder of photographs that are named by their folder, by a pattern, or by one file."""
+    return folder.parent if "{light}" in folder.name or folder.is_file() else folder
+
+
+def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDArray[np.float64] | None]:
+    """The file of the lights, or a word for them; the white LEDs and camera; names, if any; and (L, 3) their relative
+    brightness in red, green and blue, where given.
+    """
+    if isinstance(lights, Rig):
+        return Path("the rig"), _of_band(lights, "the rig"), (), None
+    if isinstance(lights, str | os.PathLike) and os.fspath(lights) == UNKNOWN:
+        return Path(UNKNOWN), _unknown_rig(1), (), None
+    if lights is not None and not isinstance(lights, str | os.PathLike):
+        return Path("lights"), _distant_rig(np.asarray(lights, dtype=np.float64)), (), None
+    root = _home(root)
+    listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
+    usual = next((root / one for one in _LISTS if (root / one).is_file()), root / "lights.txt")
+    table = listed[0] if len(listed) == 1 else usual if lights is None else Path(lights)
+    missing = f"{root} holds no lights.txt; name the file of the light directions by `lights`."
+    require(lights is not None or table.is_file(), missing)
+    if table.suffix.lower() == ".json":
+        return table, _of_band(read_rig(table), os.fspath(table)), (), None
+    found = read_light_list(table)
+    rig, bright = _distant_rig(found.lights, table if found.places else None), found.intensities
+    beside = next((one / _INTENSITIES for one in (table.parent, root) if (one / _INTENSITIES).is_file()), None)
+    if bright is None and beside is not None:
+        bright = read_intensities(beside, len(rig.leds))
+    if bright is None:
+        return table, rig, found.names, None
+    mean = bright.mean(axis=1) / bright.mean()
+    leds = tuple(replace(led, intensity=float(one)) for led, one in zip(rig.leds, mean, strict=True))
+    rig = replace(rig, leds=leds, provenance={**rig.provenance, "intensities": "stated"})
+    return table, rig, found.names, bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
+
+
+def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
+    leds = tuple(replace(led, band="white") for led in rig.leds if led.band == band)
+    require(len(leds) > 0, f"{name} has no LED of the band '{band}'.")
+    return replace(rig, leds=leds)
+
+
+def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
+    """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
+    good = vectors.ndim == 2 and vectors.shape[1] == 3 and len(vectors) > 0
+    require(good, f"lights must have the shape (L, 3), but it has {vectors.shape}.")
+    lengths = np.linalg.norm(vectors, axis=1)
+    require(bool(np.isfinite(lengths).all()), "lights contains NaN or infinite values.")
+    require(bool((lengths > 0).all()), f"lights contains a zero vector (light {int(np.argmin(lengths))}).")
+    lowest = int(np.argmin(vectors[:, 2]))
+    behind = f"light {lowest} points away from the camera (z <= 0); lights point towards the light."
+    require(bool(vectors[lowest, 2] > 0), behind)
+    above = places is None or bool((vectors[:, 2] >= 1.0).all())
+    require(above, f"{places}: places of lights are in mm above the object (the third number at least 1).")
+    kind = "distant" if places is None else "near"
+    if places is None:
+        leds = [Led("white", direction=(x, y, z)) for x, y, z in (vectors / lengths[:, None]).tolist()]
+    else:
+        leds = [Led("white", position_mm=(x, y, z)) for x, y, z in vectors.tolist()]
+    return Rig(_NO_CAMERA, tuple(leds), {"source": f"plain images, {kind} lights", "intensities": "assumed equal"})
+
+
+def spread_lights(count: int) -> NDArray[np.float64]:
+    """(L, 3) directions that all differ, in place of unknown ones."""
+    k = np.arange(count)
+    slant, azimuth = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count), np.pi * (3.0 - np.sqrt(5.0)) * k
+    return np.column_stack([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
+
+
+def _unknown_rig(count: int) -> Rig:
+    rig = _distant_rig(spread_lights(count))
+    return replace(rig, provenance={**rig.provenance, "lights": UNKNOWN})
+
+
+def some_of(names: Sequence[str], most: int = 8) -> str:
+    """The first of many names, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def photographs_in(
+    folder: Path, table: Path, names: Sequence[str] = (), own: Sequence[Path] = (), *, find_mask: bool = True
+) -> tuple[list[Path], list[Path], list[str]]:
+    """Photographs of a folder in the order of the lights; masks; and what else is there, each with the reason.
+
+    `table`: file of the lights, for messages; `names`: of photographs, from that file; empty: all, photo_2 before
+    photo_10; `own`: files that have another use; `find_mask`: whether a ``mask.png`` (or another format) is looked for.
+    Raises BadInput if the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
+    """
+    found, skipped = _photos_in(folder, own)
+    masks = [file for file in found if find_mask and file.stem.lower() == "mask"]
+    doubtful = [file for file in found if "mask" in file.stem.lower() and file not in masks]
+    skipped += [f"{file.name} (a mask? name it with `mask`)" for file in doubtful]
+    found = [file for file in found if file not in (*masks, *doubtful)]
+    if names:
+        found, unused = _by_name(found, names, table)
+        skipped += [f"{file.name} (not in {table.name})" for file in unused]
+    return found, masks, skipped
+
+
+def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """Photographs of a folder, photo_2 before photo_10, and what else is there; `own` are named otherwise."""
+    found, skipped = [], []
+    if folder != _home(folder):
+        return [folder] if folder.is_file() else _of_pattern(folder), []
+    try:
+        files = sorted(folder.iterdir(), key=lambda file: natural_order(file.name))
+    except OSError as error:
+        raise BadInput(f"{folder} cannot be read ({error.strerror}).") from error
+    for file in files:
+        if file.name.startswith(".") or Path(os.path.realpath(file)) in own:
+            continue
+        if file.is_file() and file.suffix.lower() in SUFFIXES:
+            found.append(file)
+        elif file.name not in {*_LISTS, _INTENSITIES}:
+            skipped.append(f"{file.name} ({'a folder' if file.is_dir() else 'not a photograph'})")
+    require(len(found) <= _MAX_PHOTOS, f"{folder} holds {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
+    return found, skipped
+
+
+def _of_pattern(pattern: Path) -> list[Path]:
+    """Files whose names have a number in the place of ``{light}``, by that number; two of one number are refused."""
+    before, _, after = pattern.name.partition("{light}")
+    form = re.compile(rf"{re.escape(before)}(\d{{1,6}}){re.escape(after)}", flags=re.IGNORECASE)
+    found: dict[int, Path] = {}
+    for file in sorted(_home(pattern).iterdir()):
+        match = form.fullmatch(file.name)
+        if match and file.is_file():
+            other = found.setdefault(int(match[1]), file)
+            require(other == file, f"{other} and {file.name} are both of light {int(match[1])}; keep one of them.")
+    require(len(found) <= _MAX_PHOTOS, f"{pattern} fits {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
+    return [found[number] for number in sorted(found)]
+
+
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Key by which photo_2 comes before photo_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name[:300])]
+
+
+def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[list[Path], list[Path]]:
+    """Photographs that the lights' file names, in its order, and the others; suffixes and capitals need not agree."""
+    chosen = []
+    for name in names:
+        ways = (str, str.lower, lambda word: Path(word.lower()).stem)
+        tries = ([file for file in found if name == file.stem or way(name) == way(file.name)] for way in ways)
+        fits = next(filter(None, tries), [])
+        require(len(fits) > 0, f"{table} names {name!a}, but there is no such photograph.")
+        require(len(fits) == 1, f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.")
+        chosen.append(fits[0])
+    return chosen, [file for file in found if file not in chosen]
+
+
+def capture_from_plain_images(
+    images: Sequence[str | os.PathLike[str]],
+    lights: NDArray[np.float64],
+    px_per_mm: float | None,
+    options: PhotographOptions = _NO_OPTIONS,
+    intensities: Sequence[float] | None = None,
+) -> Capture:
+    """Make a capture of images of one object under distant lights; all of them form the band ``white``.
+
+    Photographs under one light (directions within 0.5 deg) are averaged. Photographs of floats are brought to 16 bits
+    by one factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF
+    data, lights and images differ in number, the lights do not determine a normal, an image is black or overexposed.
+    `images`: files of :func:`splitknit.io.photos.read_photo`, of one size, at least three, in the order of the lights;
+    `lights`: (L, 3) directions *towards* the lights, x right, y up, z to the camera, of any length; `px_per_mm`: pixels
+    a millimetre on the object; heights scale with it. None where it is unknown; `options`: mask, material and others;
+    without an encoding the images are linear; `intensities`: relative strength of each light; equal where None.
+    """
+    files = [Path(image) for image in images]
+    rig = _distant_rig(np.asarray(lights, dtype=np.float64))
+    strengths = [1.0] * len(rig.leds) if intensities is None else [float(value) for value in intensities]
+    differ = f"there are {len(strengths)} intensities for {len(rig.leds)} lights; give one each."
+    require(len(strengths) == len(rig.leds), differ)
+    rig = replace(rig, leds=tuple(replace(led, intensity=one) for led, one in zip(rig.leds, strengths, strict=True)))
+    return _assembled(files, rig, px_per_mm, replace(options, encoding=options.encoding or "linear"))[0]
+
+
+def capture_of_arrays(
+    images: Any, lights: Any, mask: Any = None, px_per_mm: float | None = None, intensities: Any = None
+) -> tuple[Capture, list[str]]:
+    """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images` takes them."""
+    with refusing("`images` must be one array, or arrays of one shape."):
+        stack = np.asarray(images)
+    shape, kind = stack.shape, stack.dtype
+    wanted = f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}."
+    require(stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0, wanted)
+    known = kind in (np.dtype(np.uint8), np.dtype(np.uint16)) or kind.kind == "f"
+    require(known, f"`images` must be of uint8, uint16 or floats, but they are of {kind}.")
+    finite = kind.kind != "f" or bool(np.isfinite(stack).all())
+    require(finite, "`images` contains NaN or infinite values.")
+    with refusing("`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm` one."):
+        scale = None if px_per_mm is None else float(px_per_mm)
+        vectors = spread_lights(len(stack)) if lights is None else np.asarray(lights, dtype=np.float64)
+        bright = None if intensities is None else np.asarray(intensities, dtype=np.float64).reshape(len(vectors), -1)
+    require(scale is None or 1e-3 <= scale <= 1e5, f"`px_per_mm` must be a number from 0.001 to 100000, not {scale}.")
+    rig = _unknown_rig(len(stack)) if lights is None else _distant_rig(vectors)
+    check_lights(vectors, len(stack))
+    stack = stack.reshape(*shape[:3], -1)
+    if bright is not None:
+        good = bright.shape[1] in {1, 3} and bool(np.isfinite(bright).all()) and float(bright.min()) > 0
+        require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
+        leds = [replace(led, intensity=float(one.mean())) for led, one in zip(rig.leds, bright, strict=True)]
+        rig = replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
+    camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
+    codes = stack[:, ::4, ::4, 0].reshape(len(stack), -1) / np.float32(255.0)
+    curved = kind == np.uint8 and lights is not None and shading_is_srgb(codes, rig.light_vectors())
+    encoding = "srgb" if curved else "linear"
+    pixels, _, _ = _as_integers(stack, None, 0.0, [[k] for k in range(len(stack))])
+    count = len(pixels)
+    coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
+    band = Band(
+        name="white",
+        pixels=pixels,
+        leds=tuple((k,) for k in range(count)),
+        exposure=np.ones(count),
+        black_level=np.zeros(count),
+        transmission=bright / bright.mean(axis=1, keepdims=True) if coloured and bright is not None else None,
+    )
+    check_contents([band])
+    inside = None if mask is None else check_mask(mask, shape[1:3])
+    rig = replace(rig, camera=camera)
+    notes = [UNKNOWN_SCALE] if scale is None else []
+    notes += [f"the encoding {encoding} was assumed of images of 8 bits."] if kind == np.uint8 else []
+    return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
+
+
+def _assembled(  # noqa: PLR0917
+    files: Sequence[Path],
+    rig: Rig,
+    px_per_mm: float | None,
+    options: PhotographOptions,
+    announce: Callable[[str], None] | None = None,
+    crossed: Sequence[Path] = (),
+    colours: NDArray[np.float64] | None = None,
+) -> tuple[Capture, list[str]]:
+    """The capture, and notes on it; `colours`: (L, 3) light of each photograph's red, green and blue, relative."""
+    require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
+    every = [*files, *crossed]
+    different = _each_once(every, options)
+    encoding, mask, background = cast("str | None", options.encoding), options.mask, options.background
+    raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
+    require(raw is None or encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
+    counts = f"{len(rig.leds)} lights for {len(files)} images"
+    require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
+    groups = _same_lights(rig)
+    leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
+    check_lights(replace(rig, leds=leds).light_vectors())
+    notes: list[str] = []
+    if options.mosaic is not None:
+        encoding = "linear"
+    elif encoding is None:
+        known = rig.provenance.get("lights") != UNKNOWN
+        encoding, *notes = encoding_of(files, lambda: known and _shading_is_srgb(files, rig.light_vectors()))
+    reading = _Reading(different, encoding, options)
+    camera = _camera_of(rig.camera, reading, px_per_mm)
+    unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
+    require(camera.scale_known or all(led.position_mm is None for led in leds), unknown)
+    if announce is not None and (cost := reading.cost()):
+        announce(cost)
+    stack, turn, hashes = reading.stack()
+    stack = _of_white_light(stack, colours, reading, options)
+    others = {}
+    for what, file in (("mask", mask), ("background", options.background_image)):
+        if file is not None:
+            photo = read_photo(Path(file))
+            others[what] = reading.reduced(photo, Path(file))
+            if what == "mask" and others[what].dtype.kind == "f":
+                others[what] = (others[what] > 0.5).astype(np.uint8) * np.uint8(255)
+            hashes[Path(file).name] = photo.sha256
+    black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
+    count, series = len(groups), len(stack) // len(files)
+    groups += [[len(files) + k for k in group] for group in groups] if series == 2 else []
+    flat, hashes = _flat_of(options, groups[:count], encoding, hashes)
+    pixels, ambient, black = _as_integers(stack, others.get("background"), black, groups)
+    notes += reading.notes()
+    band = Band(
+        name="white",
+        pixels=pixels[:count],
+        leds=tuple((k,) for k in range(count)),
+        exposure=np.ones(count),
+        black_level=np.full(count, black),
+        ambient=ambient,
+        shading=camera.shading,
+        flat=flat,
+        files=tuple(str(files[group[0]]) for group in groups[:count]),
+        polarisation="parallel" if series == 2 else "",
+    )
+    bands = {"white": band}
+    if series == 2:
+        names = tuple(str(every[group[0] % len(every)]) for group in groups[count:])
+        other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
+        bands["white_crossed"] = other
+        parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
+        notes += [NOT_SPECULAR] if crossed_mean >= parallel else []
+    check_contents(bands.values())
+    capture = Capture(
+        rig=replace(rig, camera=camera, leds=leds),
+        bands=bands,
+        encoding=reading.encoding_after,
+        material=options.material or ("opaque" if options.nir is None else "skin"),  # by near-infrared light a finger
+        tip_direction_deg=options.tip_direction_deg,
+        mask=None if mask is None else mask_from_image(others["mask"], str(mask)),
+        hashes=hashes,
+        shading=None if options.shading is None else Path(options.shading),
+    )
+    return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
+
+
+def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Path]:
+    """The files; the one file of three coloured lights once. Raises BadInput if others are named twice."""
+    places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
+    if len(set(files)) == 1:
+        one = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
+        require(options.mosaic is None, one)
+        return files[:1]
+    twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
+    require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
+    return files
+
+
+def _flat_of(
+    options: PhotographOptions, groups: Sequence[Sequence[int]], encoding: str, hashes: dict[str, str]
+) -> tuple[PixelArray | None, dict[str, str]]:
+    """Flat images on the coarse grid, as stored, None where none are given; `hashes` and the SHA-256 of their files."""
+    if options.flat is None:
+        return None, hashes
+    flat, own = read_flat(Path(options.flat), sum(map(len, groups)), encoding)
+    hashes = hashes | own
+    flat = np.stack([flat[list(group)].mean(axis=0) for group in groups])
+    code = srgb_code(flat) if encoding == "srgb" else flat
+    return np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16), hashes
+
+
+def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
+    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s. One
+    colour photograph serves three lights. Raises BadInput if they are missing, not `count`, or black in places.
+    """
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
+    files, _, _ = photographs_in(folder, folder / "lights.txt")
+    light, hashes = [], {}
+    for file in files:
+        photo = read_photo(file)
+        require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
+        image = linear_image(photo.pixels, encoding)
+        coloured = len(files) == 1 < count and image.shape[2] == 3
+        channels = [image[..., k] for k in range(3)] if coloured else [pick_channel(image, "grey")]
+        light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
+        hashes[f"{folder.name}/{file.name}"] = photo.sha256
+    differ = f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
+    require(len(light) == count, f"{differ}; give one for each, in the order of their names.")
+    return np.stack(light), hashes
+
+
+def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
+    """The rig's camera, or one of the scale that was given, for the photographs as they were read."""
+    size, factor, small = reading.shape[:2], reading.factor, reading.small
+    if camera is not _NO_CAMERA:
+        rows, columns = camera.image_size
+        found = f"(rows x columns), but the photographs have {size[0]} x {size[1]}; give `lights` a list of lights"
+        require((rows, columns) == size, f"the rig's camera takes images of {rows} x {columns} pixels {found} instead.")
+        both = f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first."
+        require(px_per_mm is None or not camera.scale_known, both)
+        if px_per_mm is None and not camera.scale_known:
+            return camera_without_scale(small)
+        matrix = camera.matrix
+        if matrix is not None and factor > 1:  # the middle of the first pixel is 0
+            matrix = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) @ matrix / factor
+        scale = (camera.px_per_mm if px_per_mm is None else float(px_per_mm)) / factor
+        return replace(camera, image_size=small, px_per_mm=scale, scale_known=True, matrix=matrix)
+    return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
+
+
+def _notes(capture: Capture, files: Sequence[Path], groups: Sequence[Sequence[int]], turn: int) -> list[str]:
+    notes = [UNKNOWN_SCALE] if not capture.rig.camera.scale_known else []
+    turned = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
+    notes += [turned] if turn != 1 else []
+    together = [" + ".join(files[k].name for k in group) for group in groups if len(group) > 1]
+    notes += [f"photographs under the same light were averaged: {some_of(together, 4)}."] if together else []
+    return notes + few_lights(capture.rig.light_vectors())
+
+
+def _together(leds: Sequence[Led]) -> Led:
+    """The light of several photographs that are averaged: the mean direction of distant ones, else the first place."""
+    intensity = float(np.mean([led.intensity for led in leds]))
+    if leds[0].direction is None or len(leds) == 1:
+        return replace(leds[0], intensity=intensity)
+    mean = np.mean([vector_at_origin(replace(led, intensity=1.0)) for led in leds], axis=0)
+    x, y, z = mean / np.linalg.norm(mean)
+    return replace(leds[0], direction=(float(x), float(y), float(z)), intensity=intensity)
+
+
+def _same_lights(rig: Rig) -> list[list[int]]:
+    """Photographs under one light together, in the order of the first of them."""
+    vectors = rig.light_vectors()
+    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    groups: list[list[int]] = []
+    for k, unit in enumerate(units):
+        same = [group for group in groups if unit @ units[group[0]] > np.cos(np.deg2rad(_SAME_DEG))]
+        if same:
+            same[0].append(k)
+        else:
+            groups.append([k])
+    near = f"within {_SAME_DEG:g} deg they are one light, and photographs under it are averaged"
+    few = f"three different light directions are needed at least, but there are {len(groups)} ({near})."
+    require(len(groups) >= 3, few)
+    return groups
+
+
+def _shading_is_srgb(files: Sequence[Path], lights: NDArray[np.float64]) -> bool:
+    """Whether the shading in photographs of 8 bits is that of sRGB values; some of many photographs decide."""
+    if len(lights) < 6:  # which decide nothing
+        return False
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _ASKED)).astype(int))
+    codes = []
+    for k in chosen:
+        photo = read_photo(files[k]).pixels
+        if photo.dtype != np.uint8:
+            return False
+        step = max(1, round((photo.shape[0] * photo.shape[1] / _ASKED_PIXELS) ** 0.5))
+        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(255.0))
+    same = len({one.size for one in codes}) == 1  # else refused where all are read
+    return same and shading_is_srgb(np.stack(codes), lights[chosen])
+
+
+class _Reading:
+    """Photographs of one size and kind, read one after the other and reduced where a limit demands it."""
+
+    def __init__(self, files: Sequence[Path], encoding: str, options: PhotographOptions) -> None:
+        self.files, self.encoding, self.options = files, encoding, options
+        max_megapixels = options.max_megapixels
+        self.first_read = self.photos(files[0], STACK_BYTES)
+        self.first = self.first_read[0]
+        self.series = 1 if options.mosaic is None else 2
+        self.shape: tuple[int, ...] = self.first.pixels.shape
+        rows, columns, _ = self.shape
+        self.megapixels = rows * columns / 1e6
+        over = 1.0 if max_megapixels is None else self.megapixels / max_megapixels
+        self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
+        """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
+        self.small = int(rows // self.factor), int(columns // self.factor)
+        large = self.factor == 1 or min(self.small) >= 16
+        require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
+        floats = self.first.pixels.dtype.kind == "f"
+        self.encoding_after = encoding if self.factor == 1 or floats else "linear"
+        self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
+
+    def photos(self, file: Path, room: int) -> list[Photo]:
+        """The photograph of a file; of a mosaic the parallel and the crossed one."""
+        photo = read_photo(file, room=room)
+        if self.options.mosaic is None:
+            return [photo]
+        colour, film_deg = self.options.mosaic == "colour", self.options.film_deg
+        halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
+        return [replace(photo, pixels=half) for half in halves]
+
+    def cost(self) -> str:
+        """A sentence on memory and disk, where they are much."""
+        count, used = self.series * len(self.files), self.megapixels / self.factor**2
+        memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL
+        if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
+            return ""
+        disk = count * used * self.shape[2] * self.dtype.itemsize / 1e3
+        stored = f", {disk:.1f} GB of disk for the photographs while they are worked on"
+        needed = f"about {memory:.1f} GB of memory{stored if 1e9 * disk > IN_MEMORY else ''}"
+        smaller = "" if used < _LARGE_MEGAPIXELS else "; `max_megapixels` 10 reduces them to 10 megapixels"
+        mesh = f"a mesh of the whole picture takes {used * _MESH_MB:.0f} MB{smaller}."
+        return f"{count} photographs of {used:.1f} megapixels need {needed}, and {mesh}"
+
+    def notes(self) -> list[str]:
+        """That photographs were reduced, where they were."""
+        side, left = f"{self.factor:g}", f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
+        reduced = f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
+        return [f"{reduced}, by means over {side} x {side} pixels."] if self.factor > 1 else []
+
+    def level(self, stored: float) -> float:
+        """A stored value, on the scale of :meth:`stack`."""
+        if self.factor == 1 or self.dtype.kind == "f":
+            return stored
+        table = decode_table(self.first.pixels.dtype, self.encoding)
+        require(0 <= stored < len(table), f"the background must lie between 0 and {len(table) - 1}, not {stored:g}.")
+        return 65535.0 * float(np.interp(stored, np.arange(len(table)), table))
+
+    def reduced(self, photo: Photo, file: Path) -> NDArray[Any]:
+        """Pixels of a photograph (H, W, C), linear where they are reduced."""
+        rows, columns = photo.pixels.shape[:2]
+        expected = f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}."
+        other = f"{file} has {rows} x {columns} pixels (rows x columns), but {expected}"
+        require((rows, columns) == self.shape[:2], other)
+        if self.factor == 1:
+            return photo.pixels
+        if photo.pixels.dtype.kind == "f":
+            return np.asarray(block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1))
+        light = linear_image(photo.pixels, self.encoding, binning=self.factor)
+        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * np.float32(65535.0)).astype(np.uint16))
+
+    def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
+        """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
+        first, hashes = self.first, {}
+        shape = (self.series * len(self.files), *self.small, self.shape[2])
+        large = f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
+        fits = math.prod(shape) * self.dtype.itemsize <= STACK_BYTES
+        require(fits, f"{large}; name fewer, or reduce them by `max_megapixels`.")
+        stack = large_array(shape, self.dtype)
+        for k, file in enumerate(self.files):
+            room = first.pixels.nbytes * (3 if self.series == 1 else 12)
+            for part, photo in enumerate(self.photos(file, room) if k else self.first_read):
+                turned = f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
+                guess = "as a telephone that looks straight down guesses it; give all one orientation."
+                other = f"{turned} {self.files[0].name} ({first.orientation}), {guess}"
+                require(photo.orientation == first.orientation, other)
+                pixels = self.reduced(photo, file)
+                kinds = f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}"
+                alike = photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype
+                require(alike, f"{kinds}; all must agree.")
+                stack[k + part * len(self.files)] = pixels
+                let_go(stack)
+                name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
+            hashes[name] = photo.sha256
+        return stack, first.orientation, hashes
+
+
+def _of_white_light(
+    stack: NDArray[Any], colours: NDArray[np.float64] | None, reading: _Reading, options: PhotographOptions
+) -> NDArray[Any]:
+    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; or one, as its three channels."""
+    if len(reading.files) == 1:
+        grey = f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour."
+        require(stack.shape[3] == 3, grey)
+        return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None])
+    if colours is None or stack.shape[3] == 1:
+        return stack
+    alone = all(one is None for one in (options.background, options.crossed, options.mosaic, options.flat))
+    require(alone, "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`, `flat`.")
+    encoding, reading.encoding_after = reading.encoding_after, "linear"
+    factors = (colours.min() / colours).astype(np.float32)
+    if stack.dtype.kind == "f":
+        return np.asarray(stack * factors[:, None, None])
+    balanced, full = large_array(stack.shape, np.dtype(np.uint16)), np.iinfo(stack.dtype).max
+    for k, image in enumerate(stack):
+        light = linear_image(image, encoding) * factors[k]
+        balanced[k] = np.where(image == full, 65535, np.rint(65535.0 * light)).astype(np.uint16)
+        let_go(balanced)
+    return balanced
+
+
+def _kind(pixels: NDArray[Any]) -> str:
+    return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
+
+
+def _as_integers(
+    stack: NDArray[Any], ambient: NDArray[Any] | None, black: float, groups: Sequence[Sequence[int]]
+) -> tuple[PixelArray, PixelArray | None, float]:
+    """Integers with their ambient image and black level; photographs under one light are averaged."""
+    floats = stack.dtype.kind == "f"
+    mixed = "the background image is of floats and the photographs are not, or the reverse; save both in one format."
+    require(ambient is None or (ambient.dtype.kind == "f") == floats, mixed)
+    top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
+    require(top > 0, "the photographs are black: not one value is above zero.")
+    require(0.0 <= black < top, f"the background must lie between 0 and {top:g}, but it is {black:g}.")
+    if not floats and len(groups) == len(stack):
+        return stack, ambient, black
+    factor = 65535.0 * (_BRIGHTEST if floats else 1.0) / top
+
+    def scaled(values: NDArray[Any]) -> NDArray[np.uint16]:
+        return np.clip(np.rint(values * factor), 0, 65535).astype(np.uint16)
+
+    pixels = np.stack([scaled(np.asarray(np.mean(stack[group], axis=0, dtype=np.float64))) for group in groups])
+    if ambient is not None and not floats:
+        ambient = np.rint(ambient * (65535.0 / float(np.iinfo(ambient.dtype).max))).astype(np.uint16)
+    elif ambient is not None:
+        ambient = scaled(ambient)
+    return pixels, ambient, black * factor

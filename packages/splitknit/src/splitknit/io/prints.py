@@ -1,0 +1,229 @@
+"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written.
+
+Source: Portable Network Graphics (PNG) Specification, second edition, W3C 2003: pHYs section 11.3.5.3, tEXt 11.3.4.3,
+iTXt 11.3.4.5.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.io.atomic import write_file
+from splitknit.io.fields import parse_json
+from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
+from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
+from splitknit.io.png import SIGNATURE as PNG
+from splitknit.io.png import chunks_of, codecs, decode_png, png_chunk
+from splitknit.io.provenance import canonical_json
+from splitknit.io.tiff import SIGNATURES as TIFFS
+from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
+
+SIGNATURES = (PNG[:4], JPEG_SIGNATURE, *TIFFS, BMP_SIGNATURE)
+"""First bytes of the files that :func:`decode_print_image` reads."""
+KINDS = "PNG, TIFF, JPEG and BMP"
+_METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
+_APP0 = 0xE0
+_COLOUR_LEVELS, _COLOURED = 12, 0.01
+"""Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
+_AFTER_HEADER = 33
+"""First bytes of a PNG file: signature and IHDR."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintFile:
+    """What a print's file holds."""
+
+    image: NDArray[np.uint8]
+    """(H, W)."""
+    resolution_ppi: float | None
+    """Pixels per inch, as near as the file's whole pixels per metre can represent."""
+    text: dict[str, str]
+    finger: str = "unknown"
+    """``right_thumb`` to ``left_little``, or ``unknown``."""
+    impression: str = "unknown"
+    """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
+    note: str = ""
+    """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt; sentences."""
+
+
+def write_print_png(
+    path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
+) -> None:
+    """Write a print (H, W) uint8 as PNG. `ppi` is stored in whole pixels per metre (500 ppi: 19685); `text`: keyword (1
+    to 79 printable ASCII characters) to text. Raises BadInput if one of them is of another kind, or on writing.
+    """
+    write_file(path, encode_print_png(image, ppi, text))
+
+
+def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
+    """Return the bytes that :func:`write_print_png` writes."""
+    array = _checked(image, ppi)
+    per_metre = round(ppi / _METRES_PER_INCH)
+    resolution = png_chunk(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))
+    return png_with_texts(encode_image(array, ".png"), text or {}, resolution)
+
+
+def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> bytes:
+    """Return a PNG file with further chunks, and with texts by their keywords, behind its header."""
+    texts = [_text_chunk(keyword, value) for keyword, value in sorted(text.items())]
+    return b"".join([data[:_AFTER_HEADER], *chunks, *texts, data[_AFTER_HEADER:]])
+
+
+def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
+    """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
+    data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
+    pixels = decode_png(data, name)
+    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+    stated, text = _png_facts(data)
+    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), None if stated is None else stated[0], text)
+
+
+def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
+    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss."""
+    return bytes(codecs().jpeg2k_encode(np.ascontiguousarray(image), reversible=True, level=0, numthreads=1))
+
+
+def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8]:
+    """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or above `max_pixels`."""
+    start = data.find(b"\xff\x4f\xff\x51")  # the code stream begins with its sizes
+    head = data[start + 8 : start + 43]
+    require(start >= 0 and len(head) == 35, f"{name} is no JPEG 2000 image, or truncated; copy it again.")
+    right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
+    rows, columns = down - up, right - left
+    require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")
+    require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
+    with refusing(f"{name} is damaged: its JPEG 2000 image cannot be decoded; copy it again."):
+        image = np.asarray(codecs().jpeg2k_decode(data, numthreads=1))
+    require(image.shape == (rows, columns) and image.dtype == np.uint8, f"{name} is damaged; copy it again.")
+    return image
+
+
+def decode_print_image(data: bytes, name: str) -> PrintFile:
+    """A PNG, TIFF, JPEG or BMP file, 8 or 16 bits, grey or grey as RGB, as a print, upright by EXIF, with the
+    resolution that it states, or None; pixels not square are resampled to the finer side. Raises BadInput, with `name`,
+    if the file is damaged, too large, of colour or of another kind.
+    """
+    require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
+    photo = decode_photo(data, name)
+    text: dict[str, str] = {}
+    if data.startswith(PNG):
+        stated, text = _png_facts(data)
+    elif data.startswith(BMP_SIGNATURE):
+        stated = _density(struct.unpack_from("<ii", data, 38), _METRES_PER_INCH)
+    elif data.startswith(JPEG_SIGNATURE):
+        stated = _jfif_ppi(data) or stated_ppi(exif_data(data))
+    else:
+        stated, text = stated_ppi(data), _texts(tiff_page(data, name))
+    grey = _grey(photo.pixels, name)
+    if stated is None or abs(stated[0] - stated[1]) <= 0.01 * stated[0]:
+        return PrintFile(grey, None if stated is None else stated[0], text)
+    x, y = stated if photo.orientation < 5 else stated[::-1]  # from 5 on the picture lies on its side
+    ppi = max(x, y)
+    size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
+    require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
+    square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    return PrintFile(
+        square, ppi, text, note=f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
+    )
+
+
+def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
+    """(H, W) of (H, W, 1 or 3)."""
+    require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
+    require(not is_coloured(pixels), f"{name} is a colour image, not an 8-bit grey image; save the print as one.")
+    grey = pixels[..., pixels.shape[2] // 2]
+    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey.astype(np.uint32) + 128) // 257, np.uint8)
+
+
+def is_coloured(pixels: NDArray[Any]) -> bool:
+    """Whether a picture (H, W, 1 or 3) is more than grey stored in colour."""
+    if pixels.shape[2] != 3 or pixels.dtype not in (np.uint8, np.uint16):
+        return False
+    limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
+    red, green, blue = (pixels[..., k] for k in range(3))  # 15 times as quick as along the last axis
+    spread = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
+    return float((spread > limit).mean()) > _COLOURED
+
+
+def _png_facts(data: bytes) -> tuple[tuple[float, float] | None, dict[str, str]]:
+    """Resolution along columns and rows, and texts, of a sound PNG file."""
+    resolution, text = None, {}
+    for kind, body in chunks_of(data):
+        if kind == b"pHYs" and len(body) == 9 and body[8] == 1:
+            resolution = _density(struct.unpack(">II", body[:8]), _METRES_PER_INCH)
+        elif kind == b"tEXt":
+            keyword, _, value = body.partition(b"\0")
+            text[keyword.decode("latin-1")] = value.decode("latin-1")
+        elif kind == b"iTXt":
+            keyword, _, rest = body.partition(b"\0")
+            text[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
+    return resolution, text
+
+
+def _jfif_ppi(data: bytes) -> tuple[float, float] | None:
+    """Density of a sound JPEG file's first segment APP0 (JFIF 1.02: unit 1 is the inch, 2 the centimetre)."""
+    for marker, start, _ in jpeg_segments(data):
+        if marker == _APP0 and data[start + 4 : start + 9] == b"JFIF\0":
+            unit, x, y = struct.unpack_from(">BHH", data[start + 11 : start + 16].ljust(5, b"\0"))
+            return _density((x, y), {1: 1.0, 2: _CM_PER_INCH}.get(unit, 0.0))
+    return None
+
+
+def _density(density: tuple[int, ...], scale: float) -> tuple[float, float] | None:
+    """`density` along columns and rows times `scale`; None where it states nothing."""
+    x, y = density
+    return (x * scale, y * scale) if min(x, y) > 0 and scale > 0 else None
+
+
+def _text_chunk(keyword: str, value: str) -> bytes:
+    key = keyword.strip()
+    if key != keyword or not 1 <= len(key) <= 79 or not key.isascii() or not key.isprintable():
+        raise BadInput(f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters.")
+    require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
+    try:
+        return png_chunk(b"tEXt", key.encode("ascii") + b"\0" + value.encode("latin-1"))
+    except UnicodeEncodeError:
+        return png_chunk(b"iTXt", key.encode("ascii") + b"\0\0\0\0\0" + value.encode("utf-8"))
+
+
+def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
+    """Texts of a PNG that state where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
+    return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+
+
+# Prints as 8-bit grey TIFF with their resolution in the tags and their texts in the description.
+
+
+def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
+    """A print (H, W) uint8 as uncompressed TIFF, the same bytes each time, `text` as JSON in its description. Raises
+    BadInput if image or resolution is of another kind.
+    """
+    array, description = _checked(image, ppi), canonical_json(dict(text)) if text else None
+    return encode_tiff(array, description=description, resolution=(float(ppi), float(ppi)), resolutionunit="INCH")
+
+
+def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
+    """A print that can be written, in one piece."""
+    array = np.ascontiguousarray(image)
+    flat = array.ndim == 2 and array.size > 0 and array.dtype == np.uint8
+    require(flat, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.")
+    require(10 <= ppi <= 100_000, f"ppi must lie between 10 and 100000, but it is {ppi}.")
+    return array
+
+
+def _texts(page: TiffPage) -> dict[str, str]:
+    try:
+        document = parse_json(page.description.encode(), "the description")
+    except BadInput:
+        return {}
+    known = document.items() if isinstance(document, dict) else ()
+    return {key: value for key, value in known if isinstance(value, str)}

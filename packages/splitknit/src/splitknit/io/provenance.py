@@ -1,0 +1,96 @@
+"""Where a file came from: software, version, parameters, input hashes; and the JSON in which that is written."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Container, Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from splitknit.errors import BadInput, open_file, require
+
+JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
+
+
+def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) -> dict[str, JsonValue]:
+    """Facts of every written file: ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; no
+    date, no host. `settings`: dataclass or mapping that shaped the result; `hashes`: SHA-256 of every input file by
+    name.
+    """
+    from importlib import metadata  # slow to import
+
+    plain = plain_json({} if settings is None else settings)
+    return {
+        "software": "splitknit",
+        "version": metadata.version("splitknit"),
+        "settings": plain,
+        "settings_sha256": settings_hash(plain),
+        "inputs": dict(sorted((hashes or {}).items())),
+    }
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """SHA-256 (hex) of a file, read in pieces; BadInput if it is missing, no regular file, or cannot be read."""
+    with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def settings_hash(settings: Any) -> str:
+    """SHA-256 (hex) of the canonical JSON of `settings`."""
+    return hashlib.sha256(canonical_json(settings).encode("ascii")).hexdigest()
+
+
+def canonical_json(value: Any) -> str:
+    """ASCII JSON of `value` with sorted keys, no spaces, floats in their shortest exact form; dataclasses, mappings,
+    sequences, numpy and paths are converted. Raises BadInput for NaN or infinity, a key that is no string, or no JSON
+    form.
+    """
+    return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
+
+def json_text(value: Any) -> str:
+    """Return `value` as the ASCII JSON of the files that we write, an item a line; see :func:`canonical_json`."""
+    return json.dumps(plain_json(value), indent=1, allow_nan=False) + "\n"
+
+
+def known_json(value: Any, nulls: Container[str] = ()) -> Any:
+    """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
+        return {
+            item.name: known_json(one, nulls)
+            for item, one in given
+            if one is not None or item.default is not None or item.name in nulls
+        }
+    return [known_json(item, nulls) for item in value] if isinstance(value, (list, tuple)) else plain_json(value)
+
+
+def plain_json(value: Any, where: str = "value") -> JsonValue:  # noqa: PLR0911 - one line for each JSON type
+    """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see :func:`canonical_json`."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, np.generic):
+        return plain_json(value.item(), where)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        require(bool(np.isfinite(value)), f"{where} is {value!r}, which has no form in JSON; use null.")
+        return value
+    if isinstance(value, PurePath):
+        return value.as_posix()
+    if isinstance(value, np.ndarray):
+        return plain_json(value.tolist(), where)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain_json(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        require(all(isinstance(key, str) for key in value), f"{where} has a key that is not a string.")
+        return {str(key): plain_json(value[key], str(key)) for key in value}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = sorted(value) if isinstance(value, (set, frozenset)) else value
+        return [plain_json(item, where) for item in items]
+    raise BadInput(f"{where} has the type {type(value).__name__}, which has no form in JSON.")

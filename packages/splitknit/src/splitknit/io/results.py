@@ -1,0 +1,289 @@
+"""The fields of a reconstruction as files, and back: fields on the input's pixel grid, the mesh upright
+(``docs/explain/conventions.md``, frames of the results).
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.roughness import areal_roughness
+from splitknit.io.atomic import write_file
+from splitknit.io.fields import parse_json, read_json
+from splitknit.io.height_maps import ptm_chunks, tmd_bytes, x3p_bytes
+from splitknit.io.images import read_image
+from splitknit.io.mesh import bands, glb_chunks, obj_chunks, stl_chunks, triangulate, write_ply_pieces
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.pictures import normal_colours, upright_turn
+from splitknit.io.prints import png_with_texts, provenance_texts
+from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
+from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
+
+Origin = dict[str, JsonValue]
+LARGEST_MM = 1000.0
+"""Longest side of a result's frame."""
+_FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
+_AGAIN = "reconstruct the capture again"
+_DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."
+
+
+def read_result(path: str | os.PathLike[str]) -> Reconstruction:
+    """Read a result folder, as :func:`splitknit.reconstruct` and ``splitknit reconstruct`` leave it.
+
+    Parameters
+    ----------
+    path : path
+        The folder, or its ``height.npz``; then the albedo is NaN and there are no facts.
+
+    Returns
+    -------
+    Reconstruction
+        The albedo is relative, in 255 steps. Where its scale is unknown, `scale_known` is false and 1 px/mm is assumed,
+        as the file has heights in pixels.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing or damaged.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
+    >>> splitknit.reconstruct(capture, "ea").save("result", capture)
+    >>> splitknit.read_result("result").preset
+    'ea'
+    """
+    folder = Path(path)
+    file = folder / "height.npz" if folder.is_dir() else folder
+    names = ("height_mm", "ridge_mm", "shape_mm", "normals")
+    optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "whole", "provenance")
+    arrays = read_fields(file, names, optional, unscaled=True)
+    origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
+    facts: dict[str, Any] = {}
+    albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
+    if (folder / "report.json").is_file():
+        facts = _object(read_json(folder / "report.json", _DAMAGED.format(folder))[0], folder)
+    if (folder / "albedo.png").is_file():
+        grey = read_image(folder / "albedo.png")
+        require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
+        level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
+        albedo = np.where(arrays["mask"], level, np.float32(np.nan))
+    warnings = facts.get("warnings", [])
+    require(isinstance(warnings, list), _DAMAGED.format(folder))
+    names = ("settings", "quality", "facts", "timings_s")
+    known: dict[str, Any] = {name: _object(facts.get(name, {}), folder) for name in names}
+    return Reconstruction(
+        **arrays,
+        albedo=albedo,
+        preset=str(facts.get("preset", "")),
+        warnings=tuple(str(warning) for warning in warnings),
+        hashes=_object(origin.get("inputs", {}), file),
+        **known,
+    )
+
+
+def _object(value: Any, where: Path) -> dict[str, Any]:
+    require(isinstance(value, dict), _DAMAGED.format(where))
+    return dict(value)
+
+
+def read_fields(
+    path: Path, names: Sequence[str], optional: Sequence[str] = (), *, unscaled: bool = False
+) -> dict[str, Any]:
+    """Fields of a result's ``height.npz``, those of `names` and, where there, `optional`, with its frame (``mask``,
+    ``pitch_mm``, ``input_from_upright``, ``upright_size``), checked. `unscaled`: take unknown scales, as 1 px/mm with a
+    false ``scale_known``. Raises BadInput if the file is damaged, an array is missing, of another shape, or impossible,
+    or the scale is unknown.
+    """
+    in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
+    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))
+    known = "pitch_mm" in arrays or not any(name in arrays for name in in_pixels)
+    require(known or unscaled, f"{path}: {NO_SCALE}")
+    if not known:
+        arrays = {name.removesuffix("_px") + "_mm" if name in in_pixels else name: arrays[name] for name in arrays}
+        arrays["pitch_mm"] = np.array(1.0)
+    arrays = {name: array for name, array in arrays.items() if name not in in_pixels}
+    for name in (*names, *_FRAME):
+        remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
+        require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
+    shape = arrays["mask"].shape
+    sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
+    sizes["normals"] = sizes["normals_measured"] = (*shape, 3)
+    for name, array in arrays.items():
+        kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
+        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
+        require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
+    matrix = arrays["input_from_upright"].astype(np.float64)
+    usable = bool(np.isfinite(matrix).all()) and float(np.abs(matrix).max()) < 1e7
+    usable = usable and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
+    rows, columns = arrays["upright_size"].tolist()
+    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
+    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
+    pitch = float(arrays["pitch_mm"])
+    usual = not known or 0 < pitch * max(rows, columns) <= LARGEST_MM
+    require(usual, f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.")
+    for name in (*names, *optional):
+        if name in arrays and name not in {"provenance", "whole"}:
+            arrays[name] = arrays[name].astype(np.float32, copy=False)
+    if "whole" in arrays:
+        arrays["whole"] = bool(arrays["whole"])
+    frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    if unscaled:
+        frame["scale_known"] = known
+    return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
+
+
+def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
+    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, without a scale."""
+    unit = result.unit
+    arrays: dict[str, Any] = {
+        f"height_{unit.name}": unit.heights(result.height_mm),
+        f"ridge_{unit.name}": unit.heights(result.ridge_mm),
+        f"shape_{unit.name}": unit.heights(result.shape_mm),
+        "mask": result.mask,
+        **({"pitch_mm": np.float64(result.pitch_mm)} if unit.known else {}),
+        "normals": result.normals,
+        "input_from_upright": result.input_from_upright,
+        "upright_size": np.asarray(result.upright_size, dtype=np.int64),
+    }
+    others = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular")
+    arrays |= {name: getattr(result, name) for name in others if getattr(result, name) is not None}
+    if result.whole:
+        arrays["whole"] = np.True_
+    arrays["provenance"] = np.array(canonical_json(origin))
+    write_npz(path, arrays)
+
+
+def axes_of(material: Any) -> str:
+    """What the axes of a mesh of such a material are."""
+    return f"x right, y {'up' if material == 'opaque' else 'to the fingertip'}, z to the camera"
+
+
+def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Vertices (n, 3) in the shown unit, normals (n, 3) and intensity (n,) of pixels `valid`, by rows, tip along +y."""
+    rows, columns = bounding_box(result.mask)
+    height, width = result.mask.shape
+    turn = upright_turn(result.input_from_upright)
+    albedo = _albedo_bytes(result)
+    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
+    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
+    for band in bands(valid.shape):
+        here, part = valid[band], (slice(rows.start + band.start, rows.start + band.stop), columns)
+        if result.x_mm is not None and result.y_mm is not None:
+            x, places_y = result.x_mm[part], result.y_mm[part]
+        else:
+            places_y = y[part[0]]
+        places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
+        normals = np.empty_like(places)
+        nx, ny, normals[:, 2] = (result.normals[part][..., axis][here] for axis in range(3))
+        places[:, 2] = result.height_mm[part][here]
+        for axis, (across, along) in enumerate(turn):
+            places[:, axis] = (across * x + along * places_y)[here]
+            normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
+        if not result.unit.known:
+            places *= np.float32(result.unit.per_mm)
+        yield places, normals, albedo[part][here] * np.float32(1.0 / 255.0)
+
+
+def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
+    """Write the mesh: the surface, tip up; one vertex for each pixel of the mask, row by row."""
+    box = bounding_box(result.mask)
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    _, triangles, faces = triangulate(valid)
+    comments = [
+        f"splitknit {origin['version']}, preset {result.preset}",
+        f"unit {result.unit.title}; {axes_of(result.facts.get('material'))}",
+        f"settings_sha256 {origin['settings_sha256']}",
+        f"inputs_sha256 {settings_hash(origin['inputs'])}",
+    ]
+    vertices = int(np.count_nonzero(valid)), _vertices(result, valid)
+    write_ply_pieces(path, vertices, (triangles, faces), comments)
+
+
+MESHES = ("stl", "obj", "glb")
+SURFACES = (*MESHES, "x3p", "tmd", "ptm")
+"""Kinds of :func:`surface_chunks`."""
+
+
+def surface_chunks(
+    result: Reconstruction, kind: str, title: str, date: datetime.date | None = None
+) -> tuple[dict[str, Any], Iterator[bytes]]:
+    """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
+
+    `title`: one line for the file's header; `date`: of the measurement, where it is known; of ``x3p``; `kind`: ``stl``,
+    ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as ``phalange.ply``;
+    ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture. Raises BadInput if the result
+    has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven places.
+    """
+    require_scale(result)
+    box = bounding_box(result.mask)
+    rough = {"relief_roughness": areal_roughness(result.ridge_mm[box], result.pitch_mm)}
+    if kind not in MESHES:
+        size = {"size": list(result.mask[box].shape), "pitch_mm": result.pitch_mm, "unit": "mm", **rough}
+        if kind == "ptm":
+            return size, ptm_chunks(result.normals[box], _albedo_bytes(result)[box])
+        uneven = "its pixels lie at uneven places (perspective camera): import its phalange.ply, and export that."
+        require(result.x_mm is None, uneven)
+        height, pitch = result.height_mm[box], result.pitch_mm
+        return size, iter([tmd_bytes(height, pitch) if kind == "tmd" else x3p_bytes(height, pitch, title, date)])
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    _, count, pieces = triangulate(valid)
+    require(count > 0, "the result holds no surface; reconstruct the capture again.")
+    vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
+    faces = np.concatenate(list(pieces))
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", **rough}
+    axes = axes_of(result.facts.get("material"))
+    if kind == "stl":
+        return facts, stl_chunks(vertices, faces, title)
+    if kind == "obj":
+        return facts, obj_chunks(vertices, normals, faces, (title, axes))
+    grey = np.round(intensity * np.float32(255.0)).astype(np.uint8)
+    return facts, glb_chunks(vertices, normals, grey, faces, {"title": title, "axes": axes})[1]
+
+
+def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
+    """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
+    picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
+    box = bounding_box(result.mask)
+    shown, inside, into = (result.normals if normals is None else normals)[box], result.mask[box], picture[box]
+    for band in bands(inside.shape):
+        cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
+    write_picture(path, picture, origin)
+
+
+def write_albedo(path: Path, result: Reconstruction, origin: Origin) -> None:
+    """Write the albedo as a grey picture on the input's pixel grid."""
+    write_picture(path, _albedo_bytes(result), origin)
+
+
+def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
+    """Albedo (H, W) with its 99.9th percentile at 255, 0 outside the mask."""
+    box = bounding_box(result.mask)
+    picture = np.zeros(result.mask.shape, dtype=np.uint8)
+    known = result.mask[box] & np.isfinite(result.albedo[box])
+    if not bool(known.any()):
+        return picture
+    albedo = np.where(known, result.albedo[box], np.float32(0.0))
+    white = max(float(np.percentile(albedo[known][::7], 99.9)), 1e-12)
+    picture[box] = np.clip(np.round(albedo * np.float32(255.0 / white)), 0, 255).astype(np.uint8)
+    return picture
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8], origin: Origin) -> None:
+    """Write a grey or RGB picture as PNG, with its provenance."""
+    image = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise RuntimeError(f"{path.name} could not be encoded")
+    write_file(path, png_with_texts(data.tobytes(), provenance_texts(origin)))

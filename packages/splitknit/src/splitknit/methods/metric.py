@@ -1,0 +1,371 @@
+"""The `metric` method: near lights on opaque things, analysis by synthesis on skin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from splitknit import steps
+from splitknit.errors import Note, require
+from splitknit.imaging.geometry import gradients_from_normals
+from splitknit.imaging.view import view_of
+from splitknit.integration.knit import crossover
+from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
+from splitknit.methods.photometry import (
+    OPAQUE,
+    Slopes,
+    by_rows,
+    distant_normals,
+    integrated,
+    ridge_relief,
+    ridge_response,
+    slopes_of,
+)
+from splitknit.model import FloatArray
+from splitknit.networks.augmentation import UPRIGHT
+from splitknit.photometric.near_light import near_light
+from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
+from splitknit.plausible import RELIEF
+from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
+from splitknit.skin.diffusion import Diffusion, SkinSettings
+from splitknit.skin.grid import BandImages, Grid, smooth_step
+from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
+from splitknit.skin.learned import (
+    LITTLE_GLOSS,
+    Networks,
+    features,
+    refined_shape,
+    relief_by_network,
+    relief_network,
+    variance_restored,
+)
+from splitknit.skin.light import slant_of
+from splitknit.skin.polarised import polarised_heights, specular_images
+from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, on_fine_grid, white_light_on
+from splitknit.steps import step
+
+TURNED = (5, 6)
+"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the last relief estimate."""
+BOTH_DEG = (30.0, 40.0)
+"""Slants of the skin between which the relief becomes the mean of two estimates, from both series of a polarised
+capture and from the crossed one: the first is too high there, the second too low."""
+UNKNOWN_MM = 0.02
+"""Standard deviation of the relief where no network gives a first one."""
+FAINT = 3.0
+"""Specular reflection over noise below which heights do not follow from it."""
+DOUBTFUL = 0.5
+"""Expected error of the relief, over the relief's rms height, from which a warning is due."""
+JPEG_LOSS, JPEG_LOSS_COARSE, _JPEG_COARSE = 0.3, 0.9, 14.0
+"""Part of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to 30 px/mm, but 0.75 and
+more at 11; and the px/mm between them (``validation/jpeg``)."""
+COLOURED = (
+    "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
+    "another of the published cases."
+)
+NO_SPECULAR = (
+    "the difference of the parallel and the crossed series shows hardly any specular reflection (matt or wet skin, or "
+    "films that are not crossed): ridge heights are modelled, as without films."
+)
+SIDE_MISFIT = (
+    "{} of the white images lit from the side do not fit the others and are left out: check these LEDs' places and "
+    "their films, which must let the skin's mirror reflection pass the camera's film."
+)
+
+
+def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
+    """The `metric` method for what does not scatter light inside: near lights, robust weights, masked integration.
+
+    A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
+    """
+    slopes, albedo, normals = near_slopes(white, p.photometry.normals, p.height)
+    height_mm = integrated(slopes, white, p.height)
+    relief = ridge_relief(slopes, white, p.shapelets)
+    if nir != white:
+        shape = integrated(near_slopes(nir, p.photometry.normals, p.height)[0], nir, p.height)
+        height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinSurface:
+    """Reconstructed skin on the working grid; heights are finite everywhere and valid inside the mask."""
+
+    shape_mm: FloatArray
+    relief_mm: FloatArray
+    deviation_mm: FloatArray
+    """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and model error."""
+    albedo: FloatArray
+    """Diffuse brightness of the first channel, relative."""
+    facts: Mapping[str, Any]
+
+
+def metric_skin(
+    bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
+) -> SkinSurface:
+    """The `metric` method for skin: analysis by synthesis.
+
+    The current surface predicts what photometric stereo measures on it behind the skin's scattering; the residual
+    corrects it: first the shape on a coarse grid, from all bands, then the relief on a fine grid, from the white band.
+
+    `bands`: the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is
+    one; `grid`: fine grid of the images; `skin`: assumed optics; `p`: grids and iterations; `networks`: that estimate
+    the relief and refine the shape (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are
+    separated by their colours.
+    """
+    images = coarse_images(bands, grid, p.coarse_pitch_mm, p.plane_mm)
+    shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)
+    white = bands[0].channels
+    colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
+    optics = skin.optics(images.channels, colour)
+    if networks is None:
+        other = skin.optics(images.channels, colour, 1 + skin.scattering_uncertainty)
+        smooth, estimate = relief_of_colours(images, shape, optics, other, p.rounds)
+    else:
+        smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
+    detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
+    facts = {**optics_facts(optics, colour, shape), **estimate.facts}
+    return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
+
+
+def metric_polarised(
+    images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
+) -> SkinSurface:
+    """The `metric` method for skin photographed behind films, parallel and crossed.
+
+    The crossed series shows no specular reflection: it gives the shape. Both series together give a first relief, and
+    from there their difference, the specular image, measures the heights. Where films show hardly any specular
+    reflection (matt or wet skin), the result is that of :func:`metric_skin`.
+
+    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
+    :func:`metric_skin`.
+    """
+    grid, both, crossed = images.grid, images.bands[0], images.crossed
+    assert crossed is not None
+    first = metric_skin((replace(crossed, unpolarised=both), *images.bands[1:]), grid, skin, p, networks)
+    shape, relief, deviation = first.shape_mm, first.relief_mm, first.deviation_mm
+    if networks is None:  # a relief by colour alone would lead astray
+        relief, deviation = 0 * relief, np.full_like(deviation, UNKNOWN_MM)
+    specular = specular_images(both, crossed, images.parallel, grid, shape)
+    if images.side is not None:
+        aside = specular_images(*images.side, grid, shape)
+        rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
+        noise = min(specular.noise, aside.noise)
+        specular = replace(specular, stack=np.concatenate([specular.stack, aside.stack]), rig=rig, noise=noise)
+    height_mm, error_mm, found = polarised_heights(specular, grid, shape + relief, deviation)
+    if found["specular_over_noise"] < FAINT:
+        modelled = metric_skin(images.bands, grid, skin, p, networks)
+        return replace(modelled, facts={**modelled.facts, "specular": found})
+    rest = height_mm - shape
+    slow = grid.smooth(rest, grid.mask, KNIT_MM)
+    facts = {**first.facts, "relief_by": "polarised", "specular": found}
+    return SkinSurface(shape + slow, rest - slow, error_mm, first.albedo, facts)
+
+
+def relief_of_colours(
+    images: CoarseImages,
+    shape: Shape,
+    optics: Mapping[str, Diffusion],
+    other: Mapping[str, Diffusion],
+    rounds: int,
+) -> tuple[FloatArray, ReliefEstimate]:
+    """Smooth shape (h, w) on the fine grid, and the relief on it: specular reflection is separated by its colour.
+
+    `other`: optics of skin that scatters one standard deviation more, for the relief's uncertainty.
+    """
+    smooth = on_fine_grid(shape.height_mm, images)
+    light = white_light_on(shape.height_mm, images)
+    measured = measure(images.white, images.fine, smooth, light, optics, shape.brightness)
+    return smooth, relief_by_colour(measured, images.fine, smooth, other, rounds)
+
+
+def relief_and_shape(
+    images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
+) -> tuple[FloatArray, ReliefEstimate]:
+    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other, in turns.
+
+    The last relief is the mean over three orientations of the finger; the upright one is known from the round before.
+    A minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
+    relief is estimated from the images without films instead, which is another estimate than the one before.
+    """
+    grid, last = images.fine, rounds if networks.shape is not None else 1
+    orientations: tuple[int, ...] = (UPRIGHT,)
+    earlier: FloatArray | None = None
+    estimate: ReliefEstimate | None = None
+    for turn in range(1, last + 1):
+        before = estimate
+        if estimate is not None and networks.shape is not None:
+            shape = refined_shape(shape, estimate.relief_mm, images, optics, networks.shape)
+        if turn == last:
+            orientations = TURNED if estimate is not None else (UPRIGHT, *TURNED)
+            if images.white.unpolarised is not None:
+                images = replace(images, white=images.white.unpolarised)
+            elif estimate is not None:
+                earlier = estimate.output
+        smooth = on_fine_grid(shape.height_mm, images)
+        network = relief_network(networks.relief, orientations, earlier)
+        estimate = relief_by_network(
+            features(images.white, grid, smooth, white_light_on(shape.height_mm, images)), grid, smooth, network
+        )
+    assert estimate is not None  # there is at least one round
+    found = variance_restored(estimate)
+    if before is None or earlier is not None:
+        return smooth, found
+    of_crossed = variance_restored(before).relief_mm - found.relief_mm
+    part = _beyond(BOTH_DEG, slant_of(smooth, grid.pitch_mm)) / 2
+    return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
+
+
+def _beyond(limits_deg: tuple[float, float], slant_deg: FloatArray) -> FloatArray:
+    """(h, w) weight that grows from 0 to 1 between two slants."""
+    return smooth_step((slant_deg - np.float32(limits_deg[0])) / np.float32(limits_deg[1] - limits_deg[0]))
+
+
+def optics_facts(optics: Mapping[str, Diffusion], colour: Mapping[str, float], shape: Shape) -> dict[str, Any]:
+    """What was assumed and found of the skin's optics, for the result."""
+    return {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "colour": colour,
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+    }
+
+
+def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
+    """The surface of a thing that scatters no light inside."""
+    white, nir = photographs.white_and_nir(settings.metric.plane_mm)
+    surface = metric_opaque(white, nir, settings.parameters(bool(white.band.colours), white.capture.material))
+    shape_source = "white" if nir == white else "nir"
+    facts: dict[str, Any] = {"shape_source": shape_source, "separation": OPAQUE, "heights": "measured"}
+    if (unsure := bas_relief_of(white.rig)) is None:
+        return replace(surface, facts=facts)
+    deviation_um = bas_relief_um(surface.height_mm, white.inside, float(white.pitch_mm), unsure)
+    directions = np.round(white.rig.light_vectors(), 3).tolist()
+    facts |= {"lights": "estimated", "light_directions": directions, "bas_relief": unsure}
+    return replace(surface, uncertainty_um=deviation_um, facts=facts)
+
+
+def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
+    """The surface of skin; the photographs are released as soon as they lie on the working grid."""
+    require(not photographs.bands[0].colours, COLOURED)
+    images = _working_images(photographs, settings.metric)
+    coarse = photographs.capture.rig.camera.px_per_mm < _JPEG_COARSE
+    lost = (JPEG_LOSS_COARSE if coarse else JPEG_LOSS) if "jpeg" in photographs.finger.facts else 0.0
+    photographs.release()
+    return _on_pixels(images, settings, lost)
+
+
+def undoes_blur(material: str, skin: SkinSettings) -> bool:
+    """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
+    return material == "skin" if skin.invert_blur is None else skin.invert_blur
+
+
+@step("light")
+def _working_images(photographs: FingerPhotographs, p: MetricSettings) -> SkinImages:
+    """Linear images of the bands on the working grid."""
+    finger = photographs.finger
+    return working_images(photographs.capture, photographs.bands, finger.window, finger.inside, p)
+
+
+@step("surface")
+def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> FingerSurface:
+    """The surface by :func:`metric_skin` or :func:`metric_polarised`, on the window's pixels; `lost` is the part of
+    the relief's height that the files may have lost."""
+    skin, p = settings.skin, settings.metric
+    networks = _reporting(images.networks, p.rounds)
+    if images.crossed is None:
+        found = metric_skin(images.bands, images.grid, skin, p, networks)
+    else:
+        found = metric_polarised(images, skin, p, networks)
+    shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
+    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), np.float32(lost) * ridge_mm) * np.float32(1000.0)
+    relief_by = found.facts["relief_by"]
+    facts = {
+        "shape_source": "nir" if len(images.bands) > 1 else "white",
+        "separation": SEPARATED_BY[relief_by],
+        "heights": "measured" if relief_by == "polarised" else "modelled",
+        "optics": {**found.facts, "working_pitch_mm": images.grid.pitch_mm},
+    }
+    return FingerSurface(
+        shape_mm + ridge_mm, ridge_mm, shape_mm, albedo,
+        uncertainty_um=deviation_um, facts=facts, warnings=_doubts_of(images, found),
+    )  # fmt: skip
+
+
+def _reporting(networks: Networks | None, rounds: int) -> Networks | None:
+    """The networks; each run of the relief network is reported as progress."""
+    if networks is None:
+        return None
+    relief, runs, done = networks.relief, max(rounds, len(TURNED)) + 1, 0
+
+    def reported(fields: FloatArray) -> FloatArray:
+        nonlocal done
+        output, done = relief(fields), done + 1
+        steps.report("surface", min(done / (runs + 1), 1.0))
+        return output
+
+    return replace(networks, relief=reported)
+
+
+def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
+    """Warnings where the ridges' heights are hardly known, known up to a common factor, or odd."""
+    facts = found.facts
+    notes = [*images.warnings]
+    if images.crossed is not None and facts["relief_by"] != "polarised":
+        notes.insert(0, NO_SPECULAR)
+    lost = 0 if images.side is None else len(images.side[2].leds) - facts.get("specular", {}).get("side_lights", 0)
+    if lost:
+        notes.append(SIDE_MISFIT.format(round(lost)))
+    if facts["relief_by"] == "network":
+        error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
+        if error > DOUBTFUL * relief:
+            hardly = "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
+            notes.append(Note(hardly, relief / 1000.0, error / 1000.0))
+        if facts["gloss"] < LITTLE_GLOSS:
+            notes.append(
+                "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and may all "
+                f"be off by a common factor (standard deviation {100 * gain:.0f} %)."
+            )
+    some = found.relief_mm[images.grid.mask > 0.5]
+    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
+    remedy = (
+        "give `material` opaque for what is no living skin (a cast, a render), else check `px_per_mm`, and take colour "
+        "photographs, as grey ones leave glare in the relief"
+    )
+    return (*notes, *RELIEF.notes(relief_um, remedy))
+
+
+def near_slopes(
+    photographs: FingerBand, p: NormalsSettings, height: HeightSettings
+) -> tuple[Slopes, FloatArray, FloatArray]:
+    """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
+    turns."""
+    rig, inside = photographs.rig, photographs.inside
+    if p.method != "near_light":
+        lights = rig.light_vectors()
+        normals, albedo = by_rows(
+            photographs,
+            lambda images, rows: distant_normals(images, lights, inside[rows], p),
+            without_clipped=p.method == "robust",
+        )
+        return slopes_of(normals, photographs, p.max_slope), albedo, normals
+    view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
+    surface = np.full(inside.shape, photographs.plane_mm, dtype=np.float32)
+
+    def lit(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
+        return _near_normals(images, rig, surface[rows], inside[rows], robust=p.robust, view=view.of_rows(rows))
+
+    distant = all(led.position_mm is None for led in rig.leds)
+    for turn in range(rounds := 1 if distant else p.rounds):
+        normals, albedo = by_rows(photographs, lit, without_clipped=p.robust is not None)
+        slopes = gradients_from_normals(normals, inside, p.max_slope)
+        if turn < rounds - 1:
+            surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
+    return slopes, albedo, view.in_rig(normals)
+
+
+_near_normals = step("normals")(near_light)

@@ -1,0 +1,472 @@
+"""What a method works on, photographs of a finger that was found; and what it returns, the surface in its window."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splitknit import steps
+from splitknit.errors import BadInput, require
+from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.regions import erode
+from splitknit.finger.steady import find_steady_finger, without_moved_side
+from splitknit.imaging.band import bin_mean, linear_channels, linear_stack, saturation_levels
+from splitknit.imaging.light_field import flat_promised
+from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, without_films, without_side_lights
+from splitknit.integration.knit import place
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
+from splitknit.photometric.frames import SPOILT_DEG, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
+from splitknit.presets import PipelineSettings
+from splitknit.steps import shared, step
+
+if TYPE_CHECKING:
+    from splitknit.mirrors.captured import SeenInMirrors
+    from splitknit.photometric.shading import Shading
+
+NO_NIR = (
+    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
+    "reflection bend it."
+)
+JPEG = (
+    "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
+    "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
+)
+_JPEG_STEP = 0.1
+"""Grey levels by which steps between JPEG's blocks of 8 pixels surely exceed others, across and down together: 0
+without JPEG; 0.06 to 0.5 at quality 95, 0.5 to 0.8 at 90, 1.5 at 75."""
+_JPEG_SIDE = 1024
+OTHER_OUTLINE = 0.03, 0.15
+"""Part of the rim that is darker in near infrared than in white from which the outlines differ, and from which the
+surface is spoilt: below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
+NOTED_DEG, _DISTANT = 0.5, 0.15
+"""A fault of one photograph that turns the surface by more is noted, where less of the light is unexplained."""
+TILTED = (
+    "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and taken out: that gives "
+    "the ridges, but leaves open by some degrees how the finger is tilted."
+)
+SIDE_UNUSED = (
+    "the {} white images lit from more than 45 degrees to the side are not used: without films, and by the published "
+    "cases, the shadows in them would be taken for the skin's shape."
+)
+FRAME_SIDE = 300
+"""Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
+_COMPARED_VALUES = 4_000_000
+"""Values of all photographs that are compared with each other, at most; larger ones are binned."""
+_FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
+_EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
+"""Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
+looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
+_WEAK_COLOUR = 0.1
+"""A colour in which a light has less than this part of the mean tells little of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerBand:
+    """One band's photographs of the finger."""
+
+    capture: Capture
+    band: Band
+    finger: Finger
+    plane_mm: float = 0.0
+    """Assumed mean height of the surface above the finger plane, for near lights."""
+
+    @property
+    def rig(self) -> Rig:
+        """`rig.leds[k]` lights photograph k."""
+        return self.capture.rig.select(self.band.lights)
+
+    @property
+    def inside(self) -> BoolArray:
+        """(h, w) pixels of the window that are reconstructed."""
+        return self.finger.inside
+
+    @property
+    def px_per_mm(self) -> float:
+        """Scale on the finger plane."""
+        return self.capture.rig.camera.px_per_mm
+
+    @property
+    def pitch_mm(self) -> np.float32:
+        """Side of a pixel on the finger plane."""
+        return np.float32(self.capture.rig.camera.pitch_mm)
+
+
+@dataclass(slots=True, eq=False)
+class FingerPhotographs:
+    """All photographs of a finger, and the finger in them."""
+
+    capture: Capture
+    finger: Finger
+    bands: tuple[Band, ...]
+    """The white band, and the near-infrared one if the shape is to come from it."""
+    warnings: tuple[str, ...] = ()
+    """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
+    specular: FloatArray | None = None
+    """(H, W) picture of the specular reflection, of a polarised capture."""
+    shading: Shading | None = None
+    """Calibration from which slopes follow, where the capture names one."""
+
+    def white_and_nir(self, plane_mm: float) -> tuple[FingerBand, FingerBand]:
+        """The white band, and the band of the shape: the same one where there is no other."""
+        white, nir = self.bands[0], self.bands[-1]
+        return (
+            FingerBand(self.capture, white, self.finger, plane_mm),
+            FingerBand(self.capture, nir, self.finger, plane_mm),
+        )
+
+    def release(self) -> None:
+        """Let go of the images, so that their memory is free where nobody else holds them."""
+        self.capture, self.bands = replace(self.capture, bands={}), ()
+        steps.images_are_read()
+
+
+def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPhotographs:
+    """Find the finger; where it moved between the shots, that is undone. Raises BadInput if there is none."""
+    capture, finger = locate_finger(_with_promised_light(capture), settings.finding())
+    bands, warnings = [capture.bands["white"]], finger.warnings
+    side = bands[0].side
+    if side is not None and (settings.method == "thesis" or bands[0].crossed is None):
+        warnings = (*warnings, SIDE_UNUSED.format(len(side.leds)))
+    if settings.shape.source == "nir" and not settings.visible_alone:
+        if "nir" in capture.bands:
+            bands.append(capture.bands["nir"])
+        elif capture.material == "skin":
+            warnings = (*warnings, NO_NIR)
+    if (unsure := bas_relief_of(capture.rig)) is not None:
+        warnings = (bas_relief_note(unsure), *warnings)
+    if capture.material == "skin" and "jpeg" in finger.facts:
+        warnings = (JPEG, *warnings)
+    doubts = [finger.doubts[name] for name in ("view", *(band.name for band in bands)) if name in finger.doubts]
+    for words, worthless in doubts:
+        require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
+    spoilt = tuple(words for words, _ in doubts)
+    if spoilt:  # else the same object: cases share what follows from it
+        finger = replace(finger, facts={**finger.facts, "spoilt": len(spoilt)})
+    return FingerPhotographs(capture, finger, tuple(bands), spoilt + warnings, specular_of(capture, finger.mask))
+
+
+@shared
+@step("finger")
+def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
+    """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
+    lit, notes = prepared_capture(capture, settings)
+    lit, films = aligned(lit)  # before motion is measured, which would take the shift of the image for one
+    steady, finger = find_steady_finger(without_side_lights(lit), settings)
+    steady, moved = without_moved_side(steady, finger, settings)
+    steady = without_films(steady)
+    said: list[str] = []
+    white, fit = steady.bands["white"], None
+    if steady.material == "opaque":
+        with suppress(BadInput):  # refused below
+            fit = _fit(steady, white, finger)
+        if fit is None or fit.order == tuple(range(len(fit.order))) or fit.residual_in_order >= _FITS_IN_ORDER:
+            steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
+            films |= compared
+    facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
+    for band in (steady.bands[name] for name in ("white", "nir") if name in steady.bands):
+        known = fit if band is white else None
+        found, doubt = ({}, None) if band.colours else _doubt_of_lights(steady, band, finger, known)
+        gains = found.get("light_brightness", ()) if steady.material == "skin" else ()  # of others see `_compared`
+        if gains and len({led.intensity for led in steady.rig.select(band.lights).leds}) == 1:  # nobody measured it
+            bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
+            alike = replace(band, transmission=bright * (1.0 if band.transmission is None else band.transmission))
+            steady = replace(steady, bands={**steady.bands, band.name: alike})
+            begin = "" if band.name == "white" else f"{band.name} band: "
+            said.append(begin + TILTED.format(100 * float(np.std(np.log(gains)))))
+            doubt = doubt if doubt is not None and doubt[1] else None
+        facts |= {(name if band.name == "white" else f"{name}_{band.name}"): value for name, value in found.items()}
+        if doubt is not None:
+            doubts[band.name] = doubt
+    if any(_was_jpeg(band, finger) for band in lit.bands.values()):
+        facts["jpeg"] = True
+    if capture.material == "skin" and "nir" in steady.bands and "nir" not in doubts:
+        doubts |= _doubt_of_outline(steady, finger)
+    between = _doubt_of_films(steady, finger)
+    finger = replace(finger, facts=facts, doubts=doubts, warnings=(*notes, *said, *finger.warnings, *moved, *between))
+    return steady, finger
+
+
+def _was_jpeg(band: Band, finger: Finger) -> bool:
+    """Whether a band's photographs are JPEG files, or show JPEG's blocks of 8 pixels."""
+    if any(file.lower().endswith((".jpg", ".jpeg")) for file in band.files):
+        return True
+    stored = band.pixels[0, ..., band.pixels.shape[3] // 2][finger.window][:_JPEG_SIDE, :_JPEG_SIDE]
+    if stored.dtype != np.uint8 or min(stored.shape) < 64:
+        return False
+    image, total = stored.astype(np.float32), 0.0
+    for lines in (image, image.T):
+        steps = np.abs(np.diff(lines, axis=1))
+        over = np.clip(steps[:, 1:-1] - 0.5 * (steps[:, :-2] + steps[:, 2:]), -8.0, 8.0).mean(axis=0)
+        phases = [float(over[k::8].mean()) for k in range(8)]
+        total += max(phases) - float(np.median(phases)) - 3.0 * float(over.std()) / np.sqrt(over.size / 8)
+    return total > _JPEG_STEP
+
+
+def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
+    """How well a band's photographs fit their lights."""
+    every = max(1, max(capture.shape) // FRAME_SIDE)
+    stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
+    return fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
+
+
+def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
+    """The capture without the photographs that do not fit the others, its lights as bright as they are found to be
+    where nobody stated it; facts and sentences on that."""
+    bands, facts, said = dict(capture.bands), dict[str, Any](), list[str]()
+    for name, band in capture.bands.items():
+        if len(band.lights) != len(band.pixels) or band.crossed is not None or band.polarisation:
+            continue
+        rows, columns = finger.window
+        values = len(band.pixels) * (rows.stop - rows.start) * (columns.stop - columns.start)
+        binning = max(1, int(np.ceil(np.sqrt(values / _COMPARED_VALUES))))
+        inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
+        if not inside.any():
+            continue
+        stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
+        levels = saturation_levels(band, capture.encoding)
+        lights = capture.rig.select(band.lights).light_vectors()
+        faults = faulty_photographs(stack, lights, inside, levels)
+        out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
+        said += [_fault_words(band.image_names[fault.photograph], fault, binning) for fault in faults]
+        clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
+        if clipped.mean() > _FEW_CLIPPED:
+            where = f"{100 * clipped.mean():.1f} % of the surface is overexposed in all photographs but two or fewer"
+            said.append(f"{where}: its slopes there are unknown; photograph it again with a shorter exposure.")
+        kept = [k for k in range(len(stack)) if k not in out]
+        if out:
+            bands[name] = band.of_images(kept)
+        free = capture.rig.intensities_assumed and band.flat is None and bas_relief_of(capture.rig) is None
+        if name == "white" and free and len(bands[name].lights) > 4:
+            bands[name], found, notes = _brightness(bands[name], capture, finger, binning)
+            facts, said = facts | found, [*said, *notes]
+        if faults:
+            named = [(band.image_names[one.photograph], one.kind, round(one.effect_deg, 2)) for one in faults]
+            facts[f"faulty_{name}"] = [list(one) for one in named]
+    return replace(capture, bands=bands), facts, said
+
+
+def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> tuple[Band, dict[str, Any], list[str]]:
+    """The band whose images are divided by the brightness of their lights, in each colour, where that is clearly
+    unequal; facts and sentences."""
+    inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
+    lights, levels = capture.rig.select(band.lights).light_vectors(), saturation_levels(band, capture.encoding)
+    channels = ("red", "green", "blue") if band.pixels.shape[3] == 3 else ("grey",)
+    each = linear_channels(band, capture.encoding, ("grey", *channels), finger.window, binning)
+    found = [light_gains(stack, lights, inside, levels) for stack in each]
+    equal, gains = np.ones(len(lights)), found[0]
+    before, after = (light_left(each[0], lights * one[:, None], inside, levels) for one in (equal, gains))
+    spread = float(np.std(np.log(gains)))
+    sure = after < _WELL_EXPLAINED or (spread > _SURELY_UNEQUAL and len(lights) > 5)
+    if spread < _EQUAL or after > 0.85 * before:
+        return band, {}, []
+    shown = "; ".join(f"{name} {gain:.2f}" for name, gain in zip(band.image_names, gains / gains.mean(), strict=True))
+    if not sure:
+        doubt = "the lights may differ in brightness, by {:.0f} %, or shine and shadow look so: they are taken as equal"
+        return band, {}, [doubt.format(100 * spread) + "; give `lights` their brightness as a fourth number."]
+    of_colours = np.stack(found[1:], axis=1)
+    weak = _WEAK_COLOUR * each[1:][:, :, inside].mean() > each[1:][:, :, inside].mean(axis=2).T
+    if len(channels) == 3 and not weak.any():
+        of_colours *= np.exp(np.log(gains).mean() - np.log(of_colours).mean(axis=0))
+    else:
+        of_colours = np.repeat(gains[:, None], len(channels), axis=1)
+    facts = {
+        "light_brightness": [round(float(one), 3) for one in gains / gains.mean()],
+        "light_brightness_by": "estimated",
+    }
+    if len(channels) == 3 and not weak.any():
+        facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
+    note = f"the lights differ in brightness, which was estimated with the surface and taken out: {shown}."
+    return replace(band, transmission=of_colours), facts, [note]
+
+
+def _fault_words(name: str, fault: PhotographFault, binning: int) -> str:
+    turned = f"turned the normals by {fault.effect_deg:.2g} deg (median)"
+    px, percent = f"{binning * fault.size:.2g} px", f"{100 * fault.size:.2g} %"
+    if fault.kind == "overexposed":
+        unknown = bool(np.isnan(fault.effect_deg))
+        effect = "" if unknown else f"; used, they would have {turned} there"
+        return f"{name} is overexposed: {percent} of the surface is clipped. The clipped values are not used{effect}."
+    what = {
+        "moved": f"is shifted by {px} against the others",
+        "blurred": f"is blurred by {px} (sigma) against the others",
+        "double": f"shows everything twice, {px} apart",
+        "underexposed": f"has {percent} of the others' light",
+        "unlike": f"does not fit the others: it is {percent} off what they predict",
+    }[fault.kind]
+    return f"{name} {what}. It was left out; it would have {turned}."
+
+
+def _doubt_of_lights(
+    capture: Capture, band: Band, finger: Finger, fit: LightFit | None
+) -> tuple[dict[str, Any], tuple[str, bool] | None]:
+    """How well a band's photographs fit their lights (`fit`, where it is known), and a warning where another order or
+    frame fits better, or one does not belong to the others."""
+    try:
+        fit = fit or _fit(capture, band, finger)
+    except BadInput:
+        if band.name == "white":
+            raise
+        return {}, None  # refused where it is used
+    facts = {
+        "light_residual": round(fit.residual, 4),
+        "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
+    }
+    if fit.brightness:
+        facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
+    names = [Path(file).name for file in band.files]
+    skin = capture.material == "skin"
+    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, names, capture.material)]
+    if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
+        every = max(1, max(capture.shape) // FRAME_SIDE)
+        stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
+        vectors = capture.rig.select(band.lights).light_vectors()
+        faults = faulty_photographs(stack, vectors, inside, saturation_levels(band, capture.encoding))
+        faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
+        bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
+        doubts = [(_unlike_words(one, names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+    begin = "" if band.name == "white" else f"{band.name} band: "
+    return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
+
+
+def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
+    name = names[fault.photograph] if names else f"photograph {fault.photograph + 1}"
+    how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
+    turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
+    return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
+
+
+def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
+    """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
+    every = max(1, max(capture.shape) // FRAME_SIDE)
+    inside, px = finger.mask[::every, ::every], capture.rig.camera.px_per_mm / every
+    rim = inside & ~erode(inside, 1.5 * px)
+    core = inside & ~rim
+    if not core.any():
+        return {}
+    series = (linear_stack(capture.bands[name].sampled(every), capture.encoding, "grey") for name in ("white", "nir"))
+    white, nir = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in (one.mean(0) for one in series))
+    other = f"nir band: {100 * nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * white:.0f} % in white"
+    check = "check that both bands are of one finger in one place."
+    return {"nir": (f"{other}: {check}", nir - white > OTHER_OUTLINE[1])} if nir - white > OTHER_OUTLINE[0] else {}
+
+
+def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
+    band, every = capture.bands["white"], max(1, max(capture.shape) // FRAME_SIDE)
+    if band.crossed is not None and not band.colours:
+        series = replace(band, crossed=None), band.crossed
+        parallel, crossed = (linear_stack(one.sampled(every), capture.encoding) for one in series)
+        return doubts_of_series(parallel, crossed, finger.mask[::every, ::every])
+    return ()
+
+
+def _with_promised_light(capture: Capture) -> Capture:
+    """Where images are divided by flat ones: with the brightness that the rig's lights have on a flat surface."""
+    flat = {name: (band, band.flat) for name, band in capture.bands.items() if band.flat is not None}
+    promised = {
+        name: replace(band, promised=flat_promised(capture.rig.select(band.lights), image.shape))
+        for name, (band, image) in flat.items()
+    }
+    return replace(capture, bands={**capture.bands, **promised}) if promised else capture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerSurface:
+    """A surface in the finger's window: arrays (h, w), finite inside the mask."""
+
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    albedo: FloatArray
+    normals: FloatArray | None = None
+    """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures none."""
+    uncertainty_um: FloatArray | None = None
+    whole: bool = False
+    """Whether the surface is not split into relief and shape: its height is what the thesis's matcher takes."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@step("result")
+def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float) -> Reconstruction:
+    """The window's surface in the full image, cut to the mask, with the normals of the knitted height.
+
+    `top_mm`: assumed height of the highest point above the finger plane.
+    """
+    capture, finger = photographs.capture, photographs.finger
+    mask, window, camera = finger.mask, finger.window, capture.rig.camera
+    inside = mask[window]
+    height_mm, shape_mm, normals, x_mm, y_mm = place(
+        surface.height_mm, surface.shape_mm, inside, camera, window, top_mm
+    )
+
+    def whole(part: FloatArray) -> FloatArray:
+        image = np.full(mask.shape, np.nan, dtype=np.float32)
+        np.copyto(image[window], part, where=inside)
+        return image
+
+    def whole_normals(part: FloatArray) -> FloatArray:
+        image = np.zeros((*mask.shape, 3), dtype=np.float32)
+        np.copyto(image[window], part, where=inside[..., None])  # no negative zeros, which pack badly
+        return image
+
+    return Reconstruction(
+        height_mm=whole(height_mm),
+        ridge_mm=whole(surface.ridge_mm if x_mm is None else height_mm - shape_mm),
+        shape_mm=whole(shape_mm),
+        mask=mask,
+        normals=whole_normals(normals),
+        normals_measured=None if surface.normals is None else whole_normals(surface.normals),
+        albedo=whole(surface.albedo),
+        pitch_mm=camera.pitch_mm,
+        scale_known=camera.scale_known,
+        x_mm=None if x_mm is None else whole(x_mm),
+        y_mm=None if y_mm is None else whole(y_mm),
+        input_from_upright=finger.upright.input_from_upright,
+        upright_size=finger.upright.size,
+        preset="",
+        whole=surface.whole,
+        specular=photographs.specular,
+        uncertainty_um=None if surface.uncertainty_um is None else whole(surface.uncertainty_um),
+        quality=finger.quality,
+        facts={"material": capture.material, **finger.facts, **surface.facts},
+        hashes=capture.hashes,
+    )
+
+
+NOT_SPLIT = (
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take `preset` "
+    "metric or snk."
+)
+
+
+@step("finger")
+def mirror_views(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
+    """The finger as mirrors show it. Raises BadInput if there are none, or the settings keep the surface whole."""
+    from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
+
+    require(not settings.visible_alone, NOT_SPLIT)
+    return seen_in_mirrors(capture, settings.mask, settings.shape.mirror)
+
+
+def on_mirror_shape(
+    photographs: FingerPhotographs, surface: FingerSurface, seen: SeenInMirrors, settings: PipelineSettings
+) -> FingerSurface:
+    """The surface's relief on the mirrors' shape; the finger ends where no mirror shows it.
+
+    The shape keeps the fine detail of the one before (creases), but in the thesis's cases.
+    """
+    from splitknit.mirrors.captured import mirror_shape_of
+
+    detail_mm = None if settings.method == "thesis" else surface.shape_mm
+    shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, settings.shape.mirror, detail_mm)
+    photographs.finger = replace(photographs.finger, mask=mask)
+    facts = {**surface.facts, **facts}
+    said = (*surface.warnings, *seen.shape.doubts)
+    return replace(surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts=facts, warnings=said)

@@ -1,0 +1,165 @@
+"""The thesis's cases: EA and PR, and Split and Knit.
+
+References
+----------
+A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapters 3 and 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.finger.contrast import clahe
+from splitknit.imaging.band import has_colour, linear_channels, linear_stack
+from splitknit.imaging.coloured import balanced
+from splitknit.imaging.geometry import smoothed
+from splitknit.integration.knit import add, crossover
+from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
+from splitknit.methods.photometry import (
+    Slopes,
+    by_rows,
+    distant_normals,
+    fast_part,
+    integrated,
+    ridge_relief,
+    ridge_response,
+    slopes_of,
+)
+from splitknit.model import FloatArray
+from splitknit.presets import DirectSettings, EnhanceSettings, Parameters, Photometry, PipelineSettings
+from splitknit.separation.direct import direct_light, direct_of_enhanced
+from splitknit.steps import shared, step
+
+
+def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
+    """EA and PR (thesis, section 5.4): the visible surface, whole.
+
+    EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
+    Zheng, Lin and Xie are EA with other parameters (:mod:`splitknit.presets`).
+    """
+    normals, albedo = visible_normals(white, p.photometry)
+    height_mm = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    relief = fast_part(height_mm, white)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, whole=True)
+
+
+def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
+    """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
+    normals, albedo = visible_normals(white, p.photometry)
+    slopes = slopes_of(normals, white, p.max_slope)
+    height_mm = integrated(slopes, white, p.height)
+    relief = ridge_relief(slopes, white, p.shapelets)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
+
+
+def snk(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
+    """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
+    normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
+    relief = ridge_relief(slopes_of(normals, white, p.max_slope), white, p.shapelets)  # 3.3.1.3
+    shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)  # 3.3.2
+    return FingerSurface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
+
+
+def snk_by_crossover(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
+    """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
+    normals, albedo = visible_normals(white, p.photometry)
+    shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
+    visible = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    height_mm = crossover(visible, shape, ridge_response(white, p.shapelets), white.inside)
+    return FingerSurface(height_mm, height_mm - shape, shape, albedo, normals)
+
+
+CASES = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_crossover}
+"""The thesis's cases by ``knit.method``."""
+
+
+def thesis_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
+    """The case that the settings name."""
+    white, nir = photographs.white_and_nir(plane_mm=0.0)
+    parameters = settings.parameters(bool(white.band.colours), white.capture.material)
+    surface = CASES[settings.knit.method](white, nir, parameters)
+    facts = {
+        "shape_source": "white" if nir == white else "nir",
+        "separation": _separation_of(settings.direct, white.capture.material),
+        "heights": "measured",
+    }
+    return replace(smoothed_surface(surface, white, settings.smooth.sigma_mm), facts=facts)
+
+
+@step("surface")
+def smoothed_surface(surface: FingerSurface, white: FingerBand, sigma_mm: float) -> FingerSurface:
+    """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of zero."""
+    if sigma_mm == 0:
+        return surface
+    sigma_px = sigma_mm * white.px_per_mm
+    height_mm, ridge_mm = (smoothed(part, white.inside, sigma_px) for part in (surface.height_mm, surface.ridge_mm))
+    return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
+
+
+@shared
+def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, FloatArray]:
+    """Normals (h, w, 3) and albedo of the direct visible light (thesis, section 3.3.1)."""
+    if not p.prepares:
+        lights, inside = white.rig.light_vectors(), white.inside
+
+        def solve(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
+            return distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
+
+        return by_rows(white, solve)
+    images = _grey_images(white)
+    if p.balance:
+        images = balanced(images, white.capture.rig, white.band, white.finger.mask[white.finger.window])
+    if p.enhance.clahe:
+        images = _equalised(images, white, p.enhance)
+    if p.direct.method == "network":
+        images = _direct_images(images, white, p.direct)
+    return distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
+
+
+def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
+    """Slopes from the band of the shape (thesis, section 3.3.2)."""
+    normals, _ = distant_normals(_grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
+    return slopes_of(normals, nir, p.normals.max_slope)
+
+
+def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.float64]:
+    """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
+    lights = photographs.rig.light_vectors()
+    return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
+
+
+@step("light")
+def _grey_images(photographs: FingerBand) -> FloatArray:
+    """(L, h, w) linear grey images."""
+    encoding, window = photographs.capture.encoding, photographs.finger.window
+    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
+
+
+@step("light")
+def _equalised(images: FloatArray, photographs: FingerBand, enhance: EnhanceSettings) -> FloatArray:
+    """Contrast-limited adaptive histogram equalisation of every image."""
+    scale, inside = photographs.px_per_mm, photographs.inside
+    return np.stack([clahe(image, scale, enhance.cells, mask=inside) for image in images])
+
+
+@step("light")
+def _direct_images(images: FloatArray, white: FingerBand, direct: DirectSettings) -> FloatArray:
+    """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
+    inside = images * white.inside
+    if not (direct.from_colours and has_colour(white.band)):
+        return direct_light(inside, direct.network)
+    encoding, window = white.capture.encoding, white.finger.window
+    colours = np.moveaxis(linear_channels(white.band, encoding, ("red", "green", "blue"), window), 0, 1)
+    return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
+
+
+def _separation_of(direct: DirectSettings, material: str) -> str:
+    """How direct light was separated in the thesis's cases."""
+    if direct.method != "network":
+        return "none"
+    if material != "skin":
+        return "none (opaque material: all light is direct)"
+    return f"direct light by the network '{direct.network}'"

@@ -1,0 +1,238 @@
+"""The finger as a body: oval sections along a bent axis, with smooth half axes, that end in a rounded tip.
+
+Finger frame, mm: u level along the finger, growing to the tip; t to the right of it; z to the camera. The section at u
+is the oval of points (t + a X + sigma b Z, z + b Z) with X = sin w, Z = cos w (1 + kappa sin^2 w): an ellipse for
+kappa = 0, with a flatter pad and rounder shoulders above; it is smooth, and upright at its sides. The shear sigma
+stands for roll and for pads that lie to a side. Half axes are a = s A(s), b = s B(s) with s^2 the distance from the tip
+over the length: near its tip any smooth body is like that. Centre lines, A and B are cubic splines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from splitknit.imaging.view import view_of
+from splitknit.model import BoolArray, Camera, FloatArray
+
+Array = NDArray[np.float64]
+
+OVAL_NODES = 400
+MAX_SQUARE = 0.45
+"""Beyond, the oval is no longer convex."""
+
+
+SeenHeights = tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]
+"""x, y and z (h, w), mm, finite everywhere, of the surface on the rays of a window's pixels; whether they meet it; and
+which lie in rows of the finger that the outlines reach."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """One finger."""
+
+    origin_mm: Array
+    """(2,) of the finger's frame on the finger plane."""
+    axis: Array
+    """(2,) direction of u."""
+    tip_mm: float
+    """u of the tip."""
+    length_mm: float
+    """From the tip to where the splines end."""
+    coefficients: Array
+    """(4, K) of centre t and z, and of A and B."""
+    squareness: float = 0.0
+    """kappa."""
+    shear: float = 0.0
+    """sigma in the middle of the length."""
+    shear_slope: float = 0.0
+    """Its growth from the tip to the base."""
+    _lines: tuple[Array, Array] = field(init=False, repr=False)
+    """The splines of the centre and of the half axes, (N, 2) each, at the nodes of the table of their basis."""
+
+    def __post_init__(self) -> None:
+        table = _basis_table(self.coefficients.shape[1])
+        lines = table @ self.coefficients[:2].T, table @ self.coefficients[2:].T
+        object.__setattr__(self, "_lines", lines)
+
+    @property
+    def across(self) -> Array:
+        """(2,) direction of t."""
+        return np.array([self.axis[1], -self.axis[0]])
+
+    def to_frame(self, vectors: Array, *, place: bool) -> Array:
+        """Vectors (or places) of the rig's frame (n, 3) as t, u, z (n, 3)."""
+        level = vectors[:, :2] - self.origin_mm if place else vectors[:, :2]
+        return np.column_stack([level @ self.across, level @ self.axis, vectors[:, 2]])
+
+    def fraction(self, u: Array) -> Array:
+        """Distance from the tip over the length, just above zero beyond the tip, at most one."""
+        return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
+
+    def sections(self, u: Array) -> _Sections:
+        """Centre, half axes and shear at `u` (n,)."""
+        w = self.fraction(u)
+        s = np.sqrt(w)
+        along, root = _between(self._lines[0], w), _between(self._lines[1], s)
+        shear = self.shear + self.shear_slope * (w - 0.5)
+        return _Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
+
+    def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
+        """Where the rays of a window's pixels or blocks meet the body; beside it its outline's z goes on."""
+        view = view_of(camera, rows, columns, binning=binning)
+        plane_x, plane_y = np.broadcast_arrays(*view.on_plane())
+        table = _table_of(self)
+        if view.apex_mm is None:
+            return plane_x, plane_y, *_looked_up(self, table, plane_x, plane_y)
+        apex = np.float32(view.apex_mm)
+        z = np.zeros(plane_x.shape, dtype=np.float32)
+        for _ in range(4):  # less than all the way each time: at steep skin whole steps overshoot
+            nearer = np.float32(1.0) - z / apex
+            found, _, _ = _looked_up(self, table, plane_x * nearer, plane_y * nearer)
+            z = np.float32(0.3) * z + np.float32(0.7) * found
+        nearer = np.float32(1.0) - z / apex
+        x, y = plane_x * nearer, plane_y * nearer
+        return x, y, *_looked_up(self, table, x, y)
+
+    def grown(self, step: Array) -> Body:
+        """With `step` (4 K,) added to the coefficients."""
+        return replace(self, coefficients=self.coefficients + step.reshape(self.coefficients.shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sections:
+    """Sections of a body at n places."""
+
+    t: Array
+    z: Array
+    a: Array
+    b: Array
+    shear: Array
+    squareness: float
+
+    def support(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
+        """How far the section reaches along (normal_t, normal_z), and its derivatives by a and b."""
+        x, rise, turned = self._touched(normal_t, normal_z)
+        by_a, by_b = normal_t * x, turned * rise
+        return self.t * normal_t + self.z * normal_z + self.a * by_a + self.b * by_b, by_a, by_b
+
+    def contact(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array]:
+        """Point (t, z) of the section at which its outward normal is along (normal_t, normal_z)."""
+        x, rise, _ = self._touched(normal_t, normal_z)
+        return self.t + self.a * x + self.shear * self.b * rise, self.z + self.b * rise
+
+    def _touched(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
+        """X and Z where a line of that normal touches, and the normal's second part after the shear."""
+        turned = normal_z + self.shear * normal_t
+        steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
+        angle = np.interp(steepness, *_oval_table(self.squareness))
+        sine, cosine = np.sin(angle), np.cos(angle)
+        rise = cosine * (1.0 + self.squareness * sine * sine)
+        return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
+
+
+@lru_cache(maxsize=64)
+def _oval_table(squareness: float) -> tuple[Array, Array]:
+    """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at nodes w, and these."""
+    node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
+    sine, cosine = np.sin(node), np.cos(node)
+    normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
+    return np.asarray(np.arctan2(normal_x, cosine)), node
+
+
+def basis(x: Array, count: int) -> Array:
+    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots, to 1e-6."""
+    return _between(_basis_table(count), x)
+
+
+def _between(table: Array, x: Array) -> Array:
+    """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x` (...)."""
+    place = np.minimum(np.maximum(x, 0.0), 1.0) * (len(table) - 1)
+    below = np.minimum(place.astype(np.intp), len(table) - 2)
+    fraction = (place - below)[..., None]
+    return np.asarray(table.take(below, axis=0) * (1.0 - fraction) + table.take(below + 1, axis=0) * fraction)
+
+
+@cache
+def _basis_table(count: int) -> Array:
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
+    return np.asarray(BSpline.design_matrix(np.linspace(0.0, 1.0, 4001), knots, 3).toarray())
+
+
+# A body as seen from above: z over every pixel, and slopes.
+
+_DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
+STEEPEST_DEG = 24.0
+"""Slopes of the skin are used up to here: steeper skin looks flatter than it is."""
+
+
+def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
+    """The side of `body` that faces the camera, tabled evenly over s: t (2, S) of its outline on the left and right,
+    and z (S, NODES), evenly over the arc sine of the place across, -pi/2 to pi/2.
+    """
+    s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
+    s[0] = 1e-3
+    u = body.tip_mm - body.length_mm * s**2
+    sections = body.sections(u)
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ANGLES)
+    normal_t, normal_z = np.sin(turn)[:, None], np.cos(turn)[:, None]
+    t, z = sections.contact(normal_t, normal_z)  # (ANGLES, S), t grows with the angle
+    left, right = t[0], t[-1]
+    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, NODES)
+    middle, half = 0.5 * (left + right), np.maximum(0.5 * (right - left), 1e-9)
+    angle = np.arcsin(np.clip((t - middle) / half, -1.0, 1.0))
+    tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(_DENSE_STATIONS)])
+    return np.stack([left, right]).astype(np.float32), tabled.astype(np.float32)
+
+
+def _looked_up(
+    body: Body, table: tuple[FloatArray, FloatArray], x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    ends, tabled = table
+    dx, dy = x - np.float32(body.origin_mm[0]), y - np.float32(body.origin_mm[1])
+    across, axis = body.across.astype(np.float32), body.axis.astype(np.float32)
+    t, u = across[0] * dx + across[1] * dy, axis[0] * dx + axis[1] * dy
+    w = (np.float32(body.tip_mm) - u) / np.float32(body.length_mm)
+    s = np.sqrt(np.clip(w, 0.0, 1.0)) * np.float32(_DENSE_STATIONS - 1)
+    row = np.zeros_like(s)
+    left, right = (cv2.remap(end, s, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for end in ends[:, None])
+    half = np.maximum(np.float32(0.5) * (right - left), np.float32(1e-6))
+    place = (t - np.float32(0.5) * (left + right)) / half
+    inside = (w > 0) & (w <= 1) & (np.abs(place) <= 1)
+    node = (np.arcsin(np.clip(place, -1, 1)) / np.float32(np.pi) + np.float32(0.5)) * np.float32(NODES - 1)
+    z = cv2.remap(tabled, node, s, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(z, dtype=np.float32), np.asarray(inside), np.asarray(w <= 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slopes:
+    """Measured slopes of the skin at places of the front view."""
+
+    places_mm: Array
+    """(n, 2) on the finger plane."""
+    x: Array
+    """(n,) dz/dx."""
+    y: Array
+    """(n,) dz/dy."""
+
+
+def slopes_across(body: Body, slopes: Slopes) -> Array:
+    """Slope of the body across its axis minus the measured one (n,); NaN where it is steep or beside the body."""
+    level = slopes.places_mm - body.origin_mm
+    t, u = level @ body.across, level @ body.axis
+    measured = slopes.x * body.across[0] + slopes.y * body.across[1]
+    limit = np.deg2rad(STEEPEST_DEG)
+    turn = np.linspace(-limit, limit, 33)
+    reach, _ = body.sections(u).contact(np.sin(turn)[:, None], np.cos(turn)[:, None])  # (33, n)
+    above = reach > t
+    k = np.clip(np.argmax(above, axis=0), 1, turn.size - 1)
+    column = np.arange(t.size)
+    low, high = reach[k - 1, column], reach[k, column]
+    angle = turn[k - 1] + (turn[k] - turn[k - 1]) * (t - low) / np.maximum(high - low, 1e-9)
+    known = above.any(axis=0) & ~above[0] & (u < body.tip_mm - 3.0) & (u > body.tip_mm - body.length_mm)
+    return np.where(known, -np.tan(angle) - measured, np.nan)

@@ -1,0 +1,204 @@
+"""The shape from mirrors: views, slopes of the skin in white light, the fit, and the shape on the finger's window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.finger.locate import Finger
+from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
+from splitknit.imaging.areas import mirror_outline
+from splitknit.imaging.band import bin_mean, linear_survey
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.view import View, pixels_of, view_of
+from splitknit.integration.knit import crossover, unevenness
+from splitknit.mirrors.body import Slopes
+from splitknit.mirrors.mirror import MirrorShape, mirror_shape
+from splitknit.mirrors.outline import medial_line
+from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.views import Views, find_views, view_binning
+from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
+from splitknit.photometric.near_light import pseudo_normals
+
+SLOPES_MM = 0.25
+"""Pitch of the images from which slopes are measured."""
+OUTLINE_PX_PER_MM = 10.0
+"""Scale at which outlines are found; between its pixels they are interpolated."""
+APART_MM = 1.0
+"""Distance of the places whose slopes are used."""
+RIM_MM = 1.2
+"""Skin nearer to the outline than this is not used: light is lost there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenInMirrors:
+    """Views of a capture with mirrors, and the shape that follows from them."""
+
+    views: Views
+    shape: MirrorShape
+    capture: Capture
+
+
+def mirror_shape_of(
+    finger: Finger, seen: SeenInMirrors, settings: MirrorShapeSettings, detail_mm: FloatArray | None
+) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
+    """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far as the mirrors show
+    it; and facts for the result. Every pixel of the front view has its own z of the shape, so that relief and shape
+    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the
+    settings is kept: creases, and what no smooth section has; None: nothing is.
+    """
+    camera = seen.capture.rig.camera
+    window, inside = finger.window, finger.inside
+    z, known = seen.shape.continued(*window)
+    shape = z
+    if camera.model != "orthographic":  # heights along the rays that the result is made from
+        shape = view_of(camera, *window, along_rays=True).along(z)
+        shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
+    if detail_mm is not None:
+        cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
+        finer = crossover(
+            np.where(inside, detail_mm, np.float32(0)), shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside
+        )
+        shape = np.where(inside, finer, shape)
+    kept = finger.mask.copy()
+    kept[window] &= known
+    require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
+    facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": _drawing(seen)}
+    return shape, kept, facts
+
+
+def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
+    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of the image."""
+    rig = seen.capture.rig
+    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
+    scale, masks = seen.views.binning, {"front": seen.views.front, **seen.views.mirrors}
+    drawn: dict[str, Any] = {"masks": {}, "medial_lines": {}, "mirrors": {}}
+    for name, mask in masks.items():
+        found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        outline = cv2.approxPolyDP(max(found, key=cv2.contourArea), 0.7, True)[:, 0]
+        drawn["masks"][name] = np.round((outline + 0.5) * scale - 0.5, 1).tolist()
+    for name, rows in seen.shape.outlines.items():
+        if abs(float(rows.axis @ seen.shape.outlines["front"].axis)) < np.sqrt(0.5):
+            continue  # a mirror beyond the tip: its rows run across
+        slope, offset = medial_line(rows)
+        ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
+        places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
+        drawn["medial_lines"][name] = np.round(pixels_of(rig.camera, np.column_stack([places, [0, 0]])), 1).tolist()
+    for mirror in rig.mirrors:
+        drawn["mirrors"][mirror.name] = np.round(mirror_outline(mirror, rig.camera), 1).tolist()
+    drawn["fitted"] = {name: np.round(line[::4], 1).tolist() for name, line in seen.shape.drawn(mirrors).items()}
+    return drawn
+
+
+def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
+    """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
+    rig = capture.rig
+    require(
+        bool(rig.mirrors),
+        "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take `shape` nir or "
+        "white.",
+    )
+    views, grey = found_views(capture, mask)
+    tip = capture.tip_direction_deg or 0.0
+    slopes_on = partial(skin_slopes, capture, grey, views)
+    return SeenInMirrors(views, mirror_shape(views, rig, settings, tip_direction_deg=tip, slopes_on=slopes_on), capture)
+
+
+def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
+    """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
+    Raises BadInput as :func:`splitknit.mirrors.views.find_views`.
+    """
+    rig = capture.rig
+    binning = view_binning(rig.camera.px_per_mm)
+    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
+    return views_in(mean, rig, binning, mask), grey
+
+
+def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Views:
+    """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
+    mask = replace(
+        mask,
+        fine_px_per_mm=min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
+        coarse_px_per_mm=min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
+    )
+    return find_views(
+        mean,
+        rig,
+        lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
+        binning,
+        lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
+    )
+
+
+def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
+    """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
+    `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives where each light reaches the skin.
+    """
+    camera = capture.rig.camera
+    pitch = camera.pitch_mm * views.binning
+    factor = max(1, round(SLOPES_MM / pitch))
+    inside: BoolArray = np.asarray(bin_mean(views.front.astype(np.float32), factor) > 0.999)
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
+    if len(grey) < 3 or not bool((depth > RIM_MM).any()):
+        return None
+    stack = bin_mean(grey, factor)
+    view = view_of(camera, binning=views.binning * factor)
+    block = factor * views.binning
+    rows, columns = (slice(0, side * block) for side in inside.shape)
+    x, y, z = shape.points(rows, columns, block)
+    inside &= np.isfinite(z)
+    surface = np.where(inside, z, np.float32(np.nanmin(z)))
+    points = np.stack([x, y, surface], axis=-1).astype(np.float64)
+    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
+    rig = _with_images(
+        capture.rig.select(capture.bands["white"].lights),
+        tuple(glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
+        points,
+        turned.astype(np.float64),
+        view,
+    )
+    normals = pseudo_normals(stack, rig, surface, inside, view=view)
+    length = np.linalg.norm(normals, axis=2)
+    level = np.float32(1e-3) * np.float32(np.median(length[inside]))
+    upward = np.maximum(normals[..., 2], level)
+    known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
+    sigma = 0.5 / (pitch * factor)
+    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
+    smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
+    step = max(1, round(APART_MM / (pitch * factor)))
+    chosen = np.zeros_like(inside)
+    chosen[step // 2 :: step, step // 2 :: step] = True
+    chosen &= (depth > RIM_MM) & (known > 0)
+    places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
+    return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
+
+
+def _with_images(
+    rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64], view: View
+) -> Rig:
+    """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where it reaches the
+    skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
+    """
+
+    def shaded(led: Led, fraction: FloatArray) -> Led:
+        return replace(led, shade=shade_of(fraction, view))
+
+    leds = []
+    for exposure in rig.leds:
+        members = [replace(led, also=()) for led in (exposure, *exposure.also)]
+        lights = [shaded(led, facing_fraction(points_mm, normals, led)) for led in members]
+        for glass in glasses:
+            for led in members:
+                image = led_image(led, glass.plane, glass.reflectance)
+                through = mirrored_fraction(points_mm, image, glass.plane, glass.corners_mm)
+                lights.append(shaded(image, facing_fraction(points_mm, normals, image) * through))
+        leds.append(replace(lights[0], also=tuple(lights[1:])))
+    return replace(rig, leds=tuple(leds))

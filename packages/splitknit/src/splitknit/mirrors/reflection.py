@@ -1,0 +1,258 @@
+"""A plane mirror shows the camera the reflected finger, in the same frame of the rig, lit by the reflected lights.
+
+To reflect the camera's rays instead gives a second camera that sees the finger itself. A point of an outline is a ray
+that touches the finger, and ray and outline together span a plane that touches it: normal N out of the finger,
+N . X = c. Both hold for parallel and for spreading rays, and for any pose of a mirror.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.geometry import sampled_at
+from splitknit.imaging.view import View, pixels_of
+from splitknit.model import Camera, FloatArray, Led, Mirror, Shade
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touching:
+    """Rays that touch the finger, and planes that do (n of them), in the rig's frame, mm."""
+
+    point: Array
+    """(n, 3) on the ray."""
+    direction: Array
+    """(n, 3) of the ray, unit length, away from the camera."""
+    normal: Array
+    """(n, 3) out of the finger, unit length."""
+    offset_mm: Array
+    """(n,) normal . X on the plane."""
+
+
+def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
+    """Rays and planes of points of an outline, by their `places_mm` (n, 2) on the finger plane. `along`: (n, 2)
+    direction of the outline there; `outward`: (n, 2) any direction on that plane that leaves the finger.
+    """
+    n = len(places_mm)
+    point = np.column_stack([places_mm, np.zeros(n)])
+    if camera.model == "orthographic":
+        direction = np.tile([0.0, 0.0, -1.0], (n, 1))
+    else:
+        direction = _unit(np.column_stack([places_mm, np.full(n, -camera.height_mm)]))
+    normal = _unit(np.cross(direction, np.column_stack([along, np.zeros(n)])))
+    inwards = (normal[:, :2] * outward).sum(axis=1) < 0
+    normal[inwards] *= -1.0
+    return Touching(point, direction, normal, (normal * point).sum(axis=1))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Where a mirror lies."""
+
+    point_mm: Array
+    """(3,) on the reflecting face."""
+    normal: Array
+    """(3,) unit length, towards the camera (z > 0)."""
+
+    def __post_init__(self) -> None:
+        shapes = np.shape(self.point_mm), np.shape(self.normal)
+        require(shapes == ((3,), (3,)), f"a mirror's point and normal are three numbers each, not {shapes}.")
+        length = float(np.linalg.norm(self.normal))
+        require(abs(length - 1.0) < 1e-6, f"a mirror's normal must have unit length, but it has {length:.6g}.")
+
+    @property
+    def offset_mm(self) -> float:
+        """Distance of the plane from the rig's origin, along the normal."""
+        return float(np.dot(self.point_mm, self.normal))
+
+    def moved(self, turn_rad: tuple[float, float], shift_mm: float) -> Plane:
+        """The plane turned about its point by two small angles (about :meth:`axes`), and shifted along its normal."""
+        first, second = self.axes()
+        normal = self.normal + turn_rad[0] * second - turn_rad[1] * first
+        normal = normal / np.linalg.norm(normal)
+        return Plane(self.point_mm + shift_mm * normal, normal)
+
+    def posed(self, turn_rad: float, lean_rad: float, shift_mm: float) -> Plane:
+        """The plane turned about z by `turn_rad`, leaned by `lean_rad` more towards lying flat, both about its point,
+        and shifted by `shift_mm` along its normal.
+        """
+        level = self.normal[:2] / np.hypot(*self.normal[:2])
+        cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+        level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
+        elevation = np.arctan2(self.normal[2], np.hypot(*self.normal[:2])) + lean_rad
+        normal = np.array([*(np.cos(elevation) * level), np.sin(elevation)])
+        return Plane(self.point_mm + shift_mm * normal, normal)
+
+    def reflect(self, seen: Touching) -> Touching:
+        """Rays and planes as the mirror turns them: those of the finger itself."""
+        point, normal = reflect_points(seen.point, self), reflect_vectors(seen.normal, self)
+        return Touching(point, reflect_vectors(seen.direction, self), normal, (normal * point).sum(axis=1))
+
+    def axes(self) -> tuple[Array, Array]:
+        """Two unit vectors in the plane, at right angles: the first lies as nearly along y as it can."""
+        other = np.array([0.0, 1.0, 0.0]) if abs(self.normal[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        first = other - np.dot(other, self.normal) * self.normal
+        first = first / np.linalg.norm(first)
+        return first, np.cross(self.normal, first)
+
+    def image_axis(self, axis: Array) -> Array:
+        """(2,) unit direction in which a level direction (2,) of the finger runs in the mirror's picture."""
+        n = self.normal
+        shown = axis - 2.0 * float(axis @ n[:2]) * n[:2]
+        return np.asarray(shown / np.linalg.norm(shown))
+
+    def epipole(self, camera: Camera) -> Array | None:
+        """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
+        if camera.model == "orthographic":
+            return None
+        return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
+
+
+def reflect_vectors(vectors: Array, plane: Plane) -> Array:
+    """Directions (..., 3) reflected in the mirror."""
+    return np.asarray(vectors - 2.0 * (vectors @ plane.normal)[..., None] * plane.normal)
+
+
+def reflect_points(points_mm: Array, plane: Plane) -> Array:
+    """Points (..., 3) reflected in the mirror: the same function takes them back."""
+    beyond = points_mm @ plane.normal - plane.offset_mm
+    return np.asarray(points_mm - 2.0 * beyond[..., None] * plane.normal)
+
+
+def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
+    """Image of one LED in a mirror that reflects the fraction `strength` of its light, without those of its `also`."""
+    if led.position_mm is None:
+        moved = {"direction": _triple(reflect_vectors(np.asarray(led.direction, dtype=np.float64), plane))}
+    else:
+        position = reflect_points(np.asarray(led.position_mm, dtype=np.float64), plane)
+        moved = {"position_mm": _triple(position), "aim": _triple(reflect_vectors(led.axis, plane))}
+    return replace(led, intensity=led.intensity * strength, also=(), reflected=True, shade=None, **moved)  # type: ignore[arg-type]
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+# Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
+
+GRAZING = 0.04
+"""Cosine of incidence up to which a light fades in: the ridges of skin catch it here and there."""
+EDGE_MM = 0.4
+"""Width over which light by way of a mirror fades out at the mirror's edge."""
+
+
+def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
+    """Fraction (...) in [0, 1] of a light that skin at `points_mm` with `normals`, (..., 3), is not turned away from: a
+    finger is convex, so that it is its only obstacle.
+    """
+    if led.position_mm is None:
+        towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
+    else:
+        towards = np.asarray(led.position_mm, dtype=np.float64) - points_mm
+    length = np.maximum(np.linalg.norm(towards, axis=-1), 1e-12)
+    cosine = np.einsum("...i,...i->...", towards, normals) / length
+    return np.asarray(np.clip(cosine / GRAZING, 0.0, 1.0), dtype=np.float32)
+
+
+def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
+    """Fraction (...) in [0, 1] of an LED's `image` in a mirror that points (..., 3) before it see within its outline
+    `corners_mm` (K, 3), in order, convex.
+    """
+    if image.position_mm is None:
+        towards = np.broadcast_to(np.asarray(image.direction, dtype=np.float64), points_mm.shape)
+    else:
+        towards = np.asarray(image.position_mm, dtype=np.float64) - points_mm
+    above = points_mm @ plane.normal - plane.offset_mm
+    falling = towards @ plane.normal
+    there = (above > 0) & (falling < -1e-9)
+    way = np.where(there, above / np.where(there, -falling, 1.0), 0.0)
+    met = points_mm + way[..., None] * towards
+    axes = np.stack(plane.axes(), axis=1)
+    flat, outline = (met - plane.point_mm) @ axes, (np.asarray(corners_mm) - plane.point_mm) @ axes
+    following = np.roll(outline, -1, axis=0)
+    turning = float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
+    within = np.full(flat.shape[:-1], np.inf)
+    for start, stop in zip(outline, following, strict=True):
+        edge = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-12)
+        inner = np.array([-edge[1], edge[0]]) * np.sign(turning)
+        within = np.minimum(within, (flat - start) @ inner)
+    return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * there, dtype=np.float32)
+
+
+def shade_of(fraction: FloatArray, view: View) -> Shade:
+    """What reaches the places that the pixels of a view see: `fraction` (h, w), on even steps over the finger plane."""
+    x, y = view.x_mm, view.y_mm
+    if x.ndim == 2:
+        h, w = x.shape
+        ends = (float(x.min()), float(x.max())), (float(y.max()), float(y.min()))
+        wanted = np.meshgrid(np.linspace(*ends[0], w), np.linspace(*ends[1], h))
+        column, row = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+        for _ in range(4):  # a lens with distortion
+            here = [sampled_at(axis.astype(np.float32), column, row) for axis in (x, y)]
+            column = column + (wanted[0] - here[0]) * (w - 1) / (ends[0][1] - ends[0][0])
+            row = row + (wanted[1] - here[1]) * (h - 1) / (ends[1][1] - ends[1][0])
+        return Shade(*ends, sampled_at(fraction, column, row), view.apex_mm)
+    ends = (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1]))
+    return Shade(*ends, np.ascontiguousarray(fraction, dtype=np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glass:
+    """A mirror as it is taken to be."""
+
+    name: str
+    plane: Plane
+    corners_mm: Array
+    """(K, 3) outline of its face."""
+    reflectance: float
+
+
+def glass_in(mirror: Mirror, plane: Plane) -> Glass:
+    """A mirror in the plane that was found; its outline is the drawn one, laid into that plane."""
+    corners = np.asarray(mirror.corners_mm, dtype=np.float64)
+    corners = corners - (corners @ plane.normal - plane.offset_mm)[:, None] * plane.normal
+    return Glass(mirror.name, Plane(corners.mean(axis=0), plane.normal), corners, mirror.reflectance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """One view of the finger: from the front, or in a mirror."""
+
+    name: str
+    """``front``, or the mirror's name."""
+    camera: Camera
+    plane: Plane | None = None
+    """Plane of the mirror; None: the camera sees the finger itself."""
+
+    def to_view(self, points_mm: Array) -> Array:
+        """Points (..., 3) of the rig's frame where the camera seems to see them; the same function takes them back."""
+        return points_mm if self.plane is None else reflect_points(points_mm, self.plane)
+
+    def turned(self, vectors: Array) -> Array:
+        """Directions (..., 3) likewise."""
+        return vectors if self.plane is None else reflect_vectors(vectors, self.plane)
+
+    def pixels(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (...) of points (..., 3) of the rig's frame."""
+        seen = pixels_of(self.camera, self.to_view(points_mm).reshape(-1, 3)).astype(np.float32)
+        column, row = (part.reshape(points_mm.shape[:-1]) for part in seen.T)
+        return column, row
+
+    def cosine(self, normals: Array, points_mm: Array) -> Array:
+        """Cosine (...) of the angle between normals (..., 3) at points (..., 3) of the rig's frame and the line of
+        sight."""
+        if self.camera.model == "orthographic":
+            return np.asarray(normals @ self.turned(np.array([0.0, 0.0, 1.0])))
+        towards = np.array([0.0, 0.0, self.camera.height_mm]) - self.to_view(points_mm)
+        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+        return np.asarray((normals * self.turned(towards)).sum(axis=-1))

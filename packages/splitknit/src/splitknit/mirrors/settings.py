@@ -1,0 +1,39 @@
+"""How the finger's shape is read off one image with mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from splitknit.settings import Checked, Limits
+
+ANGLE_DEG = 1.5
+"""Standard deviation of the mirrors' angles about their nominal ones."""
+OFFSET_MM = 1.5
+"""Standard deviation of the mirrors' places about their nominal ones."""
+OUTLINE_MM = 0.05
+"""Standard deviation of a point of an outline."""
+ROW_MM = 0.15
+"""Distance of the rows in which the outlines are measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorShapeSettings(Checked):
+    """The finger's shape from its outlines in front view and mirrors."""
+
+    _group = "shape.mirror"
+    method: Literal["outlines", "thesis"] = "outlines"
+    """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
+    section: Literal["oval", "ellipse"] = "oval"
+    """``oval``: ellipses with a flatter pad, as flat as is found; or ``ellipse``."""
+    squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
+    """Flatness of the pad that is expected: 0 is an ellipse."""
+    squareness_spread: Annotated[float, Limits(0, above=True)] = 0.08
+    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip are stronger evidence."""
+    rounds: Annotated[int, Limits(1, 50)] = 9
+    """Corrections."""
+    slopes: bool = True
+    """Let the skin's slopes in white light determine the form and the roll of the sections."""
+    detail_mm: Annotated[float, Limits(0, above=True)] = 1.5
+    """What is finer than this is taken from white light, where the preset undoes the skin's blur: creases. Light by way
+    of the mirrors bends what is wider."""

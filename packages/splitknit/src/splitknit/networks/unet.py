@@ -1,0 +1,390 @@
+"""Trained networks: their files, and running them on images of any size, the same for any number of threads.
+
+``NAME.onnx`` holds the weights, and ``NAME.json``, the card, states what goes in and out, where the weights come from
+(data, seed, metrics, licence, the command that makes them again), and their SHA-256, which is checked whenever they are
+read. Every network that turns an image of C channels into one of D channels and the same size can be run: the U-Net
+that separates direct light (thesis, section 3.3.1.4), and others of the library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from importlib.resources.abc import Traversable
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from splitknit.errors import BadInput, importing, read_bytes, refusing, require
+from splitknit.model import FloatArray
+
+FORMAT = "splitknit-network"
+_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
+"""The shipped networks have less than 1 MB, their cards 3 kB."""
+REINSTALL = "reinstall splitknit, or name another network"
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """What is known of a network; :attr:`facts` holds the whole document."""
+
+    name: str
+    sha256: str
+    """Hash of the ``.onnx`` file, hexadecimal."""
+    channels_in: int
+    channels_out: int
+    stride: int
+    """Both sides of an image must be multiples of this; :func:`run_network` sees to it."""
+    reach: int
+    """A pixel further than this from a tile that begins on the stride's grid does not change the tile's result."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Data, training, metrics, licence, command."""
+
+    def __post_init__(self) -> None:
+        limits = {"channels_in": (1, 4096), "channels_out": (1, 4096), "stride": (1, 256), "reach": (0, 4096)}
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            require(
+                isinstance(value, int) and not isinstance(value, bool) and low <= value <= high,
+                f"the card of network '{self.name}' gives {name} as {value!r}; "
+                f"it must be a whole number from {low} to {high}.",
+            )
+
+
+def _shipped_names() -> list[str]:
+    folder = _shipped()
+    if not folder.is_dir():
+        return []
+    return sorted(entry.name.removesuffix(".onnx") for entry in folder.iterdir() if entry.name.endswith(".onnx"))
+
+
+def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
+    """A network's card and the bytes of its ONNX file, checked. `name`: of a network in the package, or an ``.onnx``
+    file with its card, a ``.json``, beside it. Raises BadInput if one is missing or damaged, or they do not belong
+    together.
+    """
+    weights_file, card_file, remedy = _files(name)
+    weights = _read(weights_file, f"the weights '{weights_file}'", remedy)
+    card = _parse(_read(card_file, f"the card '{card_file}'", remedy), card_file, remedy)
+    found = hashlib.sha256(weights).hexdigest()
+    require(
+        found == card.sha256,
+        f"the weights '{weights_file}' are damaged or not those of their card "
+        f"(SHA-256 {found[:12]}... instead of {card.sha256[:12]}...); {remedy}.",
+    )
+    return card, weights
+
+
+def card_bytes(name: str, weights: bytes, facts: Mapping[str, Any]) -> bytes:
+    """The card of `weights` as stored, of `facts` with ``channels_in``, ``channels_out``, ``stride``, ``reach``."""
+    head = {"format": FORMAT, "version": 1, "name": name, "sha256": hashlib.sha256(weights).hexdigest()}
+    data = (json.dumps({**head, **facts}, indent=1, allow_nan=False) + "\n").encode()
+    _parse(data, Path(f"{name}.json"), "correct the facts")
+    return data
+
+
+def _shipped() -> Traversable:
+    return resources.files("splitknit.networks") / "shipped"
+
+
+def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]:
+    """Weights, card, and what to do if they are no good."""
+    text = os.fspath(name)
+    if text.endswith(".onnx"):
+        path = Path(text).expanduser()
+        return path, path.with_suffix(".json"), "copy the network again or train it again (splitknit train)"
+    known = _shipped_names()
+    require(
+        text in known,
+        f"there is no network '{text}' in this installation; "
+        f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file.",
+    )
+    return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
+
+
+def _read(file: Traversable, words: str, remedy: str) -> bytes:
+    try:
+        return read_bytes(file, _MAX_BYTES) if isinstance(file, Path) else file.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).rstrip(".")
+        raise BadInput(f"{words} cannot be read ({reason}); {remedy}.") from error
+
+
+def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
+    with refusing(f"the card '{file}' is damaged; {remedy}."):
+        require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
+        document = json.loads(data)
+        require(
+            document["format"] == FORMAT and document["version"] == 1,
+            f"'{file}' is not the card of a network (format {FORMAT}, version 1); {remedy}.",
+        )
+        sizes = {key: document[key] for key in ("channels_in", "channels_out", "stride", "reach")}
+        return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
+
+
+TILE = 724
+"""Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.4 GB, of width 64 2 GB."""
+_THREADS = min(8, os.cpu_count() or 1)
+"""Threads of a network by default."""
+
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
+"""Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
+
+DEVICES = ("cpu", "cuda", "auto")
+CUDA_TOLERANCE = 1e-3
+"""Between cpu and cuda, of a result's largest value (sums in another order, TF32 off). Set without a GPU at hand."""
+_CUDA = ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"})
+_PROVIDERS: Mapping[str, list[Any]] = {"cpu": ["CPUExecutionProvider"], "cuda": [_CUDA, "CPUExecutionProvider"]}
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """How this process runs networks."""
+
+    device: str = "cpu"
+    threads: int = _THREADS
+
+
+_running = Running()
+
+
+def running() -> Running:
+    """How this process runs networks now: as :func:`use_device` chose."""
+    return _running
+
+
+def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
+    """Choose how networks of this process are loaded, and so run, from now on.
+
+    Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or ``cuda``, the same
+    within :data:`CUDA_TOLERANCE` of the largest value. `device`: one of :data:`DEVICES`; ``auto`` is ``cuda`` where
+    onnxruntime offers it, and else ``cpu``. Raises BadInput if there is no such device, or no provider for it.
+
+    >>> use_device("auto") in ("cpu", "cuda")
+    True
+    """
+    global _running  # noqa: PLW0603 - sessions are kept for the whole process, and so is where they run
+    require(device in DEVICES, f"there is no device '{device}'; name one of {', '.join(DEVICES)}.")
+    if device != "cpu":
+        offered = _onnxruntime().get_available_providers()
+        known = "CUDAExecutionProvider" in offered
+        require(
+            known or device == "auto",
+            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install onnxruntime-gpu in "
+            "place of onnxruntime, or take `device` cpu.",
+        )
+        device = "cuda" if known else "cpu"
+    _running = Running(device, threads)
+    return device
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class Network:
+    """A network that is ready to run; threads may share it."""
+
+    card: Card
+    session: Any
+    """onnxruntime.InferenceSession."""
+    input_name: str
+    output_name: str
+
+
+def load_network(name: str | os.PathLike[str]) -> Network:
+    """Load a network (of the package: once while in use), or an ``.onnx`` file with its card beside it, and check its
+    hash. Raises BadInput if one is missing or damaged, or onnxruntime is not installed.
+    """
+    text = os.fspath(name)
+    if text.endswith(".onnx"):
+        return network_of(*read_network(text))
+    network = _IN_USE.get((text, _running))
+    if network is None:
+        network = _IN_USE[text, _running] = network_of(*read_network(text))
+    return network
+
+
+_IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
+"""Networks of the package in use, by name and how they run: their 0.3 GB go when nobody holds them."""
+
+
+def network_of(card: Card, weights: bytes) -> Network:
+    """Prepare weights in memory. Raises BadInput if they are none of such a network, or may lie in part outside
+    `weights`, in a file that no hash covers: ONNX keeps that place under the key ``location`` (onnx.proto,
+    TensorProto.external_data), a string stored as it is; ONNX Runtime's own format (``ORTM``) has further ways.
+    """
+    require(
+        b"location" not in weights and weights[4:8] != b"ORTM",
+        f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover; save "
+        "it as one ONNX file, and name no part of it 'location'.",
+    )
+    onnxruntime = _onnxruntime()
+    options = onnxruntime.SessionOptions()
+    # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
+    options.intra_op_num_threads = _running.threads
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting costs no processor time
+    # it plans memory anew for every shape of a tile and keeps all the plans' memory: 0.5 GB more, and no faster
+    options.enable_mem_pattern = False
+    options.log_severity_level = 3
+    try:
+        # without enable_fallback=0 it prints what it could not load, and tries the same once more
+        providers = _PROVIDERS[_running.device]
+        session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
+        (source,), (result,) = session.get_inputs(), session.get_outputs()
+    except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
+        raise BadInput(
+            f"the weights of network '{card.name}' are not a network from one image to one image "
+            f"that onnxruntime can run ({_first_line(error)}); train it again."
+        ) from error
+    require(  # it goes on without a provider whose libraries are missing
+        _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
+        "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
+        "that right, or take `device` cpu.",
+    )
+    return Network(card, session, source.name, result.name)
+
+
+def _onnxruntime() -> Any:
+    """Import onnxruntime with its telemetry off; every use goes through here. Version 1.31 sends a device id and events
+    from the user's cache folder. The variable is read when loaded; ``disable_telemetry_events()`` comes too late for
+    the files.
+    """
+    require(
+        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
+        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; "
+        f"set the environment variable {NO_TELEMETRY}=1 before that import.",
+    )
+    os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
+    with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
+        import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
+    return onnxruntime
+
+
+def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
+    """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W) float32.
+
+    One channel is repeated for a network that takes more. Sides that are no multiples of the stride are lengthened by
+    reflection at the lower and right borders, and the result is cut back; tiles overlap by the network's reach. `tile`:
+    side in pixels of a square as large as what is worked on at once; the memory needed grows with its square, the
+    result changes by rounding (about 1e-6). Raises BadInput if the images have the wrong number of channels, hold NaN,
+    or are smaller than the network's stride.
+    """
+    stack = _checked(images, network.card)
+    count, channels, height, width = stack.shape
+    stride = network.card.stride
+    tiles = _plan_tiles(
+        (height + -height % stride, width + -width % stride), tile, reach=network.card.reach, stride=stride
+    )
+    result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
+
+    for k, (source, inner, target) in product(range(count), tiles):
+        piece = stack[(k, slice(None), *source)]
+        beyond = [(0, s.stop - s.start - n) for s, n in zip(source, piece.shape[1:], strict=True)]
+        if any(more for _, more in beyond):
+            piece = np.pad(piece, ((0, 0), *beyond), mode="reflect")
+        if channels != network.card.channels_in:
+            piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
+        made = _infer(network, np.ascontiguousarray(piece)[None])[0]
+        room = result[(k, slice(None), *target)]
+        room[...] = made[(slice(None), *inner)][:, : room.shape[1], : room.shape[2]]
+    return result
+
+
+def _infer(network: Network, image: FloatArray) -> FloatArray:
+    card = network.card
+    feed: Mapping[str, FloatArray] = {network.input_name: image}
+    try:
+        made = np.asarray(network.session.run([network.output_name], feed)[0], dtype=np.float32)
+    except Exception as error:  # as above
+        raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
+    expected = (1, card.channels_out, *image.shape[2:])
+    require(
+        made.shape == expected,
+        f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.",
+    )
+    return made
+
+
+def _checked(images: Any, card: Card) -> FloatArray:
+    stack = np.asarray(images, dtype=np.float32)
+    if stack.ndim == 3:
+        stack = stack[:, None]
+    require(
+        stack.ndim == 4 and stack.size > 0,
+        f"images must have the shape (N, H, W) or (N, C, H, W), but they have {np.shape(images)}.",
+    )
+    _, channels, height, width = stack.shape
+    require(
+        channels in (1, card.channels_in),
+        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
+    )
+    require(
+        min(height, width) >= card.stride,
+        f"images of {height} x {width} pixels are too small for network '{card.name}': "
+        f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}.",
+    )
+    require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
+    return stack
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__
+
+
+# Cutting an image into tiles that a convolutional network takes one at a time, with the same result as in one piece.
+#
+# A network that halves its images three times works on a grid of 8 pixels (its *stride*), and what it makes of a pixel
+# depends on the image up to some distance away (its *reach*). Tiles begin and end on that grid and carry a margin of at
+# least the reach on every side where the image goes on; the margin's result is thrown away.
+
+
+def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
+    """Cut a padded image, `shape` in multiples of `stride`, into tiles of nearly one size, with their margins (`reach`,
+    px) as small as squares of side `tile`: of all regular cuts that with the fewest pixels computed. Returns, row by
+    row, rows and columns that the network sees, those of its result that count, and where they go.
+    """
+    require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
+    side = -(-tile // stride) * stride
+    limit = (side + 2 * (-(-reach // stride) * stride)) ** 2
+    most = [-(-length // side) for length in shape]
+
+    def cuts() -> Iterator[tuple[int, list[_Span], list[_Span]]]:
+        for across in range(1, most[1] + 1):
+            columns = _spans(shape[1], across, reach, stride)
+            for down in range(1, 4 * most[0] + 1):
+                rows = _spans(shape[0], down, reach, stride)
+                pixels = max(_length(r) for r in rows) * max(_length(c) for c in columns)
+                if pixels <= limit or (down, across) == (most[0], most[1]):
+                    yield sum(map(_length, rows)) * sum(map(_length, columns)), rows, columns
+
+    _, rows, columns = min(cuts(), key=lambda cut: cut[0])
+    return [((r[0], c[0]), (r[1], c[1]), (r[2], c[2])) for r, c in product(rows, columns)]
+
+
+_Span = tuple[slice, slice, slice]
+_Part = tuple[slice, slice]
+_Tile = tuple[_Part, _Part, _Part]
+
+
+def _length(span: _Span) -> int:
+    return int(span[0].stop - span[0].start)
+
+
+def _spans(length: int, pieces: int, reach: int, stride: int) -> list[_Span]:
+    """Source, inner and target of each of so many pieces along one axis, as many as there are strides at most."""
+    margin = -(-reach // stride) * stride
+    pieces = min(pieces, length // stride)
+    edges = [round(k * (length // stride) / pieces) * stride for k in range(pieces + 1)]
+    spans = []
+    for first, last in pairwise(edges):
+        low, high = max(first - margin, 0), min(last + margin, length)
+        spans.append((slice(low, high), slice(first - low, last - low), slice(first, last)))
+    return spans

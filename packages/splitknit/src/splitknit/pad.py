@@ -1,0 +1,217 @@
+"""Presentation attack detection: what of a capture and its result differs between skin and copies, and an answer.
+
+Terms and rates: ISO/IEC 30107-3; what the shipped model was fitted to, and its rates: ``docs/experiments/pad.md``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.band import linear_channels
+from splitknit.imaging.geometry import smoothed
+from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+
+BASIS = "the model was fitted to simulated fingers and attacks only; nobody has measured it on real ones."
+PX_PER_MM = 15.0  # at which photographs and results are measured
+_FACING = 0.8  # cosine between the surface without ridges and the view: flanks are left out
+_SLOW_MM, _FINE_MM = 0.35, 0.06  # standard deviations of the Gaussians around the band of ridges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PadImages:
+    """What of a capture's images is measured, at `PX_PER_MM` or as coarse as the capture is."""
+
+    binning: float
+    light: Mapping[str, FloatArray]  # (L, h, w) linear, above zero: white (luma, which JPEG keeps), nir
+
+
+def not_covered(capture: Capture) -> str:
+    """Why the shipped model, which was fitted to fine captures of skin in white and near infrared, says nothing."""
+    camera = capture.rig.camera
+    lacks = {
+        "its scale is not known": not camera.scale_known,
+        f"it has less than {0.95 * PX_PER_MM:.0f} pixels a millimetre": camera.px_per_mm <= 0.95 * PX_PER_MM,
+        "it is not of skin": capture.material != "skin",
+        "it has no near-infrared images": "nir" not in capture.bands,
+    }
+    return next((why for why, found in lacks.items() if found), "")
+
+
+def pad_images(capture: Capture) -> PadImages:
+    """Bring a capture's images to the features' pixels."""
+    binning = min(max(round(8 * capture.rig.camera.px_per_mm / PX_PER_MM) / 8, 1.0), *capture.shape)
+    light = {}
+    for name in ("white", "nir"):
+        if name in capture.bands:
+            one = linear_channels(capture.bands[name], capture.encoding, ("grey",), None, binning)[0]
+            light[name] = np.maximum(one, 1e-6 * float(one.max()) + 1e-12)
+    return PadImages(binning, light)
+
+
+def pad_features(seen: PadImages, result: Reconstruction) -> dict[str, float]:
+    """What differs between skin and copies, by name, as far as the capture has it: ``relief_*``, ``shape_*`` (1/mm),
+    ``spread_*`` (logarithms of ratios of ridge contrast: fixed to turning with the light, near infrared to white); none
+    depends on brightness, colour or file. BadInput if the result has no scale, or shows too little.
+    """
+    shape, relief, mask = _coarse(result, seen.binning)
+    pitch = result.pitch_mm * seen.binning
+    inside = _facing(shape, mask, pitch)
+    enough = result.scale_known and int(inside.sum()) >= 100
+    require(enough, "presentation attacks show in results with a known scale and at least some mm² of a finger.")
+    found = _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch) | _of_spread(seen.light, inside, pitch)
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
+def _coarse(result: Reconstruction, binning: float) -> tuple[NDArray[Any], NDArray[Any], BoolArray]:
+    """Shape (mm), relief (um) and mask on the features' pixels."""
+    size = tuple(int(n // binning) for n in result.mask.shape[::-1])
+    whole = result.mask & np.isfinite(result.height_mm)
+
+    def mean(field: NDArray[Any]) -> NDArray[Any]:
+        return cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+
+    weight = np.maximum(mean(whole), 1e-3)
+    shape, relief = (mean(np.where(whole, np.nan_to_num(one), 0)) for one in (result.shape_mm, result.ridge_mm))
+    return shape / weight, 1000 * relief / weight, weight > 0.99
+
+
+def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
+    """Where the surface faces the camera, 1 mm from its outline."""
+    slow = smoothed(shape, mask, 0.5 / pitch)
+    down, right = np.gradient(slow, pitch)
+    outline = np.pad(mask, 1).astype(np.uint8)
+    far = cv2.distanceTransform(outline, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * pitch > 1.0
+    facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
+    return np.asarray(facing if facing.sum() * pitch**2 > 20.0 else far)
+
+
+def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
+    """The band of ridges of an image, robustly limited."""
+    fine = smoothed(image, inside, _FINE_MM / pitch)
+    band = np.where(inside, fine - smoothed(image, inside, _SLOW_MM / pitch), 0)
+    limit = 6.0 * float(np.median(np.abs(band[inside]))) + 1e-12
+    return np.asarray(np.clip(band, -limit, limit), dtype=np.float32)
+
+
+def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
+    band = _band_of(relief, inside, pitch)
+    right, down = (cv2.Sobel(band, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
+    xx, yy, xy = (smoothed(one, inside, 0.5 / pitch) for one in (right * right, down * down, right * down))
+    coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
+    deviation = float(band[inside].std()) + 1e-3
+    return {
+        "relief_rms": float(np.log(deviation)),
+        "relief_coherence": float(np.mean(coherence[inside])),
+    }
+
+
+def _of_shape(shape: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
+    rows, columns = np.nonzero(inside)
+    x, y = (columns - columns.mean()) * pitch, (rows - rows.mean()) * pitch
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    values = shape[inside].astype(np.float64)
+    fit = np.linalg.lstsq(basis, values, rcond=None)[0]
+    bends = np.linalg.eigvalsh([[2 * fit[3], fit[4]], [fit[4], 2 * fit[5]]])
+    rest = float(np.std(values - basis @ fit))
+    return {"shape_across": float(bends[0]), "shape_along": float(bends[1]), "shape_rest": float(np.log(rest + 1e-3))}
+
+
+def _of_spread(stacks: Mapping[str, FloatArray], inside: BoolArray, pitch: float) -> dict[str, float]:
+    """Contrast of ridges that turns with the light (relief), and that does not (pigment, print)."""
+    turning, fixed = {}, {}
+    for name, stack in stacks.items():
+        bands = np.stack([_band_of(np.log(one), inside, pitch)[inside] for one in stack])
+        mean = bands.mean(axis=0)
+        turning[name] = float(np.log(np.sqrt(np.mean((bands - mean) ** 2)) + 1e-4))
+        fixed[name] = float(np.log(np.std(mean) + 1e-4))
+    found = {"spread_fixed": fixed["white"] - turning["white"]}
+    if "nir" in stacks:
+        found["spread_nir"] = turning["nir"] - turning["white"]
+        found["spread_fixed_nir"] = fixed["nir"] - fixed["white"]
+    return found
+
+
+# The model: how far each feature lies from live skin's, towards what copies have, and what training covered.
+
+Model = Mapping[str, Any]
+"""``names``; ``mean`` and ``scale`` of live skin's features; ``weights`` of deviations above and below it, none
+negative; ``offset`` of the log odds; ``kinds``: mean deviations of live skin and of each species, and ``precision``:
+inverse covariance about them; ``covered``: largest distance to the nearest; ``live``, ``attack``, ``far``: log odds of
+live skin from which, up to which, and far from everything up to which an answer is given."""
+_USUAL, _LARGEST = 0.5, 6.5  # deviations, in standard deviations of live skin, that count from here and up to there
+
+
+@lru_cache(maxsize=1)
+def shipped_model() -> Model:
+    """Return the shipped model."""
+    return dict(json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes()))
+
+
+def deviations(model: Model, found: Mapping[str, float]) -> NDArray[np.float64]:
+    """Features' deviations from live skin in its standard deviations; 0 on a side on which nothing is suspicious."""
+    away = np.array([found[name] for name in model["names"]]) - model["mean"]
+    above, below = np.array(model["weights"]).T
+    one_sided = np.where(away > 0, above > 0, below > 0) | ((above == 0) & (below == 0))
+    return np.asarray(np.where(one_sided, away / model["scale"], 0.0))
+
+
+def suspicious(away: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., 2) what counts of deviations (...), above and below."""
+    return np.clip(np.stack([away, -away], axis=-1), _USUAL, _LARGEST) - _USUAL
+
+
+def distance(model: Model, away: NDArray[np.float64]) -> float:
+    """Mahalanobis distance to the nearest of live skin and the species of the training, a feature's mean."""
+    rest = away - np.array(model["kinds"])
+    squared = np.einsum("ki,ij,kj->k", rest, np.array(model["precision"]), rest)
+    return float(np.sqrt(squared.min() / len(away)))
+
+
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """What was decided of one capture."""
+
+    answer: Literal["live", "attack", "unknown"]
+    reason: str = ""  # why it is unknown
+    probability: float | None = None  # of live skin, if attacks were as frequent as it
+    distance: float | None = None  # to the nearest kind of the training
+    covered: float | None = None  # the largest distance of what training covered
+    suspicion: Mapping[str, float] | None = None  # by group of features: what it takes from the log odds
+
+
+def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
+    """Whether :func:`pad_features` are those of live skin, by the shipped model or by another one.
+
+    Unknown is what training did not cover, unless it is very suspicious, and what lies between live skin and copies.
+
+    >>> judge(dict(zip(shipped_model()["names"], shipped_model()["mean"], strict=True))).answer
+    'live'
+    """
+    model = model or shipped_model()
+    lacking = [name for name in model["names"] if name not in found]
+    if lacking:
+        return Presentation("unknown", f"it has no {', '.join(lacking)}, which the model needs.")
+    away = deviations(model, found)
+    far = distance(model, away)
+    taken = (np.array(model["weights"]) * suspicious(away)).sum(axis=1)
+    odds = model["offset"] - float(taken.sum())
+    groups = [name.split("_")[0] for name in model["names"]]
+    suspicion = {one: float(taken[[one == group for group in groups]].sum()) for one in dict.fromkeys(groups)}
+    known, answer, reason = far <= model["covered"], "unknown", "it lies between live skin and copies."
+    if odds <= (model["attack"] if known else model["far"]):
+        answer, reason = "attack", ""
+    elif not known:
+        reason = "it is unlike everything that the model was fitted to."
+    elif odds >= model["live"]:
+        answer, reason = "live", ""
+    return Presentation(answer, reason, float(1 / (1 + np.exp(-odds))), far, model["covered"], suspicion)  # type: ignore[arg-type]

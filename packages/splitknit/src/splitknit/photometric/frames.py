@@ -1,0 +1,463 @@
+"""Whether photographs and lights go together: the light left unexplained, the lights' order, and their frame.
+
+A matt surface under L distant lights gives photographs of rank three: what least squares leaves of them is small if
+each photograph is given its own light. Where lights lie evenly on a ring, a cyclic shift or a reversal of their order
+explains the photographs as well, by a surface whose normals are turned or mirrored about the camera's axis; so does a
+list of directions in another frame. The true surface is integrable and convex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray, Led, Rig
+from splitknit.photometric.lambertian import lambertian
+
+FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
+    "right-up": ((1, 0), (0, 1)),
+    "right-down": ((1, 0), (0, -1)),
+    "left-up": ((-1, 0), (0, 1)),
+    "left-down": ((-1, 0), (0, -1)),
+    "up-left": ((0, -1), (1, 0)),
+    "down-right": ((0, 1), (-1, 0)),
+    "up-right": ((0, 1), (1, 0)),
+    "down-left": ((0, -1), (-1, 0)),
+}
+"""Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y up."""
+_BLUR = 0.02
+"""Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise and texture."""
+_STEEPEST = 1.5
+"""Normals beyond this slope, often in shadow, are shortened to it and left out of the curl."""
+_WORSE = 2.0
+"""Another frame must be more integrable by this factor to be named; where only there the surface is wholly convex, it
+need not be less integrable."""
+_CONVEX, _WHOLLY_CONVEX = 0.4, 0.8
+"""Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1 on objects and
+fingers, 0.07 on a field of balls."""
+_ONE_THING = 0.4
+"""Part of the slopes that a blur over an eighth of the object leaves, below which it is no single convex thing: 0.6 to
+0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
+HIGH_RESIDUAL = 0.2
+"""Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to 0.15 on objects and
+fingers under their own lights (docs/experiments/objects.md)."""
+_NO_RESIDUAL = 0.03
+"""Up to here no other order is looked for."""
+_FEWEST = 5
+"""Lights from which the residual determines an order; with five another order must be better still."""
+_BETTER, _BETTER_OF_FIVE = (0.8, 0.6), (0.4, 0.4)
+"""The residual in another order over the given one, from which the order is named: with the photographs' brightness
+free, and of the photographs that change their light. Real objects with brightness wrong by 20 % or directions by 2 deg
+stay above."""
+_LESS = 0.9
+"""An order that leaves less than this part of the residual is no mere turn of the lights."""
+_STRANGE = 0.7
+"""A photograph does not belong to the others where without it less than this part of the residual is left that would be
+for one light less: at least 0.99 of it on simulated, path-traced and polarised fingers, 0.2 to 0.65 where a photograph
+is noise, turned, a copy of another or of another finger."""
+_FEWEST_OF_STRANGE = 6
+_UNEQUAL = 0.5
+"""Brightness is at fault where less than this part of the residual is left once every photograph has its own: 0.96 and
+more under lights of known brightness, 0.25 where that is 10 to 20 % off."""
+_ONE_LIGHT = 0.03
+"""Photographs of a finger that differ by less than this are under one light: 0.13 and more under their own."""
+SPOILT_DEG, SPOILT_RESIDUAL = 3.0, 0.3
+"""From this turn of the normals on, or so much unexplained light, a surface is not worth having: on a simulated finger
+photographs that turn them by 3 to 11 deg cost up to 0.7 mm (``validation/damaged``)."""
+_SEEDS = 300
+_LARGEST_SEARCH = 48
+"""With more lights the search starts from the given order and its shifts alone."""
+_PIXELS = 20_000
+
+
+def _frame_of(turn: NDArray[np.float64] | None) -> str:
+    """The frame of :data:`FRAMES` in which the lights must have been measured, by :func:`_fit_turn` of the normals.
+
+    Lights in another frame give normals in that frame. Of the eight frames whose axes run along the image's, only the
+    right one, and that turned by 180 deg, give slopes without curl; of the two, the right one is convex: its slopes
+    fall towards the outline, which the mask must show. ``right-up`` where nothing speaks against it.
+
+    Sources: integrability, R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
+    algorithms", IEEE Trans. PAMI 10 (1988); the remaining ambiguity of concave and convex, P. N. Belhumeur, D. J.
+    Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
+    """
+    if turn is None:
+        return "right-up"
+    likeness = {name: float(np.sum(turn * np.array(matrix))) for name, matrix in FRAMES.items()}  # 2 cos(difference)
+    best = max(likeness, key=lambda name: likeness[name])
+    return best if likeness[best] > _SAME_TURN else "right-up"
+
+
+@dataclass(frozen=True, slots=True)
+class LightFit:
+    """How well photographs fit the lights that they are given, and which order or frame fits better."""
+
+    residual: float
+    """Root of the fraction of the photographs' squared light that least squares leaves, 0 to 1."""
+    residual_per_image: tuple[float, ...]
+    """The same of every photograph."""
+    order: tuple[int, ...]
+    """The light, from 0, that every photograph seems to be under; its own where nothing speaks against it."""
+    residual_in_order: float
+    """What would be left in that order."""
+    frame: str
+    """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly better."""
+    strange: int | None = None
+    """The photograph that does not belong to the others."""
+    brightness: tuple[float, ...] = ()
+    """Of every light over what is stated of it, mean 1, where that explains the photographs far better."""
+    turned_deg: float = 0.0
+    """Median angle by which another order, brightness, or the strange photograph turns the normals."""
+    variety: float = 1.0
+    """How much the photographs differ, but for their brightness: 0 to 1."""
+
+
+def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
+    """Compare photographs with the lights that they are given, in this and in every other order and frame.
+
+    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`, whose parameters these are; `mask` is the
+    whole object, and a few hundred pixels a side are enough.
+
+    Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
+    (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
+    exchanges of two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
+
+    >>> import numpy as np
+    >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
+    >>> ball, inside = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))]), x**2 + y**2 < 0.5
+    >>> angles = 2 * np.pi * np.arange(7) / 7
+    >>> lights = np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(7, 0.9)])
+    >>> stack = np.clip(np.moveaxis(ball @ lights.T, -1, 0), 0, None)
+    >>> fit_lights(np.roll(stack, -2, axis=0), lights, inside).order
+    (2, 3, 4, 5, 6, 0, 1)
+    """
+    images = check_stack(stack, least=3)
+    vectors = check_lights(lights, len(images))
+    inside = check_mask(mask, (images.shape[1], images.shape[2]))
+    gram = _inner_products(images, inside)
+    residual, each = _residual(gram, vectors)
+    under = np.arange(len(vectors))  # the light of every photograph
+    if len(vectors) >= _FEWEST and residual > _NO_RESIDUAL:
+        under = _better_order(gram, vectors)
+    given = bool((under == np.arange(len(under))).all())
+    frame = "right-up"
+    if residual < HIGH_RESIDUAL or not given:
+        normals, _ = lambertian(images, vectors[under], inside)
+        turn = _fit_turn(normals, inside)
+        frame = _frame_of(turn) if given else "right-up"
+        if turn is not None:
+            turned = _turned_order(vectors, turn)[under]
+            if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
+                under = turned
+    best, _ = _residual(gram, vectors[under])
+    if best < _LESS * residual:
+        frame = "right-up"
+    given, unequal = bool((under == np.arange(len(under))).all()), False
+    if given and residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:  # fewer fit any brightness
+        brightness = _brightness(gram, vectors)
+        equal = gram / np.outer(brightness, brightness)
+        unequal = _residual(equal, vectors)[0] < _UNEQUAL * residual and _strange(equal, vectors) is None
+    strange = _strange(gram, vectors) if given and not unequal else None
+    kept, turned_deg = [k for k in range(len(under)) if k != strange], 0.0
+    if strange is not None or unequal or not given:
+        better = vectors * brightness[:, None] if unequal else vectors[under]
+        both = (lambertian(images, vectors, inside)[0], lambertian(images[kept], better[kept], inside)[0])
+        cosine = (both[0] * both[1])[inside].sum(axis=1)
+        turned_deg = float(np.rad2deg(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    second, first = np.linalg.eigvalsh(gram / np.outer(size, size))[-2:]
+    order = tuple(int(k) for k in under)
+    variety = float(np.sqrt(max(second, 0.0) / first))
+    of_lights = tuple(float(one) for one in brightness) if unequal else ()
+    return LightFit(residual, tuple(each.tolist()), order, best, frame, strange, of_lights, turned_deg, variety)
+
+
+def _strange(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> int | None:
+    """The photograph without which the others fit their lights far better."""
+    count = len(lights)
+    if count < _FEWEST_OF_STRANGE:
+        return None
+    others = [[k for k in range(count) if k != one] for one in range(count)]
+    left = [_residual(gram[np.ix_(kept, kept)], lights[kept])[0] for kept in others]
+    one = int(np.argmin(left))
+    expected = float(np.sqrt((count - 4) / (count - 3))) * _residual(gram, lights)[0]
+    return one if left[one] < _STRANGE * expected else None
+
+
+def spoils(fit: LightFit) -> bool:
+    """Whether what :func:`doubts_of_lights` says of skin makes its surface worthless."""
+    other = fit.order != tuple(range(len(fit.order))) or fit.frame != "right-up"
+    bad = fit.residual > SPOILT_RESIDUAL or fit.variety < _ONE_LIGHT
+    return other or bad or ((fit.strange is not None or bool(fit.brightness)) and fit.turned_deg > SPOILT_DEG)
+
+
+def doubts_of_lights(  # noqa: PLR0911 - one for each kind
+    fit: LightFit, names: Sequence[str] = (), material: str = "skin"
+) -> tuple[str, ...]:
+    """Warnings of photographs that do not fit their lights or each other, or fit in another order or frame; one at
+    most.
+
+    `names` are the photographs', by default their numbers from 1.
+    """
+    names = names or [f"photograph {k + 1}" for k in range(len(fit.order))]
+    if material == "skin" and fit.variety < _ONE_LIGHT:
+        return (
+            f"the photographs {names[0]} to {names[-1]} are all under one light: check that each LED is lit alone.",
+        )
+    turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
+    if fit.brightness:
+        most = int(np.argmax(np.abs(np.log(fit.brightness))))
+        spread = 100 * float(np.std(np.log(fit.brightness)))
+        return (
+            f"the lights are not as bright as is stated of them: they seem to differ by {spread:.0f} % (most that of "
+            f"{names[most]}, {fit.brightness[most]:.2f} of the mean), and {turned}; calibrate their brightness.",
+        )
+    if fit.strange is not None:
+        return (
+            f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that it is of the same "
+            "thing in the same place, under its own light, or capture it again.",
+        )
+    left = f"{100 * fit.residual:.0f} % of the light"
+    moved = [k for k, light in enumerate(fit.order) if light != k]
+    if moved:
+        words = _order_words(fit.order, names)
+        if fit.frame != "right-up":
+            return (f"{_frame_words(fit.frame).rstrip('.')}; or their order is another: {words}.",)
+        if fit.residual_in_order < _LESS * fit.residual:
+            return (
+                f"the photographs seem to be under other lights than those they are given: {left} does not fit them, "
+                f"{100 * fit.residual_in_order:.0f} % would in another order, and {turned}: {words}.",
+            )
+        return (
+            "the photographs seem to be under other lights than those they are given, shifted or reversed along the "
+            f"ring: only in another order do one convex surface's slopes follow from them; {words}.",
+        )
+    if fit.frame != "right-up":
+        return (_frame_words(fit.frame),)
+    if fit.residual < HIGH_RESIDUAL:
+        return ()
+    usual = float(np.median(fit.residual_per_image))
+    odd = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > 1.4 * usual][:4]
+    return (
+        f"the photographs do not fit the lights they are given: {left} is none that a matt surface reflects (1 to 15 % "
+        f"is usual){'; most in ' + ', '.join(odd) if odd else ''}; check the order and directions of the lights, "
+        "their brightness, `encoding` and `background`; shine and deep shadows leave much too.",
+    )
+
+
+def _frame_words(frame: str) -> str:
+    across, along = frame.split("-")
+    return (
+        f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
+        "right and up: only so does one convex surface have the slopes that were found; if they are, give "
+        f"`light_frame` {frame}, or leave out the one that was given."
+    )
+
+
+def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
+    """The lights' order, counted from 1, shortest first."""
+    count, moved = len(order), [k for k, light in enumerate(order) if light != k]
+    if len(moved) == 2:
+        return f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
+    numbers = "give the lights in the order " + " ".join(str(light + 1) for light in order)
+    if list(order) == list(range(count))[::-1]:
+        return f"{numbers} (reversed)"
+    step = order[0]
+    shifted = all(light == (k + step) % count for k, light in enumerate(order))
+    return f"{numbers} (shifted by {min(step, count - step)})" if shifted else numbers
+
+
+def rig_of_frame(rig: Rig, frame: str) -> Rig:
+    """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y up.
+
+    Raises BadInput if the frame is none of :data:`FRAMES`.
+    """
+    require(frame in FRAMES, f"the frame of the lights must be one of {', '.join(FRAMES)}, but it is '{frame}'.")
+    (a, b), (c, d) = FRAMES[frame]
+
+    def turned(vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        return None if vector is None else (a * vector[0] + b * vector[1], c * vector[0] + d * vector[1], vector[2])
+
+    def led(one: Led) -> Led:
+        vectors = {name: turned(getattr(one, name)) for name in ("position_mm", "direction", "aim")}
+        return replace(one, **vectors, also=tuple(led(other) for other in one.also))  # type: ignore[arg-type]
+
+    return replace(rig, leds=tuple(led(one) for one in rig.leds))
+
+
+_ON_A_LIGHT = 0.2
+"""A turned light falls on another within this fraction of the distance of the two closest lights."""
+_SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
+
+
+def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | None:
+    """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
+
+    None where the normals are such already, or those of no single convex surface. Turned by an angle t, slopes have the
+    curl cos t * curl - sin t * divergence: its least sum of squares is an eigenvalue.
+    """
+    smooth = _smooth_slopes(normals, inside)
+    if _coarse_part(smooth[0], smooth[1], inside) < _ONE_THING:
+        return None  # a field of bumps: each is convex, and nothing is of the whole
+    p, q, weight = (part.astype(np.float64) for part in smooth)
+    dp_dx, dp_dy, dq_dx, dq_dy = (
+        sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
+    )
+
+    def convexity(divergence: NDArray[np.float64]) -> float:
+        return -float(np.sum(weight * divergence)) / max(float(np.sum(weight * np.abs(divergence))), 1e-12)
+
+    given, given_convex = float(np.sum(weight * (dp_dy - dq_dx) ** 2)), convexity(dp_dx + dq_dy)
+    fits = []
+    for mirrored in (1.0, -1.0):
+        curl, divergence = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
+        mixed = -float(np.sum(weight * curl * divergence))
+        squares = [[np.sum(weight * curl**2), mixed], [mixed, np.sum(weight * divergence**2)]]
+        values, vectors = np.linalg.eigh(np.array(squares))
+        cosine, sine = vectors[:, 0]
+        convex = convexity(cosine * divergence + sine * curl)
+        sign = 1.0 if convex > 0 else -1.0
+        turn = sign * np.array([[cosine, -mirrored * sine], [sine, mirrored * cosine]])
+        fits.append((float(values[0]), abs(convex), turn))
+    convex_ones = [fit for fit in fits if fit[1] > _CONVEX]
+    if not convex_ones:
+        return None
+    least, convex, turn = min(convex_ones, key=lambda fit: fit[0])
+    ratio = given / max(least, 1e-12)
+    opposite = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
+    worse = 1.0 if given_convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
+    return turn if opposite or ratio > worse else None
+
+
+def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
+    """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every frame."""
+    within = inside[bounding_box(inside)]
+    cover = within.astype(np.float32)
+
+    sigma = 0.12 * max(cover.shape)
+    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-6))
+    coarse = sum(float(((_blurred(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
+    own = sum(float((part[within] ** 2).sum()) for part in (p, q))
+    return float(np.sqrt(coarse / max(own, 1e-12)))
+
+
+def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The light that each light falls on when all are turned; each itself where they fall on none."""
+    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    turned = np.column_stack([np.einsum("ij,kj->ki", turn, units[:, :2]), units[:, 2]])
+    apart = np.linalg.norm(units[:, None] - units[None], axis=2) + np.where(np.eye(len(units)) > 0, np.inf, 0.0)
+    away = np.linalg.norm(turned[:, None] - units[None], axis=2)
+    nearest = np.argmin(away, axis=1)
+    fits = len(set(nearest.tolist())) == len(units) and float(away.min(axis=1).max()) < _ON_A_LIGHT * float(apart.min())
+    return np.asarray(nearest) if fits else np.arange(len(units))
+
+
+def _inner_products(images: FloatArray, inside: BoolArray) -> NDArray[np.float64]:
+    """(L, L) inner products of the photographs, over some of the mask's pixels."""
+    light = images[:, inside]
+    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
+    return np.asarray(np.einsum("kn,ln->kl", some, some))
+
+
+def _unexplained(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L,) squared light of the photographs that no surface under these lights explains."""
+    rest = np.eye(len(lights)) - _explaining(lights)
+    return np.asarray(np.maximum(np.einsum("kj,kj->k", np.einsum("ki,ij->kj", rest, gram), rest), 0.0))
+
+
+def _explaining(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, L) projection of photographs onto those that a surface under these lights has."""
+    return np.asarray(np.einsum("ki,il->kl", lights, np.linalg.pinv(lights)))
+
+
+def _residual(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    left, own = _unexplained(gram, lights), np.maximum(np.diag(gram), 1e-300)
+    return float(np.sqrt(left.sum() / own.sum())), np.asarray(np.sqrt(left / own))
+
+
+def _brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L,) brightness of every photograph over that of its light, mean 1, found by alternation."""
+    explaining, scale = _explaining(lights), np.ones(len(gram))
+    for _ in range(30):
+        scaled = gram / np.outer(scale, scale)
+        shown = np.einsum("ij,jk->ik", explaining, scaled)
+        both = np.einsum("ij,ji->i", shown, explaining)
+        scale *= np.diag(shown) / np.maximum(both, 1e-300)
+        scale = np.maximum(scale / scale.mean(), 1e-3)
+    return scale
+
+
+def _of_free_brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> float:
+    """The residual where every photograph has a brightness of its own."""
+    scale = _brightness(gram, lights)
+    return _residual(gram / np.outer(scale, scale), lights)[0]
+
+
+def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The light of every photograph in the order that explains them best; their own unless that is clearly worse."""
+    count = len(lights)
+    own = np.arange(count)
+    # a start says which photograph belongs to every light: the given one, shifts and reversals of it, and any
+    starts = [np.roll(line, step) for line in (own, own[::-1]) for step in range(count)]
+    explaining = _explaining(lights)
+    score = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
+    few = count <= _LARGEST_SEARCH
+    starts = [own, *(starts[k] for k in np.argsort(score)[::-1][:8] if few or score[k] > score[0])]
+    if few and (_climbed(explaining, gram, own)[0] != own).any():
+        random = np.random.default_rng(0)
+        starts += [random.permutation(count) for _ in range(_SEEDS)]
+    order = max((_climbed(explaining, gram, start) for start in starts), key=lambda found: found[1])[0]
+    there = gram[np.ix_(order, order)]
+    moved = order != own
+    before, after = _unexplained(gram, lights), _unexplained(there, lights)
+    free, own_fraction = _BETTER if count > _FEWEST else _BETTER_OF_FIVE
+    clearly = (
+        float(np.sqrt(after[moved].sum() / max(before[moved].sum(), 1e-300))) < own_fraction
+        and _of_free_brightness(there, lights) < free * _of_free_brightness(gram, lights)
+    ) if moved.any() else False  # fmt: skip
+    return np.asarray(np.argsort(order)) if clearly else own
+
+
+def _climbed(
+    explaining: NDArray[np.float64], gram: NDArray[np.float64], start: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], float]:
+    """The best order that exchanges of two photographs lead to, each the best one, and the light that it explains."""
+    order = start.copy()
+    own = np.diag(explaining)
+    while True:
+        there = gram[np.ix_(order, order)]
+        light = np.diag(there)
+        both = np.einsum("rk,sk->rs", explaining, there)
+        mixed = both + both.T - np.diag(both)[:, None] - np.diag(both)
+        mixed -= (own[:, None] - explaining) * (there - light[:, None])
+        mixed -= (explaining - own) * (light - there)
+        gain = 2.0 * mixed - (own[:, None] - own) * (light[:, None] - light)
+        first, second = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if gain[first, second] <= 1e-9 * float(np.trace(gram)):
+            return order, float(np.sum(explaining * there))
+        order[[first, second]] = order[[second, first]]
+
+
+def _smooth_slopes(normals: FloatArray, inside: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
+    window = bounding_box(inside)
+    part, cover = normals[window], inside[window].astype(np.float32)
+    nz = np.maximum(part[..., 2], np.float32(1e-3))
+    slopes = [-part[..., axis] / nz for axis in (0, 1)]
+    steep = np.maximum(np.hypot(*slopes) / np.float32(_STEEPEST), np.float32(1.0))
+    sigma = max(1.0, _BLUR * max(cover.shape))
+    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-3))
+    p, q = (_blurred(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
+    believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
+    return np.asarray(p, np.float32), np.asarray(q, np.float32), np.asarray(believed, dtype=np.float32)
+
+
+def _blurred(values: FloatArray, sigma: float) -> FloatArray:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)

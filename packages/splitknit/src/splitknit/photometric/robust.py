@@ -1,0 +1,178 @@
+"""Photometric stereo that leaves out shadowed and glossy lights, pixel by pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.imaging.chunks import gather
+from splitknit.model import FloatArray
+from splitknit.photometric.equations import conditioning, linear_map, moment_matrix, shading, solve, surface_by_chunks
+from splitknit.settings import Checked, Limits
+
+# Which lights to trust at a pixel: shadows are left out, highlights lose weight.
+#
+# A light counts as shadowed where its image is darker than a part of what the brightest light gives; the rest is fitted
+# by least squares, and each residual, relative to the albedo, sets a new weight (iteratively reweighted least squares,
+# Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual below
+# the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
+
+_CLEAN = 0.5
+"""A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
+_SETTLED = 1e-3
+_HOPELESS = 100.0
+"""Larger misfits count as this: a pixel without light keeps weights that sum to something."""
+
+_FLAT = 5e-4
+"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the rig give 4e-3."""
+_FAINT = 1e-2
+
+_SHADOW = 0.03
+"""A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""
+_TOLERANCE = 0.03
+"""Residual, relative to the albedo, at which a light's weight has fallen to one half."""
+_ITERATIONS = 20
+"""Rounds of reweighting at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustSettings(Checked):
+    """How shadowed and glossy lights are found."""
+
+    forgiveness: Annotated[float, Limits(1)] = 2.0
+    """Residuals below the fit get this many times the tolerance: light adds, it does not subtract."""
+
+
+def strengths(lights: FloatArray) -> FloatArray:
+    """Length of every light vector: (L, 1) of (L, 3), (L, n) of (L, 3, n)."""
+    length = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
+    return np.asarray(length[:, None] if lights.ndim == 2 else length)
+
+
+def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+    """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
+
+    A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
+    every light, weighted by the square of what it gives: the brightest decide, and the system stays solvable.
+    """
+    peak = np.maximum(images.max(axis=0), np.float32(1e-20))
+    lit = images > np.float32(_SHADOW) * peak
+    weights = lit.astype(np.float32)
+    shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
+    weak = shadowed[:0]
+    if shadowed.size:
+        nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
+        weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
+        soft = np.maximum(images[:, weak] / peak[weak], np.float32(_FAINT))
+        weights[:, weak] = soft * soft
+    return weights, shadowed, weak
+
+
+def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings) -> tuple[FloatArray, FloatArray]:
+    """Albedo-scaled normals (3, n) and the weights (L, n) behind them, from images (L, n).
+
+    `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel. Images are divided by the strengths of their
+    lights first: what a matt surface leaves unexplained grows with a light, and no light counts more for being bright.
+    """
+    strength = strengths(lights)
+    images = images / strength
+    lights = lights / (strength if lights.ndim == 2 else strength[:, None])
+    weights, shadowed, weak = _lit_weights(images, lights)
+    if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
+        g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
+        if shadowed.size:
+            g[:, shadowed] = solve(images[:, shadowed], lights, weights[:, shadowed])
+    else:
+        g = solve(images, lights, weights if shadowed.size else None)
+    worst = _misfit(images, lights, weights, g, settings).max(axis=0)
+    worst[weak] = 0.0  # no light can be spared there
+    doubtful = np.flatnonzero(worst > _CLEAN)
+    if doubtful.size:
+        _reweight(images, lights, weights, g, doubtful, settings)
+    return g, weights
+
+
+def _reweight(  # noqa: PLR0917
+    images: FloatArray,
+    lights: FloatArray,
+    weights: FloatArray,
+    g: FloatArray,
+    active: NDArray[np.intp],
+    settings: RobustSettings,
+) -> None:
+    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED` of its length."""
+    part, usable, here = images[:, active], weights[:, active], g[:, active]
+    nearby = lights if lights.ndim == 2 else lights[:, :, active]
+    for _ in range(_ITERATIONS):
+        misfit = _misfit(part, nearby, usable, here, settings)
+        current = usable / (1 + misfit * misfit)
+        fresh = solve(part, nearby, current)
+        g[:, active] = fresh
+        weights[:, active] = current
+        step = fresh - here
+        moving = np.flatnonzero(_square(step) > np.float32(_SETTLED**2) * _square(fresh))
+        if not moving.size:
+            return
+        active, part, usable, here = active[moving], part[:, moving], usable[:, moving], fresh[:, moving]
+        if nearby.ndim == 3:
+            nearby = nearby[:, :, moving]
+
+
+def _square(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2], dtype=np.float32)
+
+
+def _misfit(
+    images: FloatArray, lights: FloatArray, usable: FloatArray, g: FloatArray, settings: RobustSettings
+) -> FloatArray:
+    """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
+    residual = images - shading(g, lights)
+    albedo = np.maximum(np.sqrt(_square(g)), np.float32(1e-20))
+    residual /= albedo * np.float32(_TOLERANCE)
+    residual *= usable > 0
+    misfit = np.maximum(residual, residual * np.float32(-1 / settings.forgiveness))
+    return np.asarray(np.minimum(misfit, np.float32(_HOPELESS)), dtype=np.float32)
+
+
+def robust(
+    stack: Any, lights: Any, mask: Any = None, settings: RobustSettings | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Normals and albedo under distant lights, from the lights that are neither shadowed nor glossy at a pixel.
+
+    Parameters
+    ----------
+    stack, lights, mask
+        As of :func:`splitknit.photometric.lambertian`; five images or more for an effect on highlights.
+    settings : RobustSettings, optional
+
+    Returns
+    -------
+    normals, albedo
+        As of :func:`splitknit.photometric.lambertian`: (H, W, 3) unit vectors, and (H, W).
+
+    Raises
+    ------
+    BadInput
+        As :func:`splitknit.photometric.lambertian`.
+
+    References
+    ----------
+    P. W. Holland and R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Communications in
+    Statistics A6 (1977), for the weights; S. Ikehata, D. Wipf, Y. Matsushita and K. Aizawa, "Robust photometric stereo
+    using sparse regression", CVPR 2012, for the view of shadow and specular reflection as sparse errors.
+    """
+    chosen = settings if settings is not None else RobustSettings()
+    images = check_stack(stack, least=3)
+    count, rows, columns = images.shape
+    checked = check_lights(lights, count)
+    scale = float(np.linalg.norm(checked, axis=1).mean())
+    vectors = (checked / scale).astype(np.float32)
+    inside = check_mask(mask, (rows, columns))
+    normals, albedo = surface_by_chunks(
+        inside, count, lambda chunk, here: robust_fit(gather(images, chunk, here), vectors, chosen)[0]
+    )
+    return normals, albedo / np.float32(scale)

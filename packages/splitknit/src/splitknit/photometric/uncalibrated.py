@@ -1,0 +1,239 @@
+"""Distant lights that nobody listed: their directions follow from the photographs, but for how deep the surface is.
+
+Photographs of a matt surface are I = S B: S (L, 3) lights, B (3, n) normals times albedo, both up to a matrix A. Slopes
+without curl leave of it the bas-relief transformation f' = a f + m x + k y of the heights. What chooses among these are
+lights of equal brightness, and albedo that does not depend on the slope; lights on a ring leave it to the albedo alone.
+
+References
+----------
+A. Yuille and D. Snow, "Shape and albedo from multiple images using integrability", CVPR 1997 (curl of B's slopes is
+zero); P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), section 2 (the
+transformation); H. Hayakawa, "Photometric stereo under a light source with arbitrary motion", JOSA A 11 (1994), for
+|s_k| = 1; N. Alldrin, S. Mallick and D. Kriegman, CVPR 2007, for the distribution of the albedo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import check_mask, check_stack, refusing, require
+from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, Capture, FloatArray, Rig
+
+Array = NDArray[np.float64]
+FEWEST = 6
+_SIDE = 220
+"""Longest side of the reduced images."""
+_SHADOW = 0.15
+"""A light is in shadow where its image is below this part of the brightest one's."""
+_UNEQUAL, _PATCHES, _UNEVEN = 0.05, 30.0, 0.15
+"""Standard deviation of the lights' brightness; independent places of the object's albedo, and its deviation."""
+_CURLS, _CURL = 60.0, 0.05
+"""Independent places of the curl; the curl over the slopes' own change that blur and gloss leave."""
+_RIVAL_DEG, _RIVAL = 10.0, 1.5
+"""Other lights that explain the photographs nearly as well: they differ by so much, and cost less than so much more."""
+_GLOSSY = 0.2
+"""Standard deviation of the factor a that is no noise: a glazed bear comes out 1.23 times too deep."""
+_RANK = 2.0
+"""Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of copies and of noise."""
+_UNDETERMINED = "the photographs do not determine their lights; give a list of directions as `lights`."
+_SOME, _FEW = 1000, 500
+"""Places of the object that the fit, and the search for its start, look at."""
+
+
+def with_estimated_lights(capture: Capture) -> Capture:
+    """The capture; where its lights are unknown, with their directions by :func:`unknown_lights`, which may refuse."""
+    if capture.rig.provenance.get("lights") != "unknown":
+        return capture
+    alone = capture.material == "opaque" and len(capture.bands) == 1
+    require(alone, "unknown lights go with opaque things and white photographs alone; give a list of the lights.")
+    band = capture.bands["white"]
+    binning = max(1, max(capture.shape) // (2 * _SIDE))
+    stack, levels = linear_stack(band, capture.encoding, binning=binning), saturation_levels(band, capture.encoding)
+    mask = None if capture.mask is None else bin_mean(capture.mask.astype(np.float32), binning) > 0.99
+    stated = np.array([led.intensity for led in capture.rig.leds])
+    units, deviation = unknown_lights(stack / stated[:, None, None].astype(np.float32), mask, levels / stated)
+    pairs = zip(capture.rig.leds, units.tolist(), strict=True)
+    leds = tuple(replace(led, direction=(x, y, z)) for led, (x, y, z) in pairs)
+    origin = {**capture.rig.provenance, "lights": "estimated", "bas_relief": list(deviation)}
+    return replace(capture, rig=replace(capture.rig, leds=leds, provenance=origin))
+
+
+def bas_relief_of(rig: Rig) -> tuple[float, float, float] | None:
+    """The deviation of :func:`unknown_lights` in a rig with such lights. Raises BadInput if it is damaged."""
+    if "bas_relief" not in rig.provenance:
+        return None
+    with refusing(damaged := "the rig's provenance names no three numbers as bas_relief; read the photographs again."):
+        a, m, k = (float(one) for one in rig.provenance["bas_relief"])
+        require(min(a, m, k) >= 0 and max(a, m, k) < np.inf, damaged)
+    return a, m, k
+
+
+def bas_relief_note(deviation: tuple[float, float, float]) -> str:
+    """What lights that were estimated leave open."""
+    deep, tilt = 100 * deviation[0], float(np.rad2deg(np.hypot(*deviation[1:])))
+    return (
+        f"the lights' directions were estimated from the photographs: all heights may be off by one factor, by "
+        f"{deep:.0f} % (standard deviation), and the whole tilted by {tilt:.1f} deg (bas-relief ambiguity); a hollow "
+        "comes out as a hill, unless `light_frame` is left-down."
+    )
+
+
+def bas_relief_um(height_mm: FloatArray, inside: BoolArray, pitch_mm: float, deviation: Any) -> FloatArray:
+    """(H, W) standard deviation in um of heights whose bas-relief transformation has a `deviation` (a, m, k)."""
+    rows, columns = np.indices(height_mm.shape, dtype=np.float32)
+    parts: list[Any] = [height_mm, np.float32(pitch_mm) * columns, np.float32(pitch_mm) * rows]
+    away = [scale * (part - part[inside].mean()) for scale, part in zip(deviation, parts, strict=True)]
+    return np.asarray(1000.0 * np.sqrt(sum(part**2 for part in away)), dtype=np.float32)
+
+
+def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tuple[Array, tuple[float, float, float]]:
+    """Unit vectors (L, 3) towards distant lights of equal brightness, from photographs of a matt, mostly convex object;
+    and the standard deviation of the bas-relief transformation: of its factor a, and of its slopes m and k.
+
+    `stack`: (L, H, W) linear light, six images or more; `mask`: (H, W) the object, by default what is brighter than the
+    background; `ceilings`: value, or (L,), from which images are clipped. Raises BadInput if the photographs do not
+    determine the lights: there are fewer than six, too little is lit by four lights, or other lights explain them too.
+    """
+    images = check_stack(stack)
+    require(len(images) >= FEWEST, f"lights that nobody knows need {FEWEST} photographs, but there are {len(images)}.")
+    inside = _brighter(images.mean(axis=0)) if mask is None else check_mask(mask, (images.shape[1], images.shape[2]))
+    with refusing(_UNDETERMINED):  # singular matrices
+        lights, fields, places = _factors(images, inside, np.broadcast_to(ceilings, len(images)))
+        few = [part[:: max(1, len(part) // _FEW)] for part in fields]
+        _, start = _fitted(lights, few, np.eye(3) * np.exp(np.log(np.linalg.norm(lights, axis=1)).mean()), 0.0)
+        solutions = [_fitted(lights, fields, turn @ start) for turn in _turns(few, start)]
+        best, matrix = min(solutions, key=lambda one: one[0].cost)
+        deviation, unit = _deviation(best, matrix), _directions(lights, matrix, fields[0], places)
+    for other, another in solutions:
+        cosine = (_directions(lights, another, fields[0], places) * unit).sum(axis=1)
+        near = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()) < _RIVAL_DEG
+        rival = "other lights explain the photographs as well; give a list of their directions as `lights`."
+        require(near or other.cost > _RIVAL + best.cost, rival)
+    require(bool((unit[:, 2] > 0).all()), _UNDETERMINED)
+    return unit, deviation
+
+
+def _brighter(image: FloatArray) -> BoolArray:
+    """What is brighter than the background, by Otsu's threshold."""
+    grey = np.rint(255 * np.clip(image / max(float(np.quantile(image, 0.99)), 1e-12), 0, 1)).astype(np.uint8)
+    return np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
+
+
+def _factors(images: FloatArray, inside: BoolArray, ceilings: Any) -> tuple[Array, list[Array], Array]:
+    """S (L, 3); B, its derivatives to the right and upwards (n, 3) each; and places (n, 2), x right, y up: weighted
+    alternating least squares, without shadows, clipped values and gloss."""
+    box = bounding_box(inside)
+    binning = max(1, int(np.ceil(max(inside[box].shape) / _SIDE)))
+    clipped = (images[:, box[0], box[1]] >= np.asarray(ceilings)[:, None, None]).astype(np.float32)
+    small, over = (bin_mean(part, binning) for part in (images[:, box[0], box[1]], clipped))
+    small = np.stack([cv2.GaussianBlur(image, (0, 0), 1.0) for image in small])
+    within = cv2.erode((bin_mean(inside[box].astype(np.float32), binning) > 0.99).astype(np.uint8), np.ones((7, 7))) > 0
+    light = small[:, within].astype(np.float64)
+    lit = (light > _SHADOW * light.max(axis=0)) & (over[:, within] == 0)
+    lit &= lit.sum(axis=0) >= 4
+    enough = int((lit.sum(axis=0) >= 4).sum()) >= 4 * _FEW and bool(lit.any(axis=1).all())
+    require(enough, "too little of the object is lit in four photographs; give a list of the lights as `lights`.")
+    light /= light[lit].mean()
+    whole = lit.sum(axis=0) >= np.quantile(lit.sum(axis=0), 0.7)
+    left, size, _ = np.linalg.svd(light[:, whole], full_matrices=False)
+    require(size[2] > _RANK * size[3] and size[2] > 1e-3 * size[0], _UNDETERMINED)
+    lights, weights = left[:, :3] * size[:3] / np.sqrt(whole.sum()), lit.astype(np.float64)
+    for _ in range(30):
+        moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
+        surface = np.linalg.solve(moments, ((weights * light).T @ lights)[..., None])[..., 0]
+        rest = light - lights @ surface.T
+        weights = lit / (1.0 + (rest / (3.0 * float(np.median(np.abs(rest[lit]))) + 1e-9)) ** 2)
+        moments = np.einsum("kn,ni,nj->kij", weights, surface, surface)
+        lights = np.linalg.solve(moments, ((weights * light) @ surface)[..., None])[..., 0]
+        lights = lights @ np.linalg.cholesky(surface.T @ surface / len(surface))
+    field = np.zeros((*within.shape, 3))
+    moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
+    field[within] = np.linalg.solve(moments, ((weights * light).T @ lights)[..., None])[..., 0]
+    known = np.zeros(within.shape, np.uint8)
+    known[within] = lit.any(axis=0)
+    rows, columns = np.nonzero(cv2.erode(known, np.ones((3, 3)), borderValue=0))
+    some = slice(None, None, max(1, len(rows) // _SOME))
+    rows, columns = rows[some], columns[some]
+    across = 0.5 * (field[rows, columns + 1] - field[rows, columns - 1])
+    up = 0.5 * (field[rows - 1, columns] - field[rows + 1, columns])
+    return lights, [field[rows, columns], across, up], np.column_stack([columns - columns.mean(), rows.mean() - rows])
+
+
+def _figures(matrix: Array, lights: Array, fields: list[Array]) -> tuple[Array, Array, Array]:
+    """ln of the brightness of lights (L,) and of the albedo (n,), and the curl (n,) of slopes over their own change,
+    where B is `matrix` times what was factored."""
+    surface, across, up = (part @ matrix.T for part in fields)
+    strength = np.log(np.linalg.norm(lights @ np.linalg.inv(matrix), axis=1))
+    albedo = np.log(np.linalg.norm(surface, axis=1))
+    deep = surface[:, 2:]
+    least = 0.05 * float(np.median(np.abs(deep)))
+    deep = np.where(np.abs(deep) < least, least, deep)
+    slope_x, slope_y = ((part * deep - surface * part[:, 2:])[:, :2] / deep**2 for part in (across, up))
+    change = float(np.median(np.hypot(np.hypot(*slope_x.T), np.hypot(*slope_y.T))))
+    return strength, albedo - np.median(albedo), (slope_y[:, 0] - slope_x[:, 1]) / max(change, 1e-12)
+
+
+def _fitted(lights: Array, fields: list[Array], matrix: Array, curls: float = _CURLS) -> tuple[Any, Array]:
+    """Least squares of lights of one brightness, even albedo and slopes without curl (places as many as `curls`), by
+    Cauchy's loss that narrows; and the matrix."""
+    from scipy.optimize import least_squares  # slow to import, and needed here alone
+
+    def residuals(values: Array, wide: float) -> Array:
+        strength, albedo, curl = _figures(values.reshape(3, 3), lights, fields)
+        parts = (_PATCHES, albedo / (wide * _UNEVEN)), (curls, curl / (wide * _CURL))
+        robust = [np.sqrt(count / len(one) * np.log1p(one**2)) * np.sign(one) for count, one in parts]
+        return np.concatenate([strength / _UNEQUAL, *robust])
+
+    for wide in (6.0, 2.0, 1.0):
+        found = least_squares(residuals, matrix.ravel(), args=(wide,), max_nfev=40)
+        matrix = found.x.reshape(3, 3)
+    return found, matrix
+
+
+def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
+    """The rotations, some of them with a mirroring, after which slopes have the least curl; the best first."""
+    normals = fields[0] @ matrix.T
+    mean = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).mean(axis=0)
+    facing = np.linalg.svd(mean[None])[2][[1, 2, 0]]
+    facing[2] = mean / np.linalg.norm(mean)
+    none, tried = np.ones((1, 3)), []
+    for x, y in np.mgrid[-0.5:0.6:0.25, -0.5:0.6:0.25].reshape(2, -1).T:
+        lean = cv2.Rodrigues(np.array([x, y, 0.0]))[0]
+        for angle in np.pi * np.arange(12) / 12:
+            for side in (1.0, -1.0):
+                turn = lean @ cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0] @ np.diag([1.0, side, 1.0]) @ facing
+                curl = _figures(turn @ matrix, none, fields)[2]
+                tried.append((float(np.log1p((curl / _CURL) ** 2).mean()), turn))
+    tried.sort(key=lambda one: one[0])
+    chosen: list[Array] = []
+    for _, turn in tried:
+        if all(float(np.sum(turn * other)) < 2.6 for other in chosen):
+            chosen.append(turn)
+    return chosen[:most]
+
+
+def _deviation(found: Any, matrix: Array) -> tuple[float, float, float]:
+    """Standard deviations of the bas-relief transformation of :func:`_fitted`: of its factor, and of its slopes."""
+    normal = found.jac.T @ found.jac
+    covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(9))
+    turns = np.eye(9).reshape(9, 3, 3) @ np.linalg.inv(matrix)  # what changes of the matrix do to normals
+    factor = 0.5 * (turns[:, 0, 0] + turns[:, 1, 1]) - turns[:, 2, 2]
+    reads = np.stack([factor, turns[:, 0, 2], turns[:, 1, 2]])
+    a, m, k = np.sqrt(np.diag(reads @ covariance @ reads.T)).tolist()
+    return float(np.hypot(a, _GLOSSY)), m, k
+
+
+def _directions(lights: Array, matrix: Array, surface: Array, places: Array) -> Array:
+    """(L, 3) unit vectors, by which the surface faces the camera and is convex."""
+    normals = surface @ matrix.T
+    found = lights @ np.linalg.inv(matrix) * np.sign(normals[:, 2].mean())
+    outwards = float(np.sum(normals[:, :2] * places)) * np.sign(normals[:, 2].mean())
+    found[:, :2] *= 1.0 if outwards > 0 else -1.0
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

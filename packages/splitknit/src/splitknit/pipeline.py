@@ -1,0 +1,157 @@
+"""From a capture to a metric fingerprint: :func:`reconstruct` picks a method and its parameters.
+
+The algorithm is in :mod:`splitknit.methods`, one function a method; presets are in :mod:`splitknit.presets`. Time,
+progress and results that several cases share wrap the steps from outside (:mod:`splitknit.steps`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+from splitknit import steps
+from splitknit.errors import require
+from splitknit.methods import METHODS, method_for
+from splitknit.methods.photographs import finger_photographs, mirror_views, on_mirror_shape, placed
+from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
+from splitknit.methods.shaded import everything_in_view
+from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
+from splitknit.photometric.uncalibrated import with_estimated_lights
+from splitknit.plausible import TOP
+from splitknit.presets import PipelineSettings, chosen_settings
+from splitknit.steps import Memory
+
+__all__ = ["reconstruct", "reconstruct_images", "with_scale"]
+
+
+def reconstruct(
+    capture: Capture | str | os.PathLike[str],
+    preset: str = "metric",
+    settings: Mapping[str, Any] | PipelineSettings | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    memory: Memory | None = None,
+) -> Reconstruction:
+    """Reconstruct one finger.
+
+    Parameters
+    ----------
+    capture : Capture, or the path of a capture folder
+        From :func:`splitknit.read_capture` or a simulator.
+    preset : a name of :data:`PRESETS`
+    settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
+        Changes to the preset, of which the result says ``snk, changed``; whole settings instead of a preset are named
+        after the one that they are, or are nearest to.
+    progress : called with the name of the stage and the fraction done, optional
+    memory : what several cases of this very capture share, optional
+        Saves time; changes nothing.
+
+    Returns
+    -------
+    Reconstruction
+        On the input's pixel grid.
+
+    Raises
+    ------
+    BadInput
+        If the capture shows no finger, lacks a band, a setting is not known, or the memory is another capture's; if
+        photographs of skin contradict each other or their lights (setting ``keep``).
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
+    >>> splitknit.reconstruct(capture, "snk", {"shapelets.scales": 4}).height_mm.shape
+    (176, 256)
+
+    References
+    ----------
+    A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
+    """
+    name, chosen = chosen_settings(preset, settings)
+    capture = _opened(capture, memory)
+    notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
+    capture, doubts = with_working_scale(capture)
+    with steps.timed_run(progress, memory) as seconds:
+        find = finger_photographs if capture.shading is None else everything_in_view
+        photographs = find(capture, chosen)
+        seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
+        del capture  # `photographs` alone holds the images now, and can release them
+        surface = METHODS[method_for(photographs, chosen)](photographs, chosen)
+        if seen is not None:
+            surface = on_mirror_shape(photographs, surface, seen, chosen)
+        result = placed(photographs, surface, chosen.top_mm)
+    odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
+    first = photographs.finger.facts.get("spoilt", 0)  # what spoils the surface
+    seen_in, rest = photographs.warnings[:first], photographs.warnings[first:]
+    warnings = (*seen_in, *notes, *doubts, *rest, *surface.warnings, *odd)
+    result = replace(result, preset=name, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds))
+    return result if result.scale_known else _of_unknown_scale(result)
+
+
+def reconstruct_images(
+    images: Any, lights: Any = None, mask: Any = None, px_per_mm: float | None = None, intensities: Any = None
+) -> Reconstruction:
+    """Reconstruct an object from arrays: one image for each distant light, by the preset `metric`.
+
+    Parameters
+    ----------
+    images : (L, H, W) or (L, H, W, 3) of uint8, uint16 or floats
+        Grey, or red, green and blue; linear light, or sRGB where images of 8 bits are shaded so.
+    lights : (L, 3), optional
+        Directions towards the lights, x right, y up, z to the camera; estimated by default, from six images or more.
+    mask : (H, W) bool, optional
+        The object; it is looked for by default.
+    px_per_mm : float, optional
+        Without it heights are in pixels.
+    intensities : (L,) or (L, 3), optional
+        Brightness of the lights, or of their red, green and blue; estimated with the surface by default.
+
+    Returns
+    -------
+    Reconstruction
+        Its warnings name photographs that do not fit the others, as ``image 0`` and so on.
+
+    Raises
+    ------
+    BadInput
+        If shapes, types or numbers disagree or an image is black or overexposed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.mgrid[1:-1:120j, -1:1:120j]
+    >>> normals = np.dstack([x, y, np.sqrt(np.maximum(2 - x**2 - y**2, 0.5))]) / np.sqrt(2)
+    >>> lights = np.array([[0.5, 0, 0.8], [0, 0.5, 0.8], [-0.5, 0, 0.8], [0, -0.5, 0.8], [0.3, 0.3, 0.9]])
+    >>> result = reconstruct_images(np.clip(normals @ lights.T, 0, 1).transpose(2, 0, 1), lights, x**2 + y**2 < 0.8)
+    >>> result.height_mm.shape
+    (120, 120)
+    """
+    from splitknit.io.plain import capture_of_arrays  # large, and needed here alone
+
+    capture, notes = capture_of_arrays(images, lights, mask, px_per_mm, intensities)
+    result = reconstruct(with_estimated_lights(capture))
+    said = [note for note in notes if not any(note in warning for warning in result.warnings)]
+    return replace(result, warnings=(*said, *result.warnings))
+
+
+def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None) -> Capture:
+    """The capture, read where it is a path. Raises BadInput if it has no white band, or the memory is another's."""
+    if not isinstance(capture, Capture):
+        from splitknit.io.capture import read_capture  # large, and needed for paths alone
+
+        capture = read_capture(capture)
+    if memory is not None:
+        memory.check(capture)
+    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    return capture
+
+
+def _of_unknown_scale(result: Reconstruction) -> Reconstruction:
+    """The result with its warnings in pixels, a note on the scale, and without an uncertainty in micrometres."""
+    facts = {**result.facts, "scale": "unknown, heights in pixels", "assumed_px_per_mm": result.unit.per_mm}
+    warnings = (UNKNOWN_SCALE, *result.unit.converted(result.warnings))
+    return replace(result, uncertainty_um=None, facts=facts, warnings=warnings)

@@ -1,0 +1,26 @@
+"""Pages for people: figures, charts and self-contained HTML, from templates."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from splitknit.errors import printable
+
+
+@cache
+def template(page: str | Path) -> Any:
+    """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an error."""
+    import jinja2  # charts need none of it
+
+    file = Path(__file__).parent / "templates" / page
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(file.parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=lambda value: printable(value) if type(value) is str else value,  # texts of files, as on a terminal
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(file.name)

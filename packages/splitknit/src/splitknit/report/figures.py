@@ -1,0 +1,427 @@
+"""The pictures of the report, each with a caption that explains what is seen and what good looks like."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.finger.regions import erode
+from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
+from splitknit.imaging.polarised import picture_bytes
+from splitknit.io.pictures import (
+    ColourArray,
+    PictureFrame,
+    colour,
+    fields_to_frame,
+    normal_colours,
+    on_paper,
+    to_frame,
+    upright_frame,
+    upright_turn,
+)
+from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.report import charts
+from splitknit.report.photos import Picture, captioned, is_finger
+
+if TYPE_CHECKING:
+    from splitknit.accuracy import Comparison
+
+RELIEF_EXAGGERATION = 2.0
+"""Factor on a finger's ridges in shaded views; an opaque thing is drawn to scale."""
+TILT_DEG = 56.0
+RIM_MM = 0.4
+"""Of an opaque thing: there its sides bend what separates fine details from the shape."""
+_CLOSE_UP_MM = 5.0
+
+Truth = Mapping[str, NDArray[Any]]
+"""A simulator's arrays."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SmallFields:
+    """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
+
+    frame: PictureFrame
+    weight: FloatArray
+    """(h, w) in [0, 1], fraction of the pixel inside the mask."""
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    normals: FloatArray
+    """(h, w, 3)."""
+
+    def exaggerated(self, factor: float) -> _SmallFields:
+        """The same with the relief in the height multiplied by `factor`, so that ridges of a few hundredths of a
+        millimetre are seen on a finger; less so on steep flanks, where they would overhang.
+        """
+        facing = self.normals[..., 2]
+        extra = np.float32(factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+        return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
+
+
+def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
+    """Bring a reconstruction onto a picture's frame, all fields at once."""
+    fields = (result.height_mm, result.ridge_mm, result.shape_mm, result.normals)
+    small, weight = fields_to_frame(fields, result.mask, frame)
+    return _SmallFields(frame, weight, *small)
+
+
+def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+    """Show the normals, turned with the finger."""
+    picture = on_paper(normal_colours(upright_normals(result, small.normals)), small.weight)
+    return captioned(
+        "Surface normals",
+        picture,
+        "Direction of the surface: red grows to the right, green upwards, blue towards the camera. "
+        "Good: colours change smoothly, with details as fine lines on top, and no blotches."
+        if not is_finger(result)
+        else "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
+        "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
+        small.frame.pitch_mm,
+    )
+
+
+def upright_normals(result: Reconstruction, normals: FloatArray) -> FloatArray:
+    """Normals (h, w, 3) turned with the finger."""
+    turn = upright_turn(result.input_from_upright).astype(np.float32)
+    return np.concatenate([np.einsum("ij,hwj->hwi", turn, normals[..., :2]), normals[..., 2:]], axis=-1)
+
+
+def _field_picture(  # noqa: PLR0917
+    title: str, field: tuple[FloatArray, FloatArray], limits: tuple[float, float], unit: str, caption: str,
+    pitch_mm: float, *, diverging: bool = False,
+) -> Picture:  # fmt: skip
+    """A field (h, w) with its weight in the colours of a scale between `limits`."""
+    values, weight = field
+    legend = charts.colour_bar(*limits, unit, diverging=diverging)
+    return captioned(title, on_paper(colour(values, *limits, diverging=diverging), weight), caption, pitch_mm, legend)
+
+
+def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+    """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
+    unit = result.unit
+    caption = (
+        "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
+        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top."
+        if is_finger(result)
+        else "Height of fine details above their surroundings, without the shape; the rim is left out. Yellow is high."
+    )
+    weight = small.weight
+    if not is_finger(result):
+        inner = np.float32(_without_rim(weight > 0, small.frame.pitch_mm)) * weight
+        weight = inner if inner.any() else weight
+    field, limits = (unit.small_per_mm * small.ridge_mm, weight), relief_limits(result)
+    return _field_picture("Relief", field, limits, unit.small, caption, small.frame.pitch_mm)
+
+
+def _without_rim(inside: BoolArray, pitch_mm: float) -> BoolArray:
+    return erode(inside, RIM_MM / pitch_mm)
+
+
+def relief_limits(result: Reconstruction) -> tuple[float, float]:
+    """Limits of a colour scale for the relief in the result's small unit: what ridges span where the skin faces the
+    camera, in whole fives of um, or of a pixel's first figure that counts."""
+    facing = facing_relief_mm(result)
+    relief = result.unit.small_per_mm * (facing if facing.size else result.ridge_mm[result.mask])[::3]
+    low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
+    margin = 0.1 * (high - low)
+    step = 5.0 if result.unit.known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
+    ends = step * float(np.floor((low - margin) / step)), step * float(np.ceil((high + margin) / step + 1e-9))
+    return float(f"{ends[0]:.6g}"), float(f"{ends[1]:.6g}")
+
+
+def facing_relief_mm(result: Reconstruction) -> FloatArray:
+    """The relief (N,) where it is known and the surface faces the camera, in the order of the rows; of an opaque thing
+    without its rim."""
+    box = bounding_box(result.mask)
+    relief, inside = result.ridge_mm[box], result.mask[box]
+    if not is_finger(result):
+        inner = _without_rim(np.pad(inside, 1), result.pitch_mm)[1:-1, 1:-1]
+        inside = inner if inner.any() else inside
+    facing = inside & (result.normals[box][..., 2] > np.cos(np.pi / 4)) & np.isfinite(relief)
+    return np.asarray(relief[facing])
+
+
+def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+    """Show the finger without ridges, with contour lines."""
+    unit, values, weight = result.unit, result.unit.heights(small.shape_mm), small.weight
+    top = float(np.percentile(values[weight > 0.5], 99.9))
+    depth = values - np.float32(top)
+    low = float(np.percentile(depth[weight > 0.5], 0.5))
+    step = 0.5 if low > -6 else 1.0
+    if not (is_finger(result) and unit.known):
+        tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
+        step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
+    picture = colour(depth, low, 0.0)
+    level = np.floor(depth / step)
+    edge = np.zeros(level.shape, dtype=bool)
+    edge[:, 1:] |= level[:, 1:] != level[:, :-1]
+    edge[1:] |= level[1:] != level[:-1]
+    edge[:, :-1] |= edge[:, 1:]
+    edge[:-1] |= edge[1:]
+    picture[edge & (weight > 0.9)] = (20, 20, 20)
+    return captioned(
+        "Shape",
+        on_paper(picture, weight),
+        f"Height of the finger without its ridges, below its highest point; a line every {step:g} {unit.name}. "
+        "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge."
+        if is_finger(result)
+        else f"Height without fine details, below the highest point; a line every {step:g} {unit.name}.",
+        small.frame.pitch_mm,
+        charts.colour_bar(round(low, 1), 0.0, unit.name),
+    )
+
+
+def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
+    """Show the standard deviation of the relief, if the pipeline gives one."""
+    if result.uncertainty_um is None:
+        return None
+    known = result.mask & np.isfinite(result.uncertainty_um)
+    if not bool(known.any()):
+        return None
+    values, weight = to_frame(result.uncertainty_um, known, small.frame)
+    high = float(np.percentile(values[weight > 0.5], 98))
+    finger = is_finger(result)
+    words = (
+        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
+        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against "
+        "the relief."
+    )
+    if not finger:
+        words = "Standard deviation (one sigma) of the heights, as far as it is known. Good: small against them."
+    elif result.facts.get("heights") == "measured":
+        words = (
+            "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
+            "This is the standard deviation (one sigma) of their height. Good: small against the relief."
+        )
+    return captioned(
+        f"Uncertainty of the {'relief' if finger else 'heights'}",
+        on_paper(colour(values, 0.0, high), weight),
+        words,
+        small.frame.pitch_mm,
+        charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
+    )
+
+
+def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
+    """Show what the surface reflects, of a polarised capture."""
+    if result.specular is None:
+        return None
+    values, weight = to_frame(result.specular, result.mask & np.isfinite(result.specular), small.frame)
+    return captioned(
+        "Specular image",
+        on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
+        "What the surface itself reflects, under all lights: the parallel less the crossed images, of even brightness. "
+        "Bright flanks face half-way between camera and lights. Good: sharp, unbroken ridges, pores as dots.",
+        small.frame.pitch_mm,
+    )
+
+
+FIELD_PICTURES = (_specular_picture, _normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
+"""Each draws a picture of a result and its small fields, or None where the result has no such field."""
+
+
+def render_views(result: Reconstruction, small: _SmallFields, each: Callable[..., Any] = map) -> Iterator[ColourArray]:
+    """The shaded surface from above, the left and the right; a pool's ``map`` as `each` begins at once."""
+    surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
+    sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
+    drawn: Iterator[ColourArray] = each(lambda view: view(), (partial(_top_view, surface), *sides))
+    return drawn
+
+
+def view_pictures(views: Sequence[ColourArray], pitch_mm: float, finger: bool) -> list[Picture]:
+    """Show the surface of :func:`render_views`; `pitch_mm` is the size of a pixel of the first view."""
+    stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
+    good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
+    if not finger:
+        stated, good = "Heights are true.", "Good: no bumps or waves that the object does not have."
+    oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
+    above, left, right = views
+    return [
+        captioned("From above", above, f"Measured surface, lit from the upper left. {stated} {good}", pitch_mm),
+        captioned("From the left", left, oblique),
+        captioned("From the right", right, oblique),
+    ]
+
+
+def print_picture(prints: NDArray[np.uint8]) -> Picture:
+    """Show the print, cut to the finger."""
+    dark = prints < 250
+    if bool(dark.any()):
+        prints = prints[bounding_box(dark, 8)]
+    return captioned(
+        "Print",
+        prints,
+        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+        "Good: dark, separate ridges with clear endings and forks up to the edge.",
+        25.4 / 500,
+    )
+
+
+SURFACE_ERROR = "Measured minus true height, mean removed. Blue is too low, orange too high; white is right."
+RIDGE_ERROR = (
+    "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are ridges of the "
+    "wrong height; white is right."
+)
+
+
+def truth_pictures(
+    results: Sequence[Reconstruction], truth: Truth, comparisons: Sequence[Comparison], frame: PictureFrame
+) -> tuple[list[Picture], list[Picture]]:
+    """Close-ups of the relief, the true one first, and maps of the errors."""
+    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
+    close_ups = [_close_up(true_relief, results[0], "Truth")]
+    close_ups += [_close_up(each.ridge_mm, results[0], each.preset) for each in results]
+    signed, errors = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True), []
+    for result, comparison in zip(results, comparisons, strict=True):
+        surface = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
+        ridge = to_frame(comparison.ridge_error_um, comparison.band, frame)
+        errors += [
+            signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm", SURFACE_ERROR),
+            signed(f"Ridge error, {result.preset}", ridge, (-50.0, 50.0), "µm", RIDGE_ERROR),
+        ]
+    return close_ups, errors
+
+
+def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
+    """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
+    whole = upright_frame(result, 10**6)
+    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
+    shift = np.eye(3)
+    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
+    frame = PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
+    values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
+    mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
+    relief = np.asarray(1000.0 * (values - np.float32(mean)), dtype=np.float32)
+    caption = f"{_CLOSE_UP_MM:g} mm square in the middle of the finger."
+    return _field_picture(title, (relief, weight), (-60.0, 40.0), "µm", caption, frame.pitch_mm)
+
+
+# Shaded pictures of a height field, by a small renderer.
+#
+# A height field that is tilted about a horizontal axis hides itself column by column. Walking a column from the front
+# to the back, a point is seen if it is projected higher than all before it (the floating horizon). The horizon rises
+# monotonically, so it can be inverted: every pixel of the view knows the row it shows, with sub-pixel accuracy.
+
+_CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)
+_KEY = np.array([-0.55, 0.55, 0.63], dtype=np.float32)
+_FILL = np.array([0.70, -0.15, 0.70], dtype=np.float32)
+_BACKGROUND = 0.965
+_SUPERSAMPLING = 2
+_NOWHERE = np.float32(1e9)
+
+
+def _shade(surface: _SmallFields, turn_rad: float = 0.0) -> FloatArray:
+    """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], RGB for display; valleys are slightly darker.
+    The lamps stand still before a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
+    """
+    inside = surface.weight > 0.5
+    known = np.where(inside, surface.height_mm, np.float32(np.nan))
+    normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
+    key = np.clip(normals @ _lamp(_KEY, turn_rad), 0.0, 1.0)
+    fill = np.clip(normals @ _lamp(_FILL, turn_rad), 0.0, 1.0)
+    halfway = _KEY / np.linalg.norm(_KEY) + np.array([0.0, 0.0, 1.0], dtype=np.float32)
+    gloss = np.clip(normals @ _lamp(halfway, turn_rad), 0.0, 1.0) ** 24
+    deviation = float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
+    depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
+    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + np.float32(0.14) * depth)
+    shaded = light[..., None] * _CLAY + np.float32(0.10) * gloss[..., None]
+    return np.asarray(np.clip(shaded, 0.0, 1.0) ** np.float32(0.8), dtype=np.float32)
+
+
+def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
+    """Unit direction of a lamp in the frame of a finger that is turned by `turn_rad`."""
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    x, y, z = direction / np.linalg.norm(direction)
+    return np.array([cos * x + sin * y, -sin * x + cos * y, z], dtype=np.float32)
+
+
+def _top_view(surface: _SmallFields) -> ColourArray:
+    """Shaded surface seen from the camera, upright."""
+    alpha = surface.weight[..., None]
+    return _bytes(_shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
+
+
+def oblique_view(surface: _SmallFields, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
+    """Shaded surface seen at an angle, parallel projection, (h, w, 3) uint8, cut to the finger: turned about the
+    camera's axis, counter-clockwise, then tilted (0 = from above, less than 90).
+    """
+    turn_rad, weight = np.deg2rad(turn_deg), surface.weight
+    colours = _shade(surface, turn_rad)
+    painted = _bytes(np.dstack([colours, np.ones_like(weight)]))
+    # the staircase of the mask's edge is rounded, inside it: steep flanks would end in a fringe
+    blurred = cv2.GaussianBlur(weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
+    edge = np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
+    height, painted = _turn(surface.height_mm, edge, painted, turn_rad)
+    view = _tilt(height, painted, np.deg2rad(tilt_deg), surface.frame.pitch_mm / _SUPERSAMPLING)
+    if (covered := view[..., 3] > 0).any():
+        margin = 12 * _SUPERSAMPLING
+        view = np.pad(view[bounding_box(covered)], ((margin, margin), (margin, margin), (0, 0)))
+    return _flattened(view)
+
+
+def _turn(
+    height: FloatArray, weight: FloatArray, painted: NDArray[np.uint8], angle_rad: float
+) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Rotate about the middle into a finer frame that holds all of it; NaN and no paint outside."""
+    (rows, columns), zoom = weight.shape, _SUPERSAMPLING
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    size = (
+        int(zoom * (abs(cos) * columns + abs(sin) * rows)) + 1,
+        int(zoom * (abs(sin) * columns + abs(cos) * rows)) + 1,
+    )
+    linear = np.array([[cos, -sin], [sin, cos]]) / zoom
+    middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    matrix = np.column_stack([linear, middle - linear @ ((np.array(size) - 1) / 2)])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    inside = np.asarray(cv2.warpAffine(weight, matrix, size, flags=flags)) > 0.5
+    turned = np.full(inside.shape, np.nan, dtype=np.float32)
+    np.copyto(turned, cv2.warpAffine(height, matrix, size, flags=flags), where=inside)
+    colours = np.asarray(cv2.warpAffine(painted, matrix, size, flags=flags), dtype=np.uint8)
+    colours.view(np.uint32)[..., 0] *= inside
+    return turned, colours
+
+
+def _tilt(height: FloatArray, painted: NDArray[np.uint8], tilt_rad: float, pitch_mm: float) -> NDArray[np.uint8]:
+    """Floating horizon: the tilted view of `painted` (H, W, 4), colours premultiplied by the coverage."""
+    known = np.isfinite(height)
+    if not bool(known.any()):
+        return painted
+    rows, columns = bounding_box(known)
+    depth = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] * np.float32(np.cos(tilt_rad))
+    screen = depth - height[rows, columns] * np.float32(np.sin(tilt_rad) / pitch_mm)  # downwards; the front is last
+    screen[~known[rows, columns]] = _NOWHERE
+    for row in range(len(screen) - 2, -1, -1):  # the horizon, from the front to the back
+        np.minimum(screen[row], screen[row + 1], out=screen[row])
+    new = screen < _NOWHERE
+    top, bottom = int(np.floor(screen.min())) - 2, int(np.ceil(screen[new].max())) + 2
+    new[:-1] = screen[:-1] < screen[1:]  # what is hidden by what is before it adds nothing
+    lines = np.arange(top, bottom, dtype=np.float64)
+    source = np.full((height.shape[1], lines.size), -10.0, dtype=np.float32)
+    each = zip(cv2.transpose(screen), cv2.transpose(new.view(np.uint8)), strict=True)
+    for column, (horizon, seen) in enumerate(each, columns.start):
+        places = np.flatnonzero(seen)
+        if places.size:
+            line = horizon[places].astype(np.float64)
+            ends = slice(math.ceil(line[0]) - top, math.floor(line[-1]) - top + 1)
+            source[column, ends] = np.interp(lines[ends], line, places + float(rows.start))
+    across = np.ascontiguousarray(np.broadcast_to(np.arange(len(source), dtype=np.float32), source.shape[::-1]))
+    return np.asarray(cv2.remap(painted, across, cv2.transpose(source), cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _flattened(view: NDArray[np.uint8]) -> ColourArray:
+    """Average the finer view over the picture's pixels and lay it on the background."""
+    size = (view.shape[1] // _SUPERSAMPLING, view.shape[0] // _SUPERSAMPLING)
+    small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), dtype=np.float32) / 255.0
+    return _bytes(small[..., :3] + np.float32(_BACKGROUND) * (1.0 - small[..., 3:]))
+
+
+def _bytes(picture: FloatArray) -> NDArray[np.uint8]:
+    return np.asarray(np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8))

@@ -1,0 +1,157 @@
+"""Pictures with captions, and what the camera saw: the mean white image with what was found in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, upright_limits
+from splitknit.model import Band, Capture, PixelArray, Reconstruction
+from splitknit.steps import let_go
+
+_NO_LEGEND = Markup("")
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One figure of the report."""
+
+    title: str
+    uri: Markup
+    caption: str
+    width: int
+    height: int
+    legend: Markup = _NO_LEGEND
+    scale_percent: float = 0.0
+    """Length of the scale bar in percent of the picture's width; 0 = none."""
+    scale_label: str = ""
+
+
+def is_finger(result: Reconstruction) -> bool:
+    """Whether it was captured as one: of skin, not of opaque material."""
+    return str(result.facts.get("material", "skin")) == "skin"
+
+
+def captioned(
+    title: str, image: NDArray[np.uint8], caption: str, pitch_mm: float = 0.0, legend: Markup = _NO_LEGEND
+) -> Picture:
+    """A picture as a data URI, with a bar of a round length where the size of a pixel is known. What a legend explains,
+    and prints, keep their exact values; all else is stored as a photograph.
+    """
+    height, width = image.shape[:2]
+    bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0
+    return Picture(
+        title=title,
+        uri=Markup(data_uri(image, photo=image.ndim == 3 and not legend)),  # HTML has to escape nothing in it
+        caption=caption,
+        width=width,
+        height=height,
+        legend=legend,
+        scale_percent=round(100 * bar_mm / (width * pitch_mm), 2) if bar_mm else 0.0,
+        scale_label=f"{bar_mm:g} mm",
+    )
+
+
+LONGEST_PX = 700
+"""Longer side of a picture."""
+
+
+def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
+    """Size (columns, rows) of a picture of an image of this shape, and the scale between them."""
+    rows, columns = shape
+    scale = min(1.0, LONGEST_PX / max(rows, columns))
+    return (max(1, round(columns * scale)), max(1, round(rows * scale))), scale
+
+
+def small_images(band: Band) -> PixelArray:
+    """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
+    size, _ = _fitting(band.pixels.shape[1:3])
+    small = []
+    for image in band.pixels:
+        small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        let_go(band.pixels)
+    return np.stack(small).reshape(len(small), size[1], size[0], -1)
+
+
+def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
+    """Mean of the white images for people, `size` (columns, rows)."""
+    pixels = capture.bands["white"].pixels
+    total = np.zeros((size[1], size[0], 3), dtype=np.float32)
+    for image in pixels:
+        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        total += small.reshape(size[1], size[0], -1)
+    total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
+    brightest = max(float(np.percentile(total, 99.7)), 1e-6)
+    gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
+    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(np.uint8)
+    return np.ascontiguousarray(picture)
+
+
+def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
+    """What was found in the images: the finger, and the mirrors' views where the shape came from them."""
+    drawing = result.facts.get("mirror_drawing")
+    return [_mask_on_image(result, capture), *([] if drawing is None else [_mirror_picture(result, capture, drawing)])]
+
+
+def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
+    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
+    size, scale = _fitting(result.mask.shape)
+    picture = _mean_image(capture, size)
+
+    inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
+    outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
+    finger = is_finger(result)
+    if finger:
+        ends = upright_limits(result)
+        ends[:, 0] = ends[:, 0].mean()  # tip and base of the upright frame's middle line in the mask
+        ends = scale * (ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
+        _line(picture, ends, SKY, 2)
+        cv2.circle(picture, np.round(ends[0]).astype(int).tolist(), 5, SKY, -1, cv2.LINE_AA)
+    crease = result.facts.get("crease_line")
+    if crease is not None:
+        _line(picture, scale * np.asarray(crease, dtype=np.float64), BLUE, 2)
+    caption = (
+        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
+        "Pale blue: the finger's axis, with a dot at the tip. "
+    )
+    caption += (
+        "Dark blue: the flexion crease at which the phalange was cut. " if crease is not None else "No crease was cut. "
+    )
+    caption += "Good: the outline follows the finger closely and holds neither background nor shadow."
+    if not finger:
+        caption = (
+            "Mean of the images, as the camera saw it. Orange: the outline of what was measured. Good: the outline "
+            "follows the object closely and holds neither background nor shadow."
+        )
+    return captioned("Finger found" if finger else "Outline", picture, caption, result.pitch_mm / scale)
+
+
+def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]) -> Picture:
+    """The mean image with the outlines in every view, where the shape came from mirrors."""
+    size, scale = _fitting(capture.shape)
+    picture = _mean_image(capture, size)
+    for name, shade in (("mirrors", (120, 120, 120)), ("masks", ORANGE), ("medial_lines", SKY)):
+        for line in drawing[name].values():
+            _line(picture, scale * np.array(line, dtype=np.float64), shade, 1, closed=name != "medial_lines")
+    for outline in drawing["fitted"].values():
+        for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
+            cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
+    caption = (
+        "The finger itself and its mirror images. Orange: the outline found in each view. Pale blue: medial lines. "
+        "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
+        "rig file has the mirrors. Good: the dots lie on the orange lines."
+    )
+    return captioned("Views in the mirrors", picture, caption, result.pitch_mm / scale)
+
+
+def _line(
+    picture: ColourArray, points: NDArray[np.float64], shade: Sequence[int], width: int, *, closed: bool = False
+) -> None:
+    cv2.polylines(picture, [np.round(points).astype(np.int32)], closed, shade, width, cv2.LINE_AA)

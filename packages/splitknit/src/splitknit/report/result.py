@@ -1,0 +1,439 @@
+"""The folder of a result: its files, and one page and one JSON document that report what was measured, and how well.
+
+Dates and timings are written here and nowhere else: all other files are the same bytes for the same input.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from splitknit.finger.ridges import surface_print
+from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.polarised import picture_bytes
+from splitknit.io.atomic import atomic_folder, write_file
+from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
+from splitknit.io.prints import provenance_texts, write_print_png
+from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.io.tiff import write_float_tiff
+from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.report import charts, figures, template
+from splitknit.report.figures import Truth
+from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
+
+if TYPE_CHECKING:
+    from splitknit.accuracy import Comparison
+
+_COMPARED = (
+    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
+    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
+    ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
+    ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
+    ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
+    ("ridge_rms_um", "Ridge band, rms", "µm", "small"),
+    ("ridge_truth_std_um", "Ridge band of the truth, standard deviation", "µm", ""),
+    ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
+    ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
+    ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
+    ("mask_on_finger", "Fraction of the mask that lies on the finger", "", "above 0.99"),
+)
+"""Figure, words, unit, what good looks like."""
+
+
+_OF_FINGERS = ("crease_found", "crease_distance_mm", "crease_verdict", "crease_line", "tip_direction", "heights")
+"""Facts that the page of an opaque thing leaves out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The page, the same facts for programs, and the pictures that are files of their own."""
+
+    html: str
+    facts: Mapping[str, Any]
+    views: Sequence[ColourArray]
+    """The shaded surface from above, the left and the right."""
+    prints: NDArray[np.uint8] | None
+    """The relief as a print; None if the surface is not a finger's, or its scale is unknown."""
+
+    def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
+        """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
+        facts = {**self.facts, "files": list(files)}
+        write_file(folder / "report.html", self.html.encode("utf-8"))
+        write_file(folder / "report.json", (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+        return facts
+
+
+def make_report(
+    result: Reconstruction,
+    capture: Capture | None,
+    truth: Truth | None = None,
+    others: Sequence[Reconstruction] = (),
+    title: str = "",
+) -> Report:
+    """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`: what it was made from,
+    whose previews enter the page; `truth`: a simulator's arrays, with which `result` and `others`, of the same capture
+    by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is no finger.
+    """
+    finger, results = is_finger(result), (result, *others)
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        printing = pool.submit(surface_print, result, PRINT_PPI) if is_printed(result) else None
+        page = pool.submit(template, "report.html")
+        frame = upright_frame(result, LONGEST_PX)
+        small = figures.small_fields(result, frame)
+        drawn = figures.render_views(result, small, pool.map)
+        photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
+        fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
+        charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
+        comparisons: list[Comparison] = []
+        if truth is not None:
+            from splitknit.accuracy import compare  # only what was simulated has a truth
+
+            comparisons = [compare(each, truth) for each in results]
+        facts = _facts(result, capture, comparisons)
+        maps = [] if photographs is None else photographs.result()
+        maps += [picture for job in fields if (picture := job.result()) is not None]
+        prints, views = None if printing is None else printing.result(), list(drawn)
+    unshown = ("mirror_drawing",) if finger else _OF_FINGERS
+    close_ups, errors = ([], []) if truth is None else figures.truth_pictures(results, truth, comparisons, frame)
+
+    def of_size(pictures: list[Picture]) -> list[Picture]:
+        """Pictures without scale bars where the scale is unknown."""
+        return pictures if result.unit.known else [replace(picture, scale_percent=0.0) for picture in pictures]
+
+    html = page.result().render(
+        title=title or ("3D fingerprint" if finger else "Surface"),
+        finger=finger,
+        unit="millimetres" if result.unit.known else "pixels: its scale is unknown",
+        facts=facts,
+        summary=summary.result(),
+        warnings=[warning[:1].upper() + warning[1:] for warning in result.warnings],
+        views=of_size(figures.view_pictures(views, frame.pitch_mm, finger)),
+        prints=None if prints is None else figures.print_picture(prints),
+        maps=of_size(maps),
+        profiles=charted.result(),
+        quality=_tables(facts["quality"]),
+        found=_tables({name: fact for name, fact in facts["facts"].items() if name not in unshown}),
+        settings=_tables(facts["settings"]),
+        capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
+        comparisons=comparisons,
+        compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
+        close_ups=close_ups,
+        errors=errors,
+        total_s=sum(result.timings_s.values()),
+    )
+    return Report(html, facts, views, prints)
+
+
+def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    unit, area_px = result.unit, int(np.count_nonzero(result.mask))
+    return {
+        "format": "splitknit-report",
+        "version": 1,
+        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "preset": result.preset,
+        "capture": {}
+        if capture is None
+        else {
+            "material": capture.material,
+            "encoding": capture.encoding,
+            "image_size": list(capture.shape),
+            "px_per_mm": capture.rig.camera.measured_px_per_mm,
+            "bands": {name: len(band.leds) for name, band in capture.bands.items()},
+            "captured_at": capture.captured_at,
+            "subject": _plain(capture.subject),
+        },
+        "result": {
+            "pitch_mm": result.pitch_mm if unit.known else None,
+            "scale_known": unit.known,
+            "input_from_upright": _plain(result.input_from_upright),
+            "upright_size": list(result.upright_size),
+            "area_mm2": area_px * result.pitch_mm**2 if unit.known else None,
+            "area_px": area_px,
+        },
+        "warnings": list(result.warnings),
+        "quality": _plain(unit.converted(result.quality)),
+        "facts": _plain(unit.converted(result.facts)),
+        "settings": _plain(result.settings),
+        "timings_s": _plain(result.timings_s),
+        "inputs_sha256": dict(sorted(result.hashes.items())),
+        "files": [],
+        "comparison": {each.preset: _plain(each.figures) for each in comparisons},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """As :func:`splitknit.io.provenance.plain_json`; what is not finite is None, and large arrays are described."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else plain_json(value)
+
+
+def _summary(result: Reconstruction) -> list[tuple[str, str]]:
+    """The most important facts."""
+    unit, area_px = result.unit, int(np.count_nonzero(result.mask))
+    width, length = np.ptp(upright_limits(result), axis=0) * result.pitch_mm
+    height = result.height_mm[bounding_box(result.mask)]
+    depth = float(np.nanmax(height) - np.nanmin(height))
+    relief = figures.facing_relief_mm(result)
+    swing = unit.small_per_mm * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
+    if not unit.known:
+        wide, long, deep = (length_mm * unit.per_mm for length_mm in (width, length, depth))
+        return [
+            ("Scale", "unknown, heights in pixels"),
+            ("Size seen from above", f"{wide:.0f} px wide, {long:.0f} px long, {deep:.1f} px deep"),
+            ("Area measured", f"{area_px} px in projection"),
+            ("Relief of fine details", f"{swing:.2f} px (5th to 95th percentile where it faces the camera)"),
+        ]
+    finger = is_finger(result)
+    per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
+    where = f"5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera"
+    return [
+        ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
+        ("Skin measured" if finger else "Area measured", f"{area_px * result.pitch_mm**2:.0f} mm² in projection"),
+        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
+        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm ({where})"),
+    ]
+
+
+def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Markup, str]]:
+    """Cross-sections through the middle of the finger."""
+    whole = upright_frame(result, 10**6, margin_mm=0.0)
+    origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
+    middle = (float(origin[0]) + whole.size[1] / 2, float(origin[1]) + whole.size[0] / 2)
+    unit, pitch = result.unit, result.pitch_mm * result.unit.per_mm
+    finger = ("finger", ", tip to the left", "the axis")
+    thing, axis, line = finger if is_finger(result) else ("surface", "", "the middle column")
+
+    def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
+        """Places (shown unit) and values (mm), about one sample a pixel, `half` pixels to both sides of the middle."""
+        steps = np.linspace(-half, half, int(2 * half) + 2)
+        upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
+        upright[int(along)] += steps
+        column, row = (result.input_from_upright @ upright)[:2].astype(np.float32)
+        values = cv2.remap(
+            field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
+        )
+        return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
+
+    charted = []
+    for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
+        fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
+        lines = _lines(
+            {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields},
+            unit.per_mm,
+        )
+        if lines:
+            chart = charts.profile_chart(lines, f"{unit.name} from the middle", f"height, {unit.name}", equal=True)
+            caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
+            charted.append((f"Section {words} the {thing}", chart, caption))
+    half = min(3.0 / pitch, whole.size[0] / 2) if unit.known else whole.size[0] / 2
+    fields = [("measured", result.ridge_mm)]
+    if truth is not None:
+        fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
+    cuts = {name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}
+    lines = _lines(cuts, unit.small_per_mm)
+    if lines:
+        chart = charts.profile_chart(lines, f"{unit.name} from the middle{axis}", f"relief, {unit.small}")
+        title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
+        charted.append((title, chart, f"Relief along {2 * half * pitch:.0f} {unit.name} of {line}, mean removed."))
+    return charted
+
+
+def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float) -> list[charts.Curve]:
+    """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
+    known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
+    if not known.any():
+        return []
+    return [charts.Curve(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
+
+
+def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One table for each nested group of `facts`; lists of numbers become bars."""
+    plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
+    groups = [("", plain_rows)] if plain_rows else []
+    groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
+    return [
+        {"name": _label(name), "rows": [(_label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
+        for name, rows in groups
+        if rows
+    ]
+
+
+def _shown(value: Any) -> str | Markup:
+    """Show a number, a text, or a short list of numbers as bars."""
+    numbers = isinstance(value, list) and bool(value) and all(type(item) in (int, float) for item in value)
+    if numbers and len(value) <= 32:
+        return charts.bar_chart(value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{_label(str(key))}: {_shown(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(_flat(item) for item in value) or "none"
+    return "-" if value is None else str(value)
+
+
+def _flat(value: Any) -> str:
+    """Show an entry of a list in one line."""
+    if isinstance(value, list):
+        return f"({', '.join(_flat(item) for item in value)})"
+    return str(_shown(value))
+
+
+# What the names in a report mean, for readers who do not know the code.
+
+EXPLAINED = {
+    "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
+    "ridge_contrast_per_image": "The same for every image. Good: all similar.",
+    "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
+    "dark_specks": "Fraction of the finger under dark specks, as dust makes them. Good: below 0.002.",
+    "bright_specks": "Fraction of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
+    "saturated_per_image": "Fraction of the surface that is too bright to measure, for every image. Good: below 0.02.",
+    "brightness": "Median brightness of the surface, 1 = full scale. Good: 0.1 to 0.6.",
+    "brightness_per_image": "The same for every image.",
+    "ambient_share": "Ambient light, relative to that of the lamps. Good: below 0.3.",
+    "area_mm2": "Area of the surface in the image.",
+    "length_mm": "Length in view.",
+    "width_mm": "Width in view.",
+    "frame_share": "Fraction of the image that it fills.",
+    "borders": "Borders of the image that it touches.",
+    "led_relative": "Brightness of every image relative to what its light should give. Good: all near 1.",
+    "light_residual": "Part of the white images that no matt surface under their lights explains. Good: below 0.15.",
+    "light_brightness": "Brightness of each light over the mean, estimated with the surface and taken out.",
+    "bas_relief": "Standard deviations that estimated lights leave: factor of all heights, slope to right and up.",
+    "level_removed_um": "Height of the field's own bend, which was removed: a polynomial of `level_order`.",
+    "faulty_white": "Photographs that do not fit the others: file, fault, and the turn of the normals in degrees.",
+    "light_residual_per_image": "The same for every image. Good: all similar.",
+    "yaw_deg": "Turn in the image, counter-clockwise; it is taken out.",
+    "tip_direction": "Where the tip's direction comes from: the capture, the outline, or an assumption.",
+    "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
+    "motion_mm": "How far the finger moved against the other shots, in every image. Good: below 0.05 mm.",
+    "motion_reliability": "How well that is known, for every image: 1 = certain.",
+    "moved_mm": "How far it moved against the reference image, for every image. A note says where it was undone.",
+    "shift_mm": "The same to the right and upwards.",
+    "turn_deg": "By how much it turned, counter-clockwise.",
+    "centre_mm": "About which point, to the right and downwards from the first pixel.",
+    "unexplained_before": "Details of every image that no matt surface explains, before the motion was undone.",
+    "unexplained_after": "The same afterwards. Good: below 0.2.",
+    "likeness_before": "Correlation of every image's details with the expected ones, before the motion was undone.",
+    "likeness_after": "The same afterwards.",
+    "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
+    "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone; "
+    "polarised: ridges from what the surface reflects, parallel less crossed images.",
+    "heights": "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was simulated.",
+    "roughness": "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry.",
+    "specular_over_noise": "What the surface reflects, by the brightest light, over the noise. Good: above 10.",
+    "residual_over_noise": "What the specular image leaves unexplained, over the noise. Good: below 1.5.",
+    "separation": "What was done about specular reflection and about light that spreads below the surface.",
+}
+"""Name in ``quality`` or ``facts`` to what it means and what good looks like."""
+
+
+def _label(name: str) -> str:
+    """Return a name as words."""
+    return name.replace("_", " ")
+
+
+PRINT_PPI = 500.0
+FILES = (
+    "phalange.ply",
+    "height.tiff",
+    "height.npz",
+    "normals.png",
+    "albedo.png",
+    "print.png",
+    "preview.png",
+    "report.html",
+    "report.json",
+)
+
+
+def mesh_name(result: Reconstruction) -> str:
+    """File of the mesh."""
+    return "phalange.ply" if is_finger(result) else "surface.ply"
+
+
+def is_printed(result: Reconstruction) -> bool:
+    """Whether there is a print of it: of a finger whose scale is known."""
+    return result.unit.known and is_finger(result)
+
+
+def write_results(
+    result: Reconstruction, capture: Capture | None, folder: str | os.PathLike[str], truth: Truth | None = None
+) -> dict[str, Any]:
+    """Write all files of a reconstruction into `folder`, which appears complete or not at all, in place of an earlier
+    result; return the facts of ``report.json``. The report shows the photographs of `capture`, and compares with
+    `truth`, a simulator's arrays. Raises BadInput if the folder holds files of others or cannot be written.
+    """
+    with atomic_folder(folder) as target:
+        return write_files(result, capture, target, truth)
+
+
+def write_files(
+    result: Reconstruction, capture: Capture | None, target: Path, truth: Truth | None = None
+) -> dict[str, Any]:
+    """Write the files of :func:`write_results` into an existing folder."""
+    heights = result.unit.heights(result.height_mm)
+    unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
+    files = [mesh_name(result), *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+        jobs = [
+            pool.submit(write_normals, target / "normals.png", result, origin),
+            pool.submit(write_arrays, target / "height.npz", result, origin),
+            pool.submit(write_mesh, target / files[0], result, origin),
+            pool.submit(write_albedo, target / "albedo.png", result, origin),
+            pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
+        ]
+        if (measured := result.normals_measured) is not None:
+            jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
+            files.append("normals_measured.png")
+        if result.specular is not None:
+            jobs.append(pool.submit(write_picture, target / "specular.png", picture_bytes(result.specular), origin))
+            files.append("specular.png")
+        report = make_report(result, capture, truth)
+        if report.prints is not None:
+            write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))
+        write_picture(target / "preview.png", _shaded(*report.views[:2]), origin)
+        for job in jobs:
+            job.result()
+    return report.write(target, files)
+
+
+def preview_html(result: Reconstruction) -> str:
+    """The shaded surface from above and from the left as an image element, small, for notebooks."""
+    small = figures.small_fields(result, upright_frame(result, 400))
+    data = data_uri(_shaded(*islice(figures.render_views(result, small), 2)), photo=True)
+    return f'<img src="{data}" alt="surface from above and from the left">'
+
+
+def _shaded(*panels: ColourArray) -> NDArray[np.uint8]:
+    """Views of the surface beside each other, on their own paper."""
+    height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
+    padded = []
+    for panel in panels:
+        missing = height - panel.shape[0]
+        edges = ((missing // 2, missing - missing // 2), (0, 0), (0, 0))
+        padded.append(np.pad(panel, edges, constant_values=paper))
+    return np.hstack(padded)

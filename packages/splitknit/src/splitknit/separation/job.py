@@ -1,0 +1,60 @@
+"""Images under fine patterns, or through polarising films, in; two kinds of light out."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Encoding, Help, Job, Natural, Progress, path
+
+_OF_PATTERNS = ("method", "alpha", "dark", "patterns", "check_px", "block")
+
+
+@dataclass(frozen=True, slots=True)
+class SeparateJob(Job):
+    """Split images under fine patterns into direct and global light, or polarised ones.
+
+    Returns
+    -------
+    dict
+        The facts of ``report.json``, and ``out``.
+    """
+
+    # fmt: off
+    folders: Annotated[tuple[AnyPath, ...], Help(
+        "folder of images, with or without separation.json; or 'polarised PARALLEL CROSSED', two folders of the same "
+        "photographs through parallel and crossed films: specular and diffuse light", "FOLDER", positional=True)]
+    _: KW_ONLY
+    out: Annotated[AnyPath, Help("folder to write the results into", "DIR")]
+    method: Annotated[Literal["checkerboard", "symmetry", "sinusoid", "occluder", "single"] | None, Help(
+        "how the light was patterned (default: what separation.json states, else checkerboard); symmetry: "
+        "checkerboards without noise, an odd number of equal steps a period each way")] = None
+    alpha: Annotated[float | None, Help("fraction of the pattern that is lit (default: 0.5)")] = None
+    dark: Annotated[float | None, Help("brightness of its unlit part (default: 0)")] = None
+    patterns: Annotated[str | None, Help(
+        "folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise",
+        "WHERE")] = None
+    encoding: Annotated[Encoding | None, Help("of the images (default: linear)")] = None
+    check_px: Annotated[float | None, Help(
+        "side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are found in "
+        "the images unless `patterns` gives them)")] = None
+    block: Annotated[Natural | None, Help("side of a block of the result, for one image")] = None
+    # fmt: on
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Separate them, and write what comes out."""
+        from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
+
+        folders, out = [Path(one) for one in self.folders], path(self.out)
+        changes = {name: getattr(self, name) for name in (*_OF_PATTERNS, "encoding")}
+        if len(folders) == 1:
+            return separate_to_folder(folders[0], out, changes=changes, progress=progress)
+        plain = all(changes[name] is None for name in _OF_PATTERNS)
+        require(
+            len(folders) == 3 and str(folders[0]) == "polarised" and plain,
+            "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and `encoding` "
+            "alone.",
+        )
+        return separate_polarised_folders(folders[1], folders[2], out, encoding=self.encoding, progress=progress)

@@ -1,0 +1,417 @@
+"""Stacks of one scene under changing patterns, and which pixel a pattern lights in which image: checked, named, found.
+
+All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern lights with
+brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
+light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
+checks. With a fraction `alpha` of the source lit, k = alpha + dark (1 - alpha).
+
+Source: S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a
+scene using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, check_mask, require
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
+
+_MAX_CLIPPED = 0.02
+"""More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
+LIT_LEVEL = 0.1
+"""Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
+cannot resolve."""
+MIN_CONTRAST = 0.005
+"""A pixel that changes by less than this part of its maximum was never lit, or never dark."""
+_BLACK_IMAGE = 0.03
+"""An image whose bright pixels stay below this part of the other images' is black."""
+EDGE = 0.1
+"""Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class StackSettings(Checked):
+    """When a stack is refused. Fractions are of the pixels inside the mask."""
+
+    clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
+    """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
+    that the stack is no file's [0, 1] scale, and nothing is looked for."""
+    constant_share: Annotated[float, Limits(0, 1, below=True)] = 0.05
+    """More such pixels than this, among the bright ones, and the stack is refused."""
+    repeat: Annotated[float, Limits(0, 1, below=True)] = 0.02
+    """Two images that differ by less than this part of the usual power of differences show one pattern twice."""
+
+
+DEFAULTS = StackSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Separation:
+    """Direct and global light, NaN outside the mask. Both are what the camera would record with the whole source lit,
+    so that they add up to that image.
+    """
+
+    direct: FloatArray
+    """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
+    global_: FloatArray
+    """(H, W) or (H, W, C): light that came round, through the skin or from other surfaces."""
+
+    @property
+    def white(self) -> FloatArray:
+        """The image under the whole source: direct plus global light."""
+        return np.asarray(self.direct + self.global_, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightStack:
+    """A stack that passed the checks."""
+
+    light: FloatArray
+    """(N, H, W, C) linear light."""
+    mask: BoolArray
+    """(H, W), true where a result is wanted."""
+    grey: bool
+    """Whether the images came without an axis for channels."""
+
+    def shaped(self, values: NDArray[Any]) -> FloatArray:
+        """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis if grey."""
+        result = np.array(values, dtype=np.float32)
+        result[~self.mask] = np.nan
+        return result[..., 0] if self.grey else result
+
+    def separation(self, low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float) -> Separation:
+        """Direct and global light by :func:`from_extremes`, shaped."""
+        return Separation(*map(self.shaped, from_extremes(low, high, alpha, dark)))
+
+
+def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
+    """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H, W).
+
+    Raises BadInput if there are fewer than `least` images, sizes differ, values are not finite, or an image is black or
+    overexposed.
+    """
+    images = [np.asarray(image) for image in stack]
+    require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
+    first = images[0].shape
+    for k, image in enumerate(images):
+        require(
+            image.shape == first,
+            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
+        )
+    grey = len(first) == 2
+    require(
+        (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
+        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
+    )
+    light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
+    for k, image in enumerate(images):
+        light[k] = image[..., None] if grey else image
+        require(bool(np.isfinite(light[k]).all()), f"image {k} contains NaN or infinite values.")
+    where = check_mask(mask, first[:2])
+    _check_exposure(light, where, settings)
+    return LightStack(light, where, grey)
+
+
+def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings) -> None:
+    peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
+    usual = float(np.median(peaks))
+    require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
+    k = int(np.argmin(peaks))
+    require(
+        bool(peaks[k] > _BLACK_IMAGE * usual),
+        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
+        f"lights nothing, capture it again or leave it out.",
+    )
+    brightest = light.max(axis=(0, -1))
+    if settings.clip_level is None or float(brightest.max()) > 1.0001:
+        return
+    fraction = float((brightest[mask] >= settings.clip_level).mean())
+    require(
+        fraction <= _MAX_CLIPPED,
+        f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
+        f"brightest image; capture again with a shorter exposure.",
+    )
+
+
+def check_fraction(value: float, name: str) -> float:
+    """Return `value` as a float in (0, 1], or [0, 1) where it is the dark level."""
+    number = float(value)
+    good, limits = (0 <= number < 1, "[0, 1)") if name == "dark" else (0 < number <= 1, "(0, 1]")
+    require(good, f"{name} must lie in {limits}, but it is {number:g}.")
+    return number
+
+
+def mean_brightness(alpha: float, dark: float) -> float:
+    """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
+    return check_fraction(alpha, "alpha") + check_fraction(dark, "dark") * (1.0 - float(alpha))
+
+
+def from_extremes(
+    low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Direct and global light of the light recorded dark (`low`) and lit (`high`), any shape.
+
+    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 - dark)).
+    S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
+    """
+    k = mean_brightness(alpha, dark)
+    lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
+    direct = (lit - unlit) / (1.0 - dark)
+    return direct, (unlit - dark * lit) / (k * (1.0 - dark))
+
+
+def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:
+    """Call `work` for slices of rows, so that arrays of `count` values a row in float64 stay small."""
+    step = max(1, 2_000_000 // max(1, count))
+    for top in range(0, height, step):
+        work(slice(top, min(top + step, height)))
+
+
+def _thinned(values: NDArray[Any], mask: BoolArray) -> NDArray[Any]:
+    """Values inside the mask, thinned to about 200,000 of them."""
+    inside = values[mask]
+    return np.asarray(inside[:: max(1, inside.size // 200_000)])
+
+
+def percent(fraction: float) -> str:
+    """`fraction` (0 to 1) as a percentage for people, never rounded to nothing."""
+    return f"{100 * fraction:.1f} %" if fraction >= 0.001 or fraction == 0 else f"{100 * fraction:.1g} %"
+
+
+# Whether a stack can hold what its patterns are to show: pixels that change, and no pattern twice.
+
+
+def check_contrast(
+    low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
+) -> None:
+    """Refuse a stack in which too many bright pixels do not change, naming their fraction and the first's place.
+    `words`: what they have never been, and the remedy.
+    """
+    dark, bright = low.max(axis=-1), high.max(axis=-1)
+    looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
+    constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
+    fraction = float(constant.sum()) / max(1.0, float(looked_at.sum()))
+    if fraction <= settings.constant_share:
+        return
+    row, column = np.argwhere(constant)[0]
+    raise BadInput(
+        f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
+        f"by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}."
+    )
+
+
+def check_repeats(
+    light: FloatArray, mask: BoolArray, settings: StackSettings = DEFAULTS, expected: NDArray[np.float64] | None = None
+) -> None:
+    """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
+
+    They differ by noise alone, which is independent from pixel to pixel: the covariance of the difference with itself,
+    moved by a pixel or two, shows patterns. `expected`: (N, N) how much patterns differ (any unit); all equal where
+    None.
+    """
+    power, covariance, count = _differences(light, mask)
+    pairs = np.triu_indices(len(light), 1)
+    relative = covariance[pairs] if expected is None else covariance[pairs] / np.maximum(expected[pairs], 1e-6)
+    limit = settings.repeat if expected is None else 0.2
+    level = float(np.mean(np.square(light.mean(axis=0, dtype=np.float64)[mask])))
+    reference = float(np.median(relative))
+    require(
+        float(np.median(covariance[pairs])) > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
+        "the images differ by noise at most: the patterns never light the scene; check the projector, or whether "
+        "the direct light is too weak to be seen.",
+    )
+    similar = np.zeros(covariance.shape, dtype=np.bool_)
+    similar[pairs] = relative <= limit * reference
+    twins = odd_twins(similar)
+    if twins is not None:
+        raise BadInput(
+            f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
+            f"missing; capture the stack again or remove one of them."
+        )
+
+
+def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
+    """Return the first pair that is `similar` (N, N, upper triangle), or None if all have as many twins.
+
+    In a full grid of an even number of shifts every checkerboard has a twin, a check away each way; one captured twice
+    by mistake has a twin where others have none.
+    """
+    number = (similar | similar.T).sum(axis=0)
+    if bool((number == number[0]).all()):
+        return None
+    image = int(np.argmax(number > number.min()))
+    first, second = np.argwhere((similar | similar.T)[image])[0][0], image
+    return int(min(first, second)), int(max(first, second))
+
+
+def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Mean square of each difference of two images, less their means (N, N); its largest covariance with itself, moved
+    (N, N); pixels: on rows spread over the image.
+    """
+    height, width = light.shape[1:3]
+    rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, 60_000 // width))).astype(int))
+    change = light.mean(axis=-1, dtype=np.float64)
+    change -= change.mean(axis=0)
+    change *= mask
+    here = change[:, rows]
+    covariance = np.zeros((len(light), len(light)))
+    for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2)):
+        there = change[:, np.minimum(rows + down, height - 1)][:, :, np.minimum(np.arange(width) + right, width - 1)]
+        covariance = np.maximum(covariance, np.abs(difference_products(here, there)))
+    return difference_products(here, here), covariance, here[0].size
+
+
+def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of (here_i - here_j) (there_i - there_j) for all pairs of images (N, N)."""
+    product = here.reshape(len(here), -1) @ there.reshape(len(there), -1).T
+    own = np.diag(product)
+    return np.asarray((own[:, None] + own[None, :] - product - product.T) / here[0].size)
+
+
+_DECIDED = 1 - 2 * 0.2
+"""Part of half the range of its neighbours beyond which a pixel's state is decided."""
+
+
+def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
+    """States (N, H, W) in [0, 1] of a checkerboard along the camera's rows and columns, moved by (N, 2) `shifts_px`.
+
+    Values are lit fractions of the pixel's area, so that shifts and checks (of a pixel or more) need not be whole
+    pixels.
+    """
+    require(bool(np.isfinite(check_px)) and check_px >= 1, f"check_px must be at least 1, but it is {check_px}.")
+    shifts = np.asarray(shifts_px, dtype=np.float64)
+    require(
+        shifts.ndim == 2 and shifts.shape[1] == 2 and bool(np.isfinite(shifts).all()),
+        f"shifts_px must have the shape (N, 2) and be finite, but it has {shifts.shape}.",
+    )
+    rows = [_square_wave(size[0], check_px, float(shift)) for shift in shifts[:, 0]]
+    columns = [_square_wave(size[1], check_px, float(shift)) for shift in shifts[:, 1]]
+    waves = [row[:, None] * column[None, :] for row, column in zip(rows, columns, strict=True)]
+    return np.asarray(0.5 + 0.5 * np.stack(waves), dtype=np.float32)
+
+
+def _square_wave(count: int, half_period: float, shift: float) -> NDArray[np.float64]:
+    """Mean over each pixel of the wave that is +1 on [0, half_period) and -1 on the next half."""
+    edges = np.arange(count + 1) - shift
+    phase = np.mod(edges, 2 * half_period)
+    integral = np.where(phase < half_period, phase, 2 * half_period - phase)  # it returns to zero after each period
+    return np.asarray(np.diff(integral))
+
+
+def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings = DEFAULTS) -> FloatArray:
+    """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5 undecided.
+
+    A pixel's state is read from the mean of its *neighbours* (a Gaussian of one pixel without its centre), relative
+    to their own maximum and minimum over the images; in the middle three fifths of that range it is undecided. The
+    neighbours share its state and not its noise, so that least squares with these states is unbiased in all but the
+    faintest pixels; there it falls short, towards zero, where maximum and minimum would invent direct light. Checks
+    must be wider than about five pixels.
+    """
+    images = light_stack(stack, least=2, mask=mask, settings=settings)
+    kernel = cv2.getGaussianKernel(9, 1.0, cv2.CV_64F)
+    around = kernel @ kernel.T
+    around[4, 4] = 0.0
+    around /= around.sum()
+    greys = (np.ascontiguousarray(image.mean(axis=-1)) for image in images.light)
+    means = np.stack([cv2.filter2D(grey, cv2.CV_32F, around, borderType=cv2.BORDER_REFLECT) for grey in greys])
+    low, high = means.min(axis=0), means.max(axis=0)
+    middle = (high + low) / 2
+    half = np.maximum((high - low) / 2, np.float32(1e-20))
+    states = np.full(means.shape, 0.5, dtype=np.float32)
+    states[means >= middle + _DECIDED * half] = 1.0
+    states[means <= middle - _DECIDED * half] = 0.0
+    return states
+
+
+def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
+    """Refuse a table of shifts that is not a full grid with each shift once, one for each of `count` images."""
+    table = np.asarray(shifts, dtype=np.float64)
+    table = table[:, None] if table.ndim == 1 else table
+    good = table.ndim == 2 and table.shape[1] in (1, 2) and bool(np.isfinite(table).all())
+    require(good, f"shifts must have the shape (N,) or (N, 2) and be finite, but it has {np.shape(shifts)}.")
+    require(
+        len(table) == count,
+        f"there are {len(table)} shifts for {count} images: a shift or an image is missing or extra.",
+    )
+    if period is not None:
+        length = np.broadcast_to(np.asarray(period, dtype=np.float64), (table.shape[1],))
+        require(bool((length > 0).all()), f"period must be positive, but it is {period}.")
+        table = np.mod(np.round(table, 6), length)
+    table = np.round(table, 6)
+    seen: dict[tuple[float, ...], int] = {}
+    for k, row in enumerate(map(tuple, table.tolist())):
+        require(row not in seen, f"images {seen.get(row)} and {k} have the same shift {_words(row)}; remove one.")
+        seen[row] = k
+    axes = [np.unique(column) for column in table.T]
+    for row in product(*(axis.tolist() for axis in axes)):
+        require(row in seen, f"the shift {_words(row)} is missing from the grid of shifts; capture it too.")
+    for k, axis in enumerate(axes):
+        ends = axis if period is None else np.append(axis, axis[0] + length[k])  # the last step leads to the first
+        gaps = np.diff(ends)
+        if gaps.size > 1:
+            gap = int(np.argmax(gaps))
+            require(
+                bool(gaps[gap] < 1.5 * np.median(gaps)),
+                f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once: the "
+                f"shifts between are missing; capture them too.",
+            )
+
+
+def _words(row: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in row) + ")"
+
+
+def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) -> FloatArray:
+    """Return known states (N, H, W), checked against the stack they belong to; `distinct`: none may come twice."""
+    states = np.asarray(patterns, dtype=np.float32)
+    shape = images.light.shape[:3]
+    require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")
+    good = bool(np.isfinite(states).all()) and float(states.min()) >= 0 and float(states.max()) <= 1
+    require(good, "patterns must hold states from 0 (dark) to 1 (lit), without NaN.")
+    lit, dark = (states >= 1 - EDGE), (states <= EDGE)
+    for found, word in ((lit, "lit"), (dark, "dark")):
+        never = images.mask & ~found.any(axis=0)
+        if bool(never.any()):
+            row, column = np.argwhere(never)[0]
+            fraction = float(never.sum()) / float(images.mask.sum())
+            raise BadInput(
+                f"{percent(fraction)} of the pixels are never {word} by the patterns (first at row {row}, column "
+                f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
+            )
+    if distinct:
+        _check_order(images, states)
+    return states
+
+
+def _check_order(images: LightStack, states: FloatArray) -> None:
+    step = max(1, int(np.count_nonzero(images.mask)) // 40_000)
+    seen = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
+    known = states[:, images.mask][:, ::step].astype(np.float64)
+    decided = np.abs(known - 0.5) > 0.5 - EDGE  # the rest does not count in the result either
+    number = np.maximum(decided.sum(axis=0), 1)
+    known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
+    seen -= seen.mean(axis=0)
+    apart = difference_products(known, known)
+    twins = odd_twins(np.triu(apart <= 1e-4, 1))
+    if twins is not None:
+        raise BadInput(f"patterns {twins[0]} and {twins[1]} are the same: a shift is repeated; remove one of them.")
+    likeness = (seen @ known.T) / np.maximum(np.linalg.norm(known, axis=1), 1e-12)
+    likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
+    best = np.argmax(likeness, axis=1)
+    for k, found in enumerate(best):
+        require(
+            likeness[k, k] > 0.02,
+            f"image {k} does not show its pattern at all; check that images and patterns belong together.",
+        )
+        require(
+            found == k or likeness[k, found] < likeness[k, k] + 0.02,
+            f"image {k} shows pattern {found} instead of its own: a shift is repeated, missing or out of order.",
+        )

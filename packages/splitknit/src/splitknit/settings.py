@@ -1,0 +1,225 @@
+"""Settings: frozen dataclasses whose ranges stand on the field, and changes by name, ``stage.field = value``."""
+
+from __future__ import annotations
+
+import math
+import sys
+import types
+import typing
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from splitknit.errors import BadInput, require
+
+Settings = TypeVar("Settings")
+_LONGEST_NAME, _LONGEST_TEXT = 100, 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Range of a field, declared on its type: ``Annotated[float, Limits(0, 1)]``.
+
+    It holds for a number, for every number of a tuple, and not for None; what is not finite lies in no range.
+    """
+
+    min: float = -math.inf
+    max: float = math.inf
+    above: bool = False
+    """Whether `min` itself is excluded."""
+    below: bool = False
+    """Whether `max` itself is excluded."""
+
+    def hold(self, value: Any) -> bool:
+        """Whether a value, or every part of a tuple, lies in the range."""
+        if isinstance(value, tuple):
+            return all(self.hold(part) for part in value)
+        if value is None:
+            return True
+        low = value > self.min if self.above else value >= self.min
+        high = value < self.max if self.below else value <= self.max
+        finite = abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
+        return bool(low and high and finite)  # whole numbers may have any length
+
+    def __str__(self) -> str:
+        if math.isinf(self.max):
+            if self.min == 0:
+                return "positive" if self.above else "zero or more"
+            return f"{'above' if self.above else 'at least'} {self.min:g}"
+        if math.isinf(self.min):
+            return f"{'below' if self.below else 'at most'} {self.max:g}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{self.max:g}"
+
+
+class Checked:
+    """Base of settings dataclasses: what the fields' types declare (:class:`Limits`, ``Literal``) is checked.
+
+    Messages name a field with the name of its group before it: the class's name in snake case (``MaskSettings``:
+    ``mask``), or its ``_group``, which may be empty. A class with rules between fields has its own ``__post_init__``,
+    which calls ``check_fields(self)`` first.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, slots=True)
+    ... class BlurSettings(Checked):
+    ...     sigma_mm: Annotated[float, Limits(0, 4)] = 1.0
+    >>> BlurSettings(sigma_mm=5.0)
+    Traceback (most recent call last):
+    splitknit.errors.BadInput: blur.sigma_mm must be from 0 to 4, but it is 5.0.
+    """
+
+    __slots__ = ()
+    _group: ClassVar[str | None] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def check_fields(settings: Checked) -> None:
+    """Check each field of settings against the range or choices of its type; BadInput names field and value."""
+    kind = type(settings)
+    for name, rule in _rules(typing.cast(Hashable, kind)):
+        value = getattr(settings, name)
+        if isinstance(rule, Limits):
+            sound, wanted = rule.hold(value), str(rule)
+        else:
+            wanted = "one of " + ", ".join(str(choice) for choice in rule)
+            sound = value in rule
+        if not sound:
+            raise BadInput(f"{_group(kind)}{name} must be {wanted}, but it is {shown(value)}.")
+
+
+def _group(kind: type[Checked]) -> str:
+    if kind._group is not None:
+        return kind._group and kind._group + "."
+    return "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix("_settings") + "."
+
+
+@cache
+def _rules(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
+    """Fields of a class whose types declare a range or choices."""
+    found: list[tuple[str, Limits | tuple[Any, ...]]] = []
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        if typing.get_origin(hint) is Annotated:
+            found += [(name, item) for item in hint.__metadata__ if isinstance(item, Limits)]
+        elif typing.get_origin(hint) is typing.Literal:
+            found.append((name, typing.get_args(hint)))
+    return tuple(found)
+
+
+def shown(value: Any) -> str:
+    """Return a value as messages quote it, cut where it is long."""
+    try:
+        text = ascii(value)
+    except ValueError:  # a whole number of more than 4300 digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= 100 else text[:97] + "..."
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Flatten nested mappings into one, with dotted names.
+
+    >>> flatten({"knit": {"mode": "crossover"}, "normals.method": "robust"})
+    {'knit.mode': 'crossover', 'normals.method': 'robust'}
+    """
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{name}.")
+        else:
+            flat[name] = value
+    return flat
+
+
+def differing(one: Any, other: Any, name: str = "") -> list[str]:
+    """Dotted names of what differs between two documents of settings.
+
+    >>> differing({"knit": {"mode": "none"}, "seed": 1}, {"knit": {"mode": "whole"}, "seed": 1})
+    ['knit.mode']
+    """
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        keys = sorted(one.keys() | other.keys())
+        return [found for key in keys for found in differing(one.get(key), other.get(key), f"{name}.{key}".strip("."))]
+    return [] if one == other else [name]
+
+
+def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """`settings` (nested frozen dataclasses) with `changes`: from ``stage.field`` to a value, or nested mappings.
+    Raises BadInput if a field is unknown (the nearest name is offered), of another type, or refused.
+    """
+    result = settings
+    for name, value in flatten(changes).items():
+        sound = len(name) <= _LONGEST_NAME and name.isprintable()
+        require(sound, f"there is no setting {name[:_LONGEST_NAME]!a}; settings are named as stage.field.")
+        result = _replaced(result, name.split("."), value, name)
+    return result
+
+
+def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
+    known = [field.name for field in fields(settings)] if is_dataclass(settings) else []
+    if not known or path[0] not in known:
+        parent = name[: -len(".".join(path))]
+        from difflib import get_close_matches  # only errors need it
+
+        near = get_close_matches(path[0], known, n=1, cutoff=0.5)
+        hint = f"did you mean '{parent}{near[0]}'?" if near else f"known are {', '.join(parent + k for k in known)}."
+        raise BadInput(f"there is no setting '{name}'; " + (hint if known else "it has no parts."))
+    current = getattr(settings, path[0])
+    if len(path) > 1:
+        require(is_dataclass(current), f"there is no setting '{name}'; '{path[0]}' has no parts.")
+        return replace(settings, **{path[0]: _replaced(current, path[1:], value, name)})
+    if is_dataclass(current):
+        parts = ", ".join(f"{name}.{field.name}" for field in fields(current))
+        raise BadInput(f"setting '{name}' is a group; set one of its parts: {parts}.")
+    hint_type = typing.get_type_hints(type(settings)).get(path[0], Any)
+    return replace(settings, **{path[0]: _converted(value, hint_type, name)})
+
+
+def _converted(value: Any, expected: Any, name: str) -> Any:
+    """Return `value` as the type of the field, without guessing: an int may become a float, a list a tuple."""
+    union = typing.get_origin(expected) in (typing.Union, types.UnionType)
+    options = typing.get_args(expected) if union else (expected,)
+    for option in options:
+        done, result = _as_type(value, option)
+        if done:
+            return result
+    wanted = " or ".join(_type_name(option) for option in options)
+    raise BadInput(f"setting '{name}' must be {wanted}, but it is {shown(value)}.")
+
+
+def _as_type(value: Any, option: Any) -> tuple[bool, Any]:  # noqa: PLR0911 - one line for each kind of field
+    if option is Any:
+        return True, value
+    if option is types.NoneType:
+        return value is None, None
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if option is float:
+        try:
+            return whole or isinstance(value, float), float(value) if whole else value
+        except OverflowError:
+            return True, math.inf if value > 0 else -math.inf  # left to the settings to refuse
+    if option is int:
+        return whole, value
+    if option is bool:
+        return isinstance(value, bool), value
+    if option is str:
+        return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_TEXT, value
+    origin, arguments = typing.get_origin(option), typing.get_args(option)
+    if origin is typing.Literal:
+        return value in arguments, value
+    if origin is tuple and isinstance(value, (list, tuple)):
+        inner = [arguments[0]] * len(value) if arguments[-1:] == (Ellipsis,) else list(arguments)
+        if len(inner) != len(value):
+            return False, None
+        pairs = [_as_type(item, kind) for item, kind in zip(value, inner, strict=True)]
+        return all(done for done, _ in pairs), tuple(item for _, item in pairs)
+    return isinstance(option, type) and isinstance(value, option), value
+
+
+def _type_name(option: Any) -> str:
+    if typing.get_origin(option) is typing.Literal:
+        return "one of " + ", ".join(repr(item) for item in typing.get_args(option))
+    names = {float: "a number", int: "a whole number", bool: "true or false", types.NoneType: "null"}
+    names[str] = "a text of printable characters"
+    return names.get(option, str(option).removeprefix("<class '").removesuffix("'>"))

@@ -1,0 +1,250 @@
+"""Images of skin on the working grid of the `metric` method, the networks for them, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from math import ceil
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
+from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.polarised import contrast
+from splitknit.imaging.view import view_of
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.networks.unet import load_network, run_network
+from splitknit.settings import Checked, Limits, check_fields
+from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.learned import Networks, can_learn
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSettings(Checked):
+    """Grids and iterations of the `metric` preset on skin."""
+
+    working_pitch_mm: Annotated[float, Limits(0, above=True)] = 0.0264
+    """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
+    coarse_pitch_mm: float = 0.106
+    """Pitch of the coarse grid."""
+    plane_mm: float = 1.0
+    """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
+    rounds: Annotated[int, Limits(1)] = 2
+    """Estimates of the relief, each on the shape as refined with the one before it."""
+    coarse_steps: Annotated[int, Limits(1)] = 3
+    """Corrections of the shape on the coarse grid."""
+    relief: Literal["network", "colour"] = "network"
+    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
+    few lights for the network, are always reconstructed by colour."""
+    network: str = "relief"
+    """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
+    shape_network: str = "shape"
+    """The same for the network that refines the shape in the last round; empty: none."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        ordered = self.working_pitch_mm <= self.coarse_pitch_mm
+        require(ordered, "metric.working_pitch_mm must be at most metric.coarse_pitch_mm.")
+
+
+_TILE_PX = 704
+"""Side in pixels of a square as large as a tile of the networks; memory grows with its square."""
+_MARGIN_MM = 0.1
+"""Beside the finger's outline, on the working grid."""
+NO_NETWORK = (
+    "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
+    "relief and glare are separated by their colours alone."
+)
+GREY = "the white images are grey: glare is indistinguishable from skin by its colour."
+SEPARATED_BY = {
+    "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
+    "colour": "glare by colour, scattering by its transfer function (modelled)",
+    "polarised": "specular reflection by crossed films, ridges from its image (measured)",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinImages:
+    """Linear images of the finger's window on the working grid."""
+
+    grid: Grid
+    bands: tuple[BandImages, ...]
+    """The white band first."""
+    crossed: BandImages | None
+    """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
+    `bands` are as without films."""
+    parallel: Rig
+    """The rig of the white band's own LEDs; those of a crossed series may stand beside them."""
+    side: tuple[BandImages, BandImages, Rig] | None
+    """The same three for the lights to the side of the finger: both series' mean, crossed, rig of the parallel ones."""
+    networks: Networks | None
+    """Relief and shape network, where they can read the images."""
+    binning: float
+    """Pixels a side that make a block of the camera's grid."""
+    finer: bool
+    """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
+    place: Window
+    """Rows and columns of the window that the grid covers: those of the finger."""
+    size: tuple[int, int]
+    """Rows, columns of the window."""
+    warnings: tuple[str, ...]
+
+    def on_pixels(self, field: FloatArray) -> FloatArray:
+        """A field of the working grid on the window's pixels."""
+        if self.finer:
+            field = coarser(field)
+        if self.binning > 1:
+            by = self.binning
+            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+        covered = field[tuple(slice(part.stop - part.start) for part in self.place)]
+        first = [part.start for part in self.place]
+        last = [n - k - done for n, k, done in zip(self.size, first, covered.shape, strict=True)]
+        return np.pad(covered, tuple(zip(first, last, strict=True)), mode="edge")
+
+
+def working_images(
+    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, settings: MetricSettings
+) -> SkinImages:
+    """Linear images on a grid that the networks can read, where there is one; and the networks.
+
+    `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger; `inside`: (h, w) pixels
+    of it that are reconstructed.
+    """
+    rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
+    seen = _within(window[0], rows), _within(window[1], columns)
+    grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns], settings.working_pitch_mm)
+    crossed = _crossed(capture, bands[0], images[0], seen, binning)
+    side = None
+    if crossed is not None and bands[0].side is not None:
+        light = linear_channels(bands[0].side, capture.encoding, _names(bands[0]), seen, binning)
+        both = BandImages(images[0].channels, light, capture.rig.select(bands[0].side.lights))
+        from_side = _crossed(capture, bands[0].side, both, seen, binning)
+        assert from_side is not None
+        side = both, from_side, capture.rig.select(bands[0].side.leds)
+    wanted = settings.relief == "network"
+    able = can_learn(images[0], grid.pitch_mm)
+    finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
+    if finer:
+        grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
+        crossed = None if crossed is None else finer_images(crossed)
+        side = None if side is None else (finer_images(side[0]), finer_images(side[1]), side[2])
+    networks = shipped_networks(settings) if able else None
+    warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
+    size = inside.shape[0], inside.shape[1]
+    parallel = capture.rig.select(bands[0].leds) if crossed is not None else images[0].rig
+    return SkinImages(grid, images, crossed, parallel, side, networks, binning, finer, (rows, columns), size, warnings)
+
+
+def _crossed(capture: Capture, band: Band, both: BandImages, window: Window, binning: float) -> BandImages | None:
+    """The crossed series beside the mean of `both`, where there is one, without the specular light that films leak."""
+    if band.crossed is None:
+        return None
+    light = linear_channels(band.crossed, capture.encoding, _names(band), window, binning)
+    for k, seen in enumerate(contrast(capture, band).astype(np.float32)):
+        light[:, k] -= (1 / seen - 1) * (both.stack[:, k] - light[:, k]) if seen != 1 else 0
+    return BandImages(both.channels, light, capture.rig.select(band.crossed.lights))
+
+
+def _within(whole: slice, part: slice) -> slice:
+    return slice(whole.start + part.start, whole.start + part.stop)
+
+
+def skin_images(
+    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, pitch_mm: float
+) -> tuple[Grid, tuple[BandImages, ...], float]:
+    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks. Parameters as
+    for :func:`working_images`.
+    """
+    white, *others = bands
+    binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)
+    names = _names(white)
+    light = linear_channels(white, capture.encoding, names, window, binning)
+    images = [BandImages(names if len(names) > 1 else ("green",), light, capture.rig.select(white.lights))]
+    for nir in others:
+        grey = linear_channels(nir, capture.encoding, ("grey",), window, binning)
+        images.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
+    return _grid(capture, window, inside, binning), tuple(images), binning
+
+
+def _names(band: Band) -> tuple[str, ...]:
+    """Channels of the white band."""
+    return ("red", "green", "blue") if has_colour(band) else ("grey",)
+
+
+def shipped_networks(settings: MetricSettings) -> Networks | None:
+    """The networks of relief and shape, or None where the settings do without."""
+    if settings.relief != "network":
+        return None
+
+    def runner(name: str) -> Callable[[FloatArray], FloatArray]:
+        network = load_network(name)
+        return lambda fields: run_network(network, fields[None], tile=_TILE_PX)[0]
+
+    return Networks(runner(settings.network), runner(settings.shape_network) if settings.shape_network else None)
+
+
+def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> Grid:
+    """The working grid: blocks of pixels that all belong to the finger."""
+    rows, columns = window
+    height, width = (int(n // binning) for n in mask.shape)
+    covered = mask[: ceil(height * binning), : ceil(width * binning)].astype(np.float32)
+    if binning > 1:
+        covered = block_means(covered, (height, width), binning)
+    inside: BoolArray = np.asarray(covered > np.float32(0.999), dtype=np.bool_)
+    full = capture.shape
+    cut = (
+        rows.start == 0 and bool(inside[0].any()),
+        rows.stop >= full[0] and bool(inside[-1].any()),
+        columns.start == 0 and bool(inside[:, 0].any()),
+        columns.stop >= full[1] and bool(inside[:, -1].any()),
+    )
+    view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
+    return Grid(inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm)
+
+
+# Images of a coarse camera on a grid twice as fine.
+#
+# The networks were trained on pixels of 17 to 41 um. A camera of 12 to 25 pixels a millimetre shows ridges well enough
+# (6 to 11 pixels a period), in pixels that are too large for them: the images are interpolated to half the pitch.
+
+FACTOR = 2
+
+
+def finer_grid(grid: Grid) -> Grid:
+    """The grid with each of its pixels divided into 2 x 2."""
+    mask = np.repeat(np.repeat(grid.mask, FACTOR, axis=0), FACTOR, axis=1)
+    x, y = (reduce(_halved, range(places.ndim), places) for places in (grid.x_mm, grid.y_mm))
+    return Grid(mask, x, y, grid.pitch_mm / FACTOR, grid.cut, grid.apex_mm)
+
+
+def finer_images(band: BandImages) -> BandImages:
+    """Images of a band on :func:`finer_grid`, bicubic."""
+    channels, lights, height, width = band.stack.shape
+    fine = np.empty((channels, lights, height * FACTOR, width * FACTOR), dtype=np.float32)
+    size = (width * FACTOR, height * FACTOR)
+    for image, room in zip(band.stack.reshape(-1, height, width), fine.reshape(-1, *size[::-1]), strict=True):
+        cv2.resize(image, size, dst=room, interpolation=cv2.INTER_CUBIC)
+    return BandImages(band.channels, fine, band.rig)
+
+
+def coarser(field: FloatArray) -> FloatArray:
+    """Mean (h, w) of the 2 x 2 pixels of each pixel of the grid as it was; NaN where one of them is."""
+    height, width = field.shape[0] // FACTOR, field.shape[1] // FACTOR
+    blocks = field.reshape(height, FACTOR, width, FACTOR)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+
+
+def _halved(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Values at the middles of both halves of each pixel along `axis`, straight between their neighbours."""
+    if values.shape[axis] < 2:
+        return np.repeat(values, FACTOR, axis=axis)
+    quarter = np.gradient(values, axis=axis) / 4
+    both = np.stack([values - quarter, values + quarter], axis=axis + 1)
+    shape = list(values.shape)
+    shape[axis] *= FACTOR
+    return np.asarray(both.reshape(shape), dtype=np.float64)

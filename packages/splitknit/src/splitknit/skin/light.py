@@ -1,0 +1,200 @@
+"""Light on skin: glare of its surface, the lights on the current shape, and where what they show can be trusted.
+
+Glare is light that the surface mirrors, as a rough dielectric boundary does. It has the colour of the light, not of the
+skin, and it moves with the light; both properties separate it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.light_field import light_vectors_at
+from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.photometric.equations import shading
+from splitknit.skin.grid import Grid, smooth_step
+
+INDEX = 1.42
+"""Refractive index of the stratum corneum, about."""
+
+
+def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
+    """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born and Wolf 1.5)."""
+    normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
+    return ((1.0 - fresnel_reflectance(cosine, index)) / np.float32(normal)).astype(np.float32)
+
+
+def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
+    """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and Wolf, 1.5)."""
+    c = np.clip(np.asarray(cosine, dtype=np.float32), np.float32(1e-3), np.float32(1.0))
+    inside = np.sqrt(1.0 - (1.0 - c * c) / np.float32(index**2))
+    s = (c - index * inside) / (c + index * inside)
+    p = (index * c - inside) / (index * c + inside)
+    return np.asarray(0.5 * (s * s + p * p), dtype=np.float32)
+
+
+class MicrofacetGlare:
+    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by its roughness.
+
+    `normals` (..., 3); `lights` (L, 3, ...): direction towards the light times its irradiance. B. Walter et al.,
+    "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
+    """
+
+    def __init__(self, normals: FloatArray, lights: FloatArray) -> None:
+        """Keep what does not depend on the roughness."""
+        planes = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
+        nz, strength = planes[2], np.sqrt((lights * lights).sum(axis=1))
+        safe = np.maximum(strength, np.float32(1e-12))
+        cosine = shading(planes, lights) / safe
+        length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), np.float32(1e-12)))  # of light plus view
+        half = np.clip((cosine + nz) / length, 0, 1)
+        self._half_squared = half * half
+        self._incoming = np.maximum(cosine, np.float32(1e-4))
+        self._mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, np.float32(0.0))
+        self._view = np.clip(nz, np.float32(0.05), 1)
+
+    def __call__(self, roughness: float) -> FloatArray:
+        """(L, ...) float32 for a roughness (GGX alpha)."""
+        a2 = np.float32(roughness**2)
+        masking = _one_way(self._view, a2) / (4 * self._view)
+        falloff = self._half_squared * (a2 - 1) + 1
+        spread = a2 / (np.float32(np.pi) * falloff * falloff)
+        return np.asarray(spread * masking * _one_way(self._incoming, a2) * self._mirrored, dtype=np.float32)
+
+
+def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
+    return np.asarray(2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine * cosine)), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class GlareFit:
+    """Glare that best explains what no matt surface explains."""
+
+    roughness: float
+    """GGX alpha."""
+    strength: float
+    """Factor on :class:`MicrofacetGlare`, in the images' units; never negative."""
+    explained: float
+    """Part of the squared residual that it explains."""
+
+
+ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
+
+
+def fit_glare(stack: FloatArray, lights: FloatArray, model: Callable[[float], FloatArray]) -> GlareFit:
+    """Strength and roughness of the glare in `stack` (L, n) of one band, L >= 4, at n pixels that all lights reach.
+
+    `lights`: (L, 3, n); `model`: glare (L, n) of strength one, as of :class:`MicrofacetGlare`. Both images and glare
+    are taken without the space of matt images, which the pixel's light vectors span.
+    """
+    if stack.shape[0] < 4 or stack.shape[1] == 0:
+        return GlareFit(ROUGHNESSES[0], 0.0, 0.0)
+    basis = _orthonormal(lights)
+    return best_lobe(_project_out(stack, basis), lambda roughness: _project_out(model(roughness), basis))
+
+
+def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> GlareFit:
+    """The lobe that explains most of what is `left` (L, n): roughness by search, strength by least squares."""
+    best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
+    total = float((left * left).sum(dtype=np.float64))
+    for roughness in ROUGHNESSES:
+        lobe = lobe_of(roughness)
+        power = float((lobe * lobe).sum(dtype=np.float64))
+        product = max(float((lobe * left).sum(dtype=np.float64)), 0.0)
+        if power > 0 and product * product / power > best.explained * total:
+            best = GlareFit(roughness, product / power, product * product / power / max(total, 1e-30))
+    return best
+
+
+def _orthonormal(lights: FloatArray) -> list[FloatArray]:
+    """Orthonormal basis (three arrays (L, n)) of the columns of `lights` (L, 3, n), pixel by pixel (Gram-Schmidt)."""
+    basis: list[FloatArray] = []
+    for axis in (2, 0, 1):
+        vector = _project_out(lights[:, axis], basis)
+        norm = np.sqrt((vector * vector).sum(axis=0))
+        basis.append(vector / np.maximum(norm, np.float32(1e-9)))
+    return basis
+
+
+def _project_out(values: FloatArray, basis: list[FloatArray]) -> FloatArray:
+    for vector in basis:
+        values = values - vector * (values * vector).sum(axis=0)
+    return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """Lights of one band on the current surface, on the coarse or on the fine grid."""
+
+    vectors: FloatArray
+    """(L, 3, h, w) direction towards the light times its irradiance."""
+    entering: FloatArray
+    """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
+    trust: FloatArray
+    """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
+
+
+def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
+    """Light vectors, Fresnel transmission and trust of every light at the surface."""
+    vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
+    length = np.sqrt((vectors * vectors).sum(axis=1))
+    cosine = shading(np.moveaxis(normals, -1, 0), vectors) / np.maximum(length, np.float32(1e-12))
+    trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
+    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
+
+
+def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
+    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are none."""
+    reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
+    return reached if reached.any() else grid.mask
+
+
+def predict(light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
+    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
+    irradiance = np.maximum(shading(np.moveaxis(normals, -1, 0), light.vectors), 0) * light.entering
+    spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
+    return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
+
+
+def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid: Grid) -> Lighting:
+    """Lights on a smooth surface (h, w) of the coarse grid, enlarged to the fine one."""
+    normals = normals_from_gradients(*height_gradients(height_mm, low.pitch_mm))
+    light = lighting(rig, low, height_mm, normals)
+    trust = np.where(low.mask, light.trust, np.float32(0.0))
+
+    def enlarge(fields: FloatArray) -> FloatArray:
+        size = (low.shape[1] * factor, low.shape[0] * factor)
+        flat = fields.reshape(-1, *low.shape)
+        large = np.empty((len(flat), *grid.shape), dtype=np.float32)
+        for one, field in zip(large, flat, strict=True):
+            cv2.resize(field, size, dst=one[: size[1], : size[0]], interpolation=cv2.INTER_LINEAR)
+            one[size[1] :, : size[0]] = one[size[1] - 1, : size[0]]
+            one[:, size[0] :] = one[:, size[0] - 1 : size[0]]
+        return large.reshape(*fields.shape[:-2], *grid.shape)
+
+    fine_trust, entering = enlarge(trust), enlarge(light.entering)
+    np.maximum(fine_trust, np.float32(1e-3), out=fine_trust)
+    fine_trust *= grid.mask
+    np.maximum(entering, np.float32(0.2), out=entering)
+    return Lighting(enlarge(light.vectors), entering, fine_trust)
+
+
+def slant_of(surface_mm: FloatArray, pitch_mm: float) -> FloatArray:
+    """(h, w) angle between the surface's normal and the line of sight, degrees."""
+    normals = normals_from_gradients(*height_gradients(surface_mm, pitch_mm))
+    return np.rad2deg(np.arccos(np.clip(normals[..., 2], 0, 1))).astype(np.float32)
+
+
+def trust_of(slant_deg: FloatArray, grid: Grid) -> FloatArray:
+    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
+    return np.asarray(
+        smooth_step((np.float32(74) - slant_deg) / np.float32(14))
+        * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3))
+        * grid.mask,
+        dtype=np.float32,
+    )

@@ -1,0 +1,639 @@
+"""Heights from polarised light: the surface whose specular image agrees with the photographs.
+
+Light that the skin's boundary reflects keeps its polarisation; light from within the skin has lost nearly all of it.
+The difference of two photographs, with the analyser parallel and crossed, is therefore what the boundary reflects, and
+a little light that was scattered once or so. Under light k,
+
+    D_k = strength B f(n, l_k; roughness) + rho S max(n.l_k, 0)
+
+with f the reflection of a rough facet (GGX), B the blur of lens and pixels, S that of the short paths below the skin,
+and rho the local strength of what is scattered. Unknown are the heights at the corners of the pixels: slopes at the
+centres are then differences over one pixel, and integrable. They are found by Gauss-Newton together with strength,
+roughness and path length, which three cannot be fitted in turns: ridges would end at 0.8 of their height.
+
+Source: S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", J. Biomed. Opt. 7,
+2002. W.-C. Ma et al., "Rapid acquisition of specular and diffuse normal maps from polarized spherical gradient
+illumination", EGSR 2007. B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq.
+20, 33 and 34.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.imaging.chunks import for_each_chunk
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.light_field import light_vectors_at, lights_in_front
+from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.photometric.equations import shading
+from splitknit.skin.grid import BandImages, Grid, Slopes
+from splitknit.skin.light import fresnel_reflectance, slant_of
+
+TURNS = 10
+"""Gauss-Newton steps."""
+SOLVER_STEPS = 40
+"""Conjugate gradients in each of them."""
+RIDGES_PER_MM = 14.0
+"""Angular frequency of ridges."""
+SLOW_MM, SLOW_SLOPE = 0.5, 0.2
+"""Standard deviation of the error of the start's slopes, as means over this length."""
+PRIOR_FACTOR = (5.0, 20.0)
+"""Weakens the start's relief, whose error is one of gain too: on its stated standard deviation, without lights to the
+side and with them, which see the flanks."""
+LOCAL_RHO = 0.3
+"""Relative standard deviation of the scattered part about its mean over `SLOW_MM`: valleys are darker."""
+MODEL_ERROR, FIRST_ERROR, LESS = 0.03, 0.8, 0.66
+"""Error of the prediction, over the image; what it is taken for in the first step where lights stand to the side, and
+the factor from step to step: facets that start far from their slope would be taken for outliers."""
+SCATTERED_ERROR = 0.1
+"""Error of the prediction, over its scattered part."""
+LIT, SEEN = ((0.1, 0.3), (0.05, 0.2)), ((0.3, 0.2), (0.1, 0.2))
+"""Cosine towards the light, and towards the camera, from which a facet is used, and how much more gives it all its
+weight; without lights to the side and with them."""
+STEEP = 1.0
+"""Strength, roughness, path and blur are fitted where the start is less steep than this."""
+START = (0.25, 2.0, 0.8)
+"""Roughness, path and blur."""
+BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
+"""Bounds of strength, roughness, path and blur."""
+ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.25, 0.5, 1.0), 0.04
+"""Error of the heights that films measure: by slant, over the rms height of the ridges (the model's), and in mm over
+the standard deviation of a slope by the images' noise, on skin that faces the camera."""
+START_ERROR, ALIKE = 0.9, 0.6
+"""Error of the start's ridges over their stated one, and its correlation with that of the films."""
+
+
+@dataclass(frozen=True, slots=True)
+class Specular:
+    """What is fitted for a whole finger."""
+
+    strength: float
+    """Factor on the reflection of a clean boundary, in the images' units."""
+    roughness: float
+    """GGX alpha."""
+    path_px: float
+    """Standard deviation of the blur by the paths of scattered light that is still polarised, in pixels."""
+    blur_px: float
+    """Standard deviation of the blur of lens and pixels."""
+
+    def changed(self, logarithms: NDArray[np.float64]) -> Specular:
+        """With the logarithms of the four changed, within their bounds."""
+        values = np.exp(logarithms) * (self.strength, self.roughness, self.path_px, self.blur_px)
+        return Specular(*(float(np.clip(value, *limits)) for value, limits in zip(values, BOUNDS, strict=True)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecularImages:
+    """Parallel less crossed images, mean over the channels."""
+
+    stack: FloatArray
+    """(L, h, w)."""
+    noise: float
+    """Standard deviation of a pixel."""
+    rig: Rig
+    """`rig.leds[k]` lights image k."""
+
+
+def specular_images(
+    both: BandImages, crossed: BandImages, rig: Rig, grid: Grid, surface_mm: FloatArray
+) -> SpecularImages:
+    """The difference of two polarised series, on a smooth surface (h, w): of `both`, their mean, and of the crossed
+    one.
+
+    A crossed series with LEDs of its own is taken as under the parallel one's, `rig.leds[k]` of image k: by the
+    brightness of the matt surface under both.
+    """
+    stack = 2 * (both.stack - crossed.stack).mean(axis=0)
+    if rig.leds != crossed.rig.leds:
+        normals = np.moveaxis(normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)), -1, 0)
+        matt = []
+        for lights in (rig, crossed.rig):
+            vectors = grid.view.turned(light_vectors_at(lights, *grid.view.points(surface_mm)))
+            matt.append(np.maximum(shading(normals, vectors), np.float32(0.05)))
+        stack -= (matt[0] / matt[1] - 1) * crossed.stack.mean(axis=0)
+    stack = np.asarray(stack, dtype=np.float32)
+    laplacian = 4 * stack[:, 1:-1, 1:-1] - stack[:, :-2, 1:-1] - stack[:, 2:, 1:-1]
+    laplacian -= stack[:, 1:-1, :-2] + stack[:, 1:-1, 2:]
+    lit = crossed.stack[0, :, 1:-1, 1:-1] > 0
+    noise = float(np.median(np.abs(laplacian[lit])) / 0.6745 / np.sqrt(20)) if lit.any() else 0.0
+    return SpecularImages(stack, max(noise, 1e-6), rig)
+
+
+def polarised_heights(
+    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray
+) -> tuple[FloatArray, FloatArray, dict[str, float]]:
+    """Heights by the specular image of the fine grid, from a finite start (h, w) of about the right shape and relief.
+    `deviation_mm`: (h, w) stated standard deviation of its ridges' heights. Returns heights (h, w) along the line of
+    sight, finite everywhere, the standard deviation (h, w) of their ridges, and what was found. Both are the means of
+    what films show and of the start, weighted by their variances.
+    """
+    difference, noise = images.stack, images.noise
+    mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
+    lights = _Lights.of(images.rig, grid, start_mm)
+    solver = _Solver(start_mm, grid)
+    nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
+    known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
+    side = np.flatnonzero(~lights_in_front(images.rig))
+    spread = PRIOR_FACTOR[bool(side.size)] * RIDGES_PER_MM * np.maximum(deviation_mm, np.float32(1e-3))
+    prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
+    first = FIRST_ERROR if side.size else MODEL_ERROR
+    weight, reached = _weight(images, mask, slice(None), first), np.ones(1, dtype=np.float32)
+    specular = Specular(0.0, *START)
+    if side.size:  # their brightness is fitted first
+        reached = np.ones((len(difference), *grid.shape), dtype=np.float32)
+        reached[side] = 0
+        weight *= reached
+    for count in range(TURNS):
+        if count % SHADOWS_EVERY == 1:
+            for k in side:
+                reached[k] = lights.reached(int(k), _shifted(nodes, -0.5, -1), grid)
+        slopes = _slopes(nodes, grid.pitch_mm)
+        sharp, soft = _predicted(lights, slopes, specular, mask)
+        strength, rho, rho_mean = _strengths((difference, weight), (sharp, soft), grid, mask, specular.strength)
+        specular = replace(specular, strength=strength)
+        off = slopes[0] - before[0], slopes[1] - before[1]
+        beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
+        error = max(MODEL_ERROR, first * LESS**count)
+        turn = _Turn(images, grid, mask, lights, slopes, specular, sharp, soft, rho, error, reached)
+        change = _change(turn, beside)
+        tensor, force = _system(turn, beside, change, weight)
+        step, added = solver.solve(tensor, force, nodes)
+        nodes = nodes + added
+        specular = specular.changed(step * change)
+        for k in side:
+            parts = np.float32(turn.specular.strength) * sharp[k], rho * soft[k]
+            if not lights.fitted(int(k), difference[k], error, parts, MISFIT[count > TURNS // 2]):
+                side, reached[k] = side[side != k], 0
+    tensor[0::2] -= prior
+    height_mm = _shifted(nodes, -0.5, -1)
+    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, grid.smooth(tensor, mask, NEAR_MM), grid)
+    shown = np.maximum(np.float32(turn.specular.strength) * sharp, np.float32(1e-9))
+    left = (difference - shown - rho * soft)[:, mask]
+    facts = {
+        "side_lights": float(side.size),
+        "roughness": specular.roughness,
+        "strength": specular.strength,
+        "path_mm": specular.path_px * grid.pitch_mm,
+        "blur_mm": specular.blur_px * grid.pitch_mm,
+        "scattered_over_specular": float((rho * soft)[:, mask].mean() / shown[:, mask].mean()),
+        "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
+        "residual_over_noise": float(np.sqrt(np.median(left**2) / 0.455) / noise),
+    }
+    return height_mm, stated_mm, facts
+
+
+NEAR_MM, RIDGE_MM = 0.1, 0.3
+"""Standard deviations of the Gaussians over which what the images say is averaged, and that parts ridges from shape."""
+
+
+def _joined(
+    height_mm: FloatArray, start_mm: FloatArray, deviation_mm: FloatArray, known: FloatArray, grid: Grid
+) -> tuple[FloatArray, FloatArray]:
+    """Heights and their standard deviation, from those that films show and those of the start, by their variances.
+    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy)."""
+    shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
+    slant = slant_of(shape, grid.pitch_mm)
+    rest = start_mm - height_mm
+    rest -= grid.smooth(rest, grid.mask, RIDGE_MM)
+    ridges = height_mm - shape
+    ridges -= grid.smooth(ridges, grid.mask, RIDGE_MM)
+    facing = np.cos(np.deg2rad(slant))
+    flat = grid.mask & (facing >= np.quantile(facing[grid.mask], 0.5))
+    relief = np.sqrt((ridges[flat] ** 2).mean(dtype=np.float64))
+    both = np.maximum(known[0] * known[2] - known[1] * known[1], np.float32(1e-3))
+    of_films = (np.interp(slant, ERROR_DEG, ERROR_PART) * relief) ** 2
+    of_films += np.float32(ERROR_MM**2) * (known[0] + known[2]) / (2 * both * np.maximum(facing, np.float32(0.2)) ** 4)
+    of_start = np.maximum(np.float32(START_ERROR) * deviation_mm, np.float32(1e-4)) ** 2
+    common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
+    part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
+    left = part**2 * of_start + (1 - part) ** 2 * of_films + 2 * part * (1 - part) * common
+    return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
+
+
+# One prediction: both parts of the difference for strengths of one, and their derivatives, some rows at a time.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lights:
+    """The lights on the start, on every `EVERY`-th row: they vary little."""
+
+    fields: FloatArray
+    """(8, L, n, w): unit vector towards the light, irradiance at normal incidence; unit vector halfway to the camera,
+    irradiance times Fresnel's reflectance there."""
+    between: FloatArray
+    """(h, n) weights of the rows."""
+
+    @classmethod
+    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray) -> _Lights:
+        some = slice(None, None, EVERY)
+        vectors = np.moveaxis(
+            grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm[some], some)), some), 1, 0
+        )
+        irradiance = np.sqrt((vectors * vectors).sum(axis=0))
+        towards = vectors / np.maximum(irradiance, np.float32(1e-12))
+        half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
+        length = np.maximum(np.sqrt((half * half).sum(axis=0)), np.float32(1e-6))
+        fields = np.stack([*towards, irradiance, *(half / length), irradiance * fresnel_reflectance(length / 2)])
+        rows, count = np.arange(grid.shape[0]), fields.shape[2]
+        between = np.zeros((len(rows), count), dtype=np.float32)
+        low = np.minimum(rows // EVERY, max(count - 2, 0))
+        between[rows, low] = 1 - (rows / EVERY - low)
+        between[rows, np.minimum(low + 1, count - 1)] += rows / EVERY - low
+        return cls(fields, between)
+
+    def reached(self, k: int, surface_mm: FloatArray, grid: Grid) -> FloatArray:
+        """(h, w) in [0, 1]: which part of the surface (h, w) no cast shadow hides from light `k`."""
+        found, size = np.ones(grid.shape, dtype=np.float32), (grid.shape[1], grid.shape[0])
+        middle = np.unravel_index(int(np.argmax(grid.depth_mm)), grid.shape)
+        x, y, z = np.matmul(self.between, self.fields[:3, k])
+        rise = z / np.maximum(np.hypot(x, y), np.float32(1e-3)) * np.float32(grid.pitch_mm)
+        right, up = (float(one[middle]) for one in (x, y))
+        right, up = right / np.hypot(right, up), up / np.hypot(right, up)
+        for far in SHADOW_PX:
+            matrix = np.array([[1, 0, far * right], [0, 1, -far * up]], dtype=np.float32)
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            above = cv2.warpAffine(surface_mm, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            above -= surface_mm + np.float32(far) * rise
+            np.minimum(found, 0.5 - above / np.float32(2 * PENUMBRA * far * grid.pitch_mm), out=found)
+        return np.clip(found, 0, 1, out=found)
+
+    def fitted(
+        self, k: int, measured: FloatArray, error: float, parts: tuple[FloatArray, FloatArray], misfit: float
+    ) -> bool:
+        """Fit the brightness of light `k` to what is `measured` (h, w) of it, of what is reflected and of what is
+        scattered, from both `parts` as predicted: films change both at grazing light (Fresnel's two reflectances).
+        `error`: of the prediction, over the image. Returns whether the light leaves less than `misfit`.
+        """
+        left = measured - parts[0] - parts[1]
+        lit = parts[0] > 0
+        if not lit.any():
+            return False
+        usual = np.median(np.abs(left[lit]))
+        weight = 1 / ((np.float32(error) * measured) ** 2 + (2 * usual) ** 2 + left * left + np.float32(1e-12))
+        columns = [weight * part for part in parts]
+        normal = np.array([[float((a * b).sum(dtype=np.float64)) for b in parts] for a in columns])
+        force = np.array([float((a * measured).sum(dtype=np.float64)) for a in columns])
+        prior = np.diag(PRIOR_GAIN * np.diag(normal)) + 1e-9 * np.eye(2)
+        gains = np.clip(np.linalg.solve(normal + prior, force + prior.sum(axis=1)), *GAINS)
+        left = measured - np.float32(gains[0]) * parts[0] - np.float32(gains[1]) * parts[1]
+        if left[lit].std() > misfit * measured[lit].std():
+            return False
+        self.fields[7, k] *= np.float32(gains[0])
+        self.fields[3, k] *= np.float32(gains[1])
+        return True
+
+    def on(self, rows: slice) -> FloatArray:
+        """(8, L, rows, w)."""
+        part = slice(max(min(rows.start // EVERY, self.between.shape[1] - 2), 0), (rows.stop - 1) // EVERY + 2)
+        return np.asarray(np.matmul(self.between[rows, part], self.fields[:, :, part]))
+
+
+SHADOWS_EVERY, PENUMBRA = 4, 0.05
+"""Steps after which cast shadows are found anew, and half the tangent over which they are soft: the LED's size, and
+the error of the surface."""
+SHADOW_PX = (*range(1, 13), 14, 16, 19, 22, 26, 31, 38, 47, 60, 80, 110, 160)
+"""Distances at which the surface may stand in the way."""
+PRIOR_GAIN, GAINS, MISFIT = 0.02, (0.15, 3.0), (0.8, 0.5)
+"""Weight of a brightness of one, over that of the images; what is left of a light to the side, over its image (rms),
+from which it is left out, in the first steps and later. A path-traced finger's leave 0.36 at first and 0.09 at last;
+lights whose films are turned, so that what they reflect does not pass the camera's, leave 0.82 to 13.
+"""
+EVERY, PER_CHUNK = 8, 2
+"""Rows over which light changes little; chunks are smaller by the latter, as a facet has many numbers."""
+
+
+def _predicted(lights: _Lights, slopes: Slopes, specular: Specular, mask: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Specular and scattered images (L, h, w) of strengths of one."""
+    rows, columns = mask.shape
+    sharp = np.empty((lights.fields.shape[1], rows, columns), dtype=np.float32)
+    soft, inside = np.empty_like(sharp), mask.astype(np.float32)
+
+    def work(part: slice) -> None:
+        image, matt = _facets(lights.on(part), (slopes[0][part], slopes[1][part]), specular.roughness)[:2]
+        sharp[:, part], soft[:, part] = image * inside[part], matt * inside[part]
+
+    for_each_chunk(work, rows, columns, PER_CHUNK * len(sharp))
+    _blur(sharp, specular.blur_px, inside)
+    _blur(soft, float(np.hypot(specular.blur_px, specular.path_px)), inside)
+    return sharp, soft
+
+
+def _blur(stack: FloatArray, sigma_px: float, inside: FloatArray) -> None:
+    """Gaussian means over the finger, in place."""
+    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma_px), np.float32(0.05))
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda one: np.divide(cv2.GaussianBlur(one, (0, 0), sigma_px), around, out=one), stack))
+
+
+def _facets(light: FloatArray, slopes: Slopes, roughness: float, derivatives: bool = False) -> list[FloatArray]:
+    """Specular and matt image (L, h, w); with `derivatives` also theirs by dz/dx and dz/dy, that of the specular image
+    by the roughness's logarithm, and the cosine of incidence."""
+    p, q = slopes
+    towards, irradiance, half, reflected = light[:3], light[3], light[4:7], light[7]
+    nz = 1 / np.sqrt(1 + p * p + q * q)
+    cosine = (towards[2] - p * towards[0] - q * towards[1]) * nz
+    nh = (half[2] - p * half[0] - q * half[1]) * nz
+    lit = cosine > np.float32(1e-3)
+    nl = np.maximum(cosine, np.float32(1e-3))
+    a2 = np.float32(roughness * roughness)
+    b = 1 - a2
+    below = 1 - b * nh * nh
+    root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
+    unit = irradiance * lit
+    matt = unit * nl
+    image = reflected * lit * nl * (a2 / np.float32(np.pi) / (nz + root_z)) / (below * below * (nl + root_l))
+    if not derivatives:
+        return [image, matt]
+    by_h = 4 * b * nh / below
+    by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
+    by_z = -(1 + b * nz / root_z) / (nz + root_z)
+    specular, scattered = [], []
+    for axis, slope in enumerate(slopes):
+        turned = slope * nz * nz
+        dl, dh = -towards[axis] * nz - nl * turned, -half[axis] * nz - nh * turned
+        specular.append(image * (by_h * dh + by_l * dl - by_z * turned * nz))
+        scattered.append(unit * dl)
+    rougher = 2 - 4 * a2 * nh * nh / below
+    rougher -= a2 * ((1 - nl * nl) / (root_l * (nl + root_l)) + (1 - nz * nz) / (root_z * (nz + root_z)))
+    return [image, matt, *specular, *scattered, image * rougher, cosine]
+
+
+def _strengths(
+    measured: tuple[FloatArray, FloatArray], predicted: tuple[FloatArray, FloatArray], grid: Grid, mask: BoolArray,
+    strength: float,
+) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
+    """Specular strength, by least squares where zero, and that of the scattered part (h, w) with its local mean."""
+    (difference, weight), (sharp, soft), first = measured, predicted, strength == 0
+    sums = np.empty((5, *mask.shape), dtype=np.float32)
+
+    def work(rows: slice) -> None:
+        heavy, given = weight[:, rows] * soft[:, rows], difference[:, rows]
+        lobe = weight[:, rows] * sharp[:, rows]
+        pairs = ((heavy, given), (heavy, sharp[:, rows]), (heavy, soft[:, rows]), (lobe, sharp[:, rows]), (lobe, given))
+        for total, (one, other) in zip(sums, pairs, strict=True):
+            np.einsum("lij,lij->ij", one, other, out=total[rows])
+
+    for_each_chunk(work, *grid.shape, PER_CHUNK * len(soft))
+    right, both, power = sums[:3]
+    means = grid.smooth(sums[:3], mask, SLOW_MM)
+    own, given = (float(one.sum(dtype=np.float64)) for one in sums[3:])
+    strength = given / max(own, 1e-12) if first else strength
+    for turn in range(7 if first else 1, 0, -1):
+        s = np.float32(strength)
+        mean = np.maximum((means[0] - s * means[1]) / np.maximum(means[2], np.float32(1e-9)), np.float32(1e-6))
+        prior = 1 / (LOCAL_RHO * mean) ** 2
+        rho = np.where(mask, (right - s * both + prior * mean) / (power + prior), np.float32(0.0))
+        if turn > 1:
+            strength = max((given - float((rho * both).sum(dtype=np.float64))) / max(own, 1e-12), 1e-9)
+    return strength, rho, mean
+
+
+def _weight(images: SpecularImages, mask: BoolArray, rows: slice, relative: float) -> FloatArray:
+    """(L, rows, w) inverse variance of the difference; `relative`: error of the prediction."""
+    error = np.float32(relative) * images.stack[:, rows]
+    return np.asarray(mask[rows] / (np.float32(images.noise**2) + error * error), dtype=np.float32)
+
+
+# One step: linear equations for slopes, scattered part and the finger's four numbers.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turn:
+    """Where a step starts."""
+
+    images: SpecularImages
+    grid: Grid
+    mask: BoolArray
+    lights: _Lights
+    slopes: Slopes
+    specular: Specular
+    sharp: FloatArray
+    """(L, h, w) specular images of strength one."""
+    soft: FloatArray
+    """(L, h, w) scattered ones."""
+    rho: FloatArray
+    """(h, w) strength of the scattered part."""
+    error: float
+    """Of the prediction, over the image."""
+    reached: FloatArray
+    """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light; (1,) where all reach it."""
+
+    def columns(self, rows: slice) -> tuple[list[FloatArray], FloatArray]:
+        """Derivatives of some rows by both slopes and rho, their residual, derivatives by the logarithms of strength,
+        roughness, path and blur; and weights: (L, rows, w) each. Derivatives by slopes and roughness leave out the
+        blur, an effect of second order.
+        """
+        p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
+        facets = _facets(self.lights.on(rows), slopes, self.specular.roughness, derivatives=True)
+        strength, rho, soft = np.float32(self.specular.strength), self.rho[rows], self.soft[:, rows]
+        shown, scattered = strength * self.sharp[:, rows], self.rho[rows] * soft
+        residual = self.images.stack[:, rows] - shown - scattered
+        weight = _weight(self.images, self.mask, rows, self.error)
+        aside = self.reached.ndim == 3
+        trust = _from(facets[7], LIT[aside])
+        trust *= _from(np.asarray(1 / np.sqrt(1 + p * p + q * q), dtype=np.float32), SEEN[aside])
+        error = np.float32(SCATTERED_ERROR) * scattered
+        trust *= self.reached[:, rows] if aside else 1
+        gate = trust / ((1 + weight * error * error) * (1 + weight * residual * residual / 9))
+        damped = rho * np.float32(np.exp(-0.5 * (RIDGES_PER_MM * self.grid.pitch_mm * self.specular.path_px) ** 2))
+        x, y = (strength * facets[2 + n] + damped * facets[4 + n] for n in range(2))
+        wider = np.float32(self.specular.path_px**2) * rho * _laplacian(self.soft, rows)  # heat equation
+        blurrier = np.float32(self.specular.blur_px**2) * strength * _laplacian(self.sharp, rows)
+        return [x, y, soft, residual, shown, strength * facets[6], wider, blurrier], weight * gate
+
+
+def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
+    """Weights in [0, 1]."""
+    return np.asarray(np.clip((cosine - np.float32(limits[0])) / np.float32(limits[1]), 0, 1))
+
+
+def _laplacian(stack: FloatArray, rows: slice) -> FloatArray:
+    """(L, rows, w) of some rows of `stack`."""
+    first = max(rows.start - 1, 0)
+    inner = slice(rows.start - first, rows.stop - first)
+    return np.stack([cv2.Laplacian(one, cv2.CV_32F)[inner] for one in stack[:, first : rows.stop + 1]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prior:
+    """What is known beside the images."""
+
+    slopes: FloatArray
+    """(h, w) inverse variance of the start's slopes."""
+    slopes_off: Slopes
+    """From the start's."""
+    rho: FloatArray
+    """(h, w) local mean of the scattered part's strength."""
+    rho_off: FloatArray
+    known: BoolArray
+    """(h, w) pixels that give the four numbers."""
+
+
+PRIOR_WEIGHTS = (1e-6, 1e-6, 1.0, 1.0)
+"""Weights of the priors on the logarithms of the finger's four numbers, relative to the images."""
+STRIPES = 12
+"""Chunks of rows that give them, about."""
+
+
+def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
+    """(4,) of the logarithms of strength, roughness, path and blur, with whatever slopes suit them best."""
+    sums: dict[int, NDArray[np.float64]] = {}
+
+    def work(rows: slice) -> None:
+        height = rows.stop - rows.start
+        if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
+            return
+        columns, weight = turn.columns(rows)
+        gram = _gram(columns, weight, 8, prior, rows)
+        xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
+        below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
+        total = np.empty((4, 5))
+        for n in range(4):
+            fx, fy = gram[0, 4 + n], gram[1, 4 + n]
+            x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
+            for m in range(5):
+                rest = gram[min(3 + m, 4 + n), max(3 + m, 4 + n)] - x * gram[0, 3 + m] - y * gram[1, 3 + m]
+                total[n, m] = rest[prior.known[rows]].sum(dtype=np.float64)
+        sums[rows.start] = total
+
+    for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
+    total = np.sum([sums[start] for start in sorted(sums)], axis=0)
+    own = total[:, 1:] + np.diag(PRIOR_WEIGHTS)
+    return np.asarray(np.clip(np.linalg.solve(own, total[:, 0]), -0.25, 0.25))
+
+
+def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tensor (3, h, w) of the slopes (xx, xy, yy) and force (2, h, w) on them, the four numbers changed and the
+    scattered part eliminated at each pixel; `used` (L, h, w) becomes the weights."""
+    tensor, force = (np.empty((n, *turn.mask.shape), dtype=np.float32) for n in (3, 2))
+
+    def work(rows: slice) -> None:
+        columns, weight = turn.columns(rows)
+        for by, column in zip(change.astype(np.float32), columns[4:], strict=True):
+            columns[3] -= by * column
+        gram = _gram(columns, weight, 4, prior, rows)
+        tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
+        used[:, rows] = weight
+
+    for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
+    return tensor, force
+
+
+def _gram(
+    columns: list[FloatArray], weight: FloatArray, count: int, prior: _Prior, rows: slice
+) -> dict[tuple[int, int], FloatArray]:
+    """Normal equations (rows, w) of the first `count` columns and the prior, the scattered part eliminated."""
+    heavy = [weight * column for column in columns[:count]]
+    gram = {(i, j): np.einsum("lij,lij->ij", heavy[i], columns[j]) for i in range(count) for j in range(i, count)}
+    for i, off in enumerate(prior.slopes_off):
+        gram[i, i] += prior.slopes[rows]
+        gram[i, 3] -= prior.slopes[rows] * off[rows]
+    stiff = 1 / (np.float32(LOCAL_RHO) * prior.rho[rows]) ** 2
+    gram[2, 2] += stiff
+    gram[2, 3] -= stiff * prior.rho_off[rows]
+    rest = [i for i in range(count) if i != 2]
+    for i, j in ((i, j) for i in rest for j in rest if i <= j):
+        gram[i, j] -= gram[min(i, 2), max(i, 2)] * gram[min(j, 2), max(j, 2)] / gram[2, 2]
+    return gram
+
+
+# Heights at the corners of the pixels.
+
+
+class _Solver:
+    """Heights (h + 1, w + 1) of least squares with a tensor at every pixel, by conjugate gradients on their cosine
+    transform, in which the slopes' prior and the preconditioner (Poisson's equation with the mean tensor) are diagonal.
+    """
+
+    def __init__(self, start_mm: FloatArray, grid: Grid) -> None:
+        import scipy.fft
+
+        self.start = _shifted(start_mm, 0.5, 1)
+        """Start at the corners."""
+        self._fft, self._pitch, self._mask = scipy.fft, grid.pitch_mm, grid.mask
+        self._size = tuple(scipy.fft.next_fast_len(n, True) for n in self.start.shape)
+        rows, columns = ((2 - 2 * np.cos(np.pi * np.arange(n) / n)) / grid.pitch_mm**2 for n in self._size)
+        self._square = (rows[:, None] + columns[None]).astype(np.float32)
+        self._slow = self._square * np.exp(-self._square * np.float32(SLOW_MM**2)) / np.float32(SLOW_SLOPE**2)
+
+    def solve(self, tensor: FloatArray, force: FloatArray, nodes: FloatArray) -> tuple[float, FloatArray]:
+        """Part of the step that is taken, and the change of the heights."""
+        damped = tensor.copy()
+        damped[0::2] += np.float32(0.02) * (tensor[0] + tensor[2])
+        mean = np.float32(np.median((tensor[0] + tensor[2])[self._mask]) / 2)
+        rest = np.float32(1e-6) * mean
+        precondition = 1 / (self._square * mean + self._slow + rest)
+
+        def product(x: FloatArray) -> FloatArray:
+            along, up = _slopes(self._inverse(x), self._pitch)
+            turned = damped[0] * along + damped[1] * up, damped[1] * along + damped[2] * up
+            return np.asarray(self._forward(_transposed(*turned, self._pitch)) + (self._slow + rest) * x)
+
+        residual = self._forward(_transposed(force[0], force[1], self._pitch))
+        residual -= self._slow * self._forward(nodes - self.start)
+        x = np.zeros_like(residual)
+        better = precondition * residual
+        along, size = better, _dot(residual, better)
+        first = size
+        for _ in range(SOLVER_STEPS):
+            if size <= 1e-6 * first:
+                break
+            image = product(along)
+            length = np.float32(size / _dot(along, image))
+            x, residual = x + length * along, residual - length * image
+            better = precondition * residual
+            size, last = _dot(residual, better), size
+            along = better + np.float32(size / last) * along
+        added = self._inverse(x)
+        steepest = float(np.percentile(np.hypot(*_slopes(added, self._pitch))[self._mask], 99.5))
+        step = min(1.0, MAX_SLOPE_STEP / max(steepest, 1e-9))
+        return step, np.asarray(added * np.float32(step))
+
+    def _forward(self, nodes: FloatArray) -> FloatArray:
+        missing = [(0, n - m) for n, m in zip(self._size, nodes.shape, strict=True)]
+        return np.asarray(self._fft.dctn(np.pad(nodes, missing), norm="ortho", workers=2), dtype=np.float32)
+
+    def _inverse(self, spectrum: FloatArray) -> FloatArray:
+        rows, columns = self.start.shape
+        return np.asarray(self._fft.idctn(spectrum, norm="ortho", workers=2)[:rows, :columns], dtype=np.float32)
+
+
+MAX_SLOPE_STEP = 0.6
+"""Largest change of a slope in one step, but for a few pixels."""
+
+
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    return float(np.einsum("ij,ij->", a, b, dtype=np.float64))
+
+
+def _slopes(nodes: FloatArray, pitch_mm: float) -> Slopes:
+    """dz/dx and dz/dy (h, w) at the centres of the pixels whose corners are `nodes` (h + 1, w + 1)."""
+    half = np.float32(0.5 / pitch_mm)
+    falling = (nodes[:-1, 1:] - nodes[1:, :-1]) * half
+    rising = (nodes[1:, 1:] - nodes[:-1, :-1]) * half
+    return np.asarray(rising + falling), np.asarray(falling - rising)
+
+
+def _transposed(x: FloatArray, y: FloatArray, pitch_mm: float) -> FloatArray:
+    """The transpose of :func:`_slopes`."""
+    half = np.float32(0.5 / pitch_mm)
+    nodes = np.zeros((x.shape[0] + 1, x.shape[1] + 1), dtype=np.float32)
+    falling, rising = (x + y) * half, (x - y) * half
+    nodes[:-1, 1:] += falling
+    nodes[1:, :-1] -= falling
+    nodes[1:, 1:] += rising
+    nodes[:-1, :-1] -= rising
+    return nodes
+
+
+def _shifted(image: FloatArray, by: float, larger: int) -> FloatArray:
+    """An image (h + larger, w + larger) moved by a part of a pixel, bicubic."""
+    matrix = np.array([[1, 0, by], [0, 1, by]], dtype=np.float32)
+    size = (image.shape[1] + larger, image.shape[0] + larger)
+    moved = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float32)

@@ -1,0 +1,299 @@
+"""The finger's shape on a coarse grid by analysis and synthesis, behind scattering and specular reflection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from splitknit.imaging.band import bin_mean
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.integration.poisson import poisson
+from splitknit.model import BoolArray, FloatArray
+from splitknit.photometric.near_light import pseudo_normals
+from splitknit.skin.diffusion import Diffusion
+from splitknit.skin.grid import BandImages, Grid, Slopes, coarsen, refine
+from splitknit.skin.light import (
+    GlareFit,
+    Lighting,
+    MicrofacetGlare,
+    best_lobe,
+    fine_lighting,
+    fit_glare,
+    lighting,
+    predict,
+    reached_by_all,
+)
+from splitknit.skin.relief import unmixing_weights
+
+START_ROUNDS = 2
+"""Turns of photometric stereo and integration for the first shape."""
+_KNEE_PER_MM = 5.0
+"""Angular frequency (rad/mm) from which the shape's slopes are expected to fall off."""
+_GLARE_RATIO, _NOISE_RATIO = 0.16, 0.1
+"""Apparent slope of the glare (in red), and noise of the slopes, over the shape's slopes at low frequencies."""
+_CUTOFF_PER_MM = 8.0
+"""Angular frequency beyond which slopes are left to the fine grid."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseImages:
+    """Images of all bands on the coarse grid, whose pixels are blocks of the fine grid's."""
+
+    bands: tuple[BandImages, ...]
+    grid: Grid
+    white: BandImages
+    """On the fine grid."""
+    fine: Grid
+    factor: int
+    """Pixels of the fine grid on a side of a coarse one."""
+    plane_mm: float
+    """Assumed mean height of the skin above the finger plane."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of all channels, the white band's first."""
+        return tuple(name for band in self.bands for name in band.channels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """A shape on the coarse grid, and what its images gave beside it."""
+
+    height_mm: FloatArray
+    """(h, w) along the line of sight; its mean is undefined."""
+    facing: FloatArray
+    """(h, w) z component of the normals: weights of the integration."""
+    brightness: Mapping[str, float]
+    """Diffuse brightness of each channel over the prediction for an albedo of one."""
+    glare: Mapping[str, tuple[float, float]]
+    """Roughness and strength of the specular reflection by the last channel of each band."""
+
+
+def coarse_images(bands: tuple[BandImages, ...], grid: Grid, pitch_mm: float, plane_mm: float) -> CoarseImages:
+    """Means of the images on the fine grid over blocks of about `pitch_mm`."""
+    factor = max(1, round(pitch_mm / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    rows, columns = low.shape
+    blocks = (..., slice(rows * factor), slice(columns * factor))
+    coarse = tuple(BandImages(b.channels, bin_mean(b.stack[blocks], factor) * low.mask, b.rig) for b in bands)
+    return CoarseImages(coarse, low, bands[0], grid, factor, plane_mm)
+
+
+def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: int) -> Shape:
+    """Analysis by synthesis: the surface whose images, behind scattering, agree with the photographs.
+
+    The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that repeating it
+    settles. The ridges need not be known: as much light enters a ridged patch of skin and scatters below it as enters a
+    smooth one, because facets that lean away from the light are larger as they are darker. `optics`: transfer function
+    of each channel; `steps`: comparisons of prediction and images, one at least.
+    """
+    grid = images.grid
+    start = _start_shape(images.bands[-1], grid, images.plane_mm)
+    start = grid.smooth(start, grid.mask, 0.5) * grid.mask
+    height = start
+    for _ in range(steps):
+        residual = residual_of(images.bands, grid, above_plane(height, images) * grid.mask, optics)
+        added = slopes_inside(height - start, grid)
+        slopes = _wiener(residual, added, optics, grid)
+        facing = normals_from_gradients(*slopes_inside(height, grid))[..., 2]
+        height = height + integrate(slopes[0] - added[0], slopes[1] - added[1], grid, facing)
+    return Shape(height, facing, residual.brightness, residual.glare)
+
+
+def above_plane(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
+    """The shape (h, w) at its assumed height above the finger plane."""
+    mean = np.float32(height_mm[images.grid.mask].mean(dtype=np.float64))
+    return height_mm - mean + np.float32(images.plane_mm)
+
+
+def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
+    """(H, W) the shape at its height above the finger plane on the fine grid, continued beyond the mask."""
+    return refine(above_plane(height_mm, images), images.grid.mask, images.factor, images.fine.shape)
+
+
+def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
+    """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
+    low = images.grid
+    height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
+    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
+    return fine_lighting(images.white.rig, low, smooth, images.factor, images.fine)
+
+
+def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
+    """A first shape: near-light photometric stereo of one band with equal weights, integrated over the mask."""
+    height = np.zeros(grid.shape, dtype=np.float32)
+    stack = band.stack.sum(axis=0)
+    for _ in range(START_ROUNDS):
+        g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, view=grid.view)
+        length = np.sqrt((g * g).sum(axis=-1, keepdims=True))
+        normals = np.asarray(g / np.maximum(length, np.float32(1e-9)), dtype=np.float32)
+        nz = np.maximum(normals[..., 2], np.float32(0.15))
+        height = integrate(np.asarray(-normals[..., 0] / nz), np.asarray(-normals[..., 1] / nz), grid, nz)
+    return height
+
+
+def slopes_inside(height_mm: FloatArray, grid: Grid) -> Slopes:
+    """dz/dx and dz/dy (h, w) of a surface on the grid's mask: no step at its edge, zero outside."""
+    x, y = height_gradients(np.where(grid.mask, height_mm, np.float32(np.nan)), grid.pitch_mm)
+    return np.nan_to_num(x), np.nan_to_num(y)
+
+
+def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray) -> FloatArray:
+    """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
+    height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * np.float32(grid.pitch_mm)
+    return np.asarray(np.nan_to_num(height, nan=0.0), dtype=np.float32)
+
+
+# One comparison: predicted images, specular fit, residual slopes, and the Wiener estimate from them.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """Slopes that the images have beyond the prediction."""
+
+    slopes: Mapping[str, Slopes]
+    """By channel, behind the skin's blur."""
+    brightness: Mapping[str, float]
+    glare: Mapping[str, tuple[float, float]]
+    bands: tuple[tuple[str, ...], ...]
+    """Channels of each band."""
+
+
+def residual_of(
+    bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
+) -> Residual:
+    """Predict the images of all bands, the white one first, from a finite surface (h, w) on the coarse grid and the
+    transfer function of each channel; fit the specular reflection; measure the slopes left over.
+    """
+    normals = normals_from_gradients(*slopes_inside(height_mm, grid))
+    slopes: dict[str, Slopes] = {}
+    brightness: dict[str, float] = {}
+    glare: dict[str, tuple[float, float]] = {}
+    specular: GlareFit | None = None
+    for band in bands:
+        light = lighting(band.rig, grid, height_mm, normals)
+        # predicted: I_c = a_c M_c * (T(n.l) max(s.n, 0)), its brightness a_c measured where the lobe is weakest
+        predicted = predict(light, grid, normals, [grid.sampled(optics[name]) for name in band.channels])
+        lobe = MicrofacetGlare(normals, light.vectors)
+        reached = reached_by_all(light, grid)
+        weak = lobe(0.3)  # the third of lights and pixels with the weakest lobe, whatever its exact strength
+        matt = (weak <= np.quantile(weak[:, reached], 1 / 3)) & reached
+        level = _scaled_to(band.stack, predicted, matt)
+        exposure = level[0] / optics[band.channels[0]].albedo
+        # specular: one surface reflects in all bands; their exposures differ, as their diffuse light shows
+        if specular is None:
+            if len(band.channels) > 1:
+                specular = _specular_by_colour(band.stack - predicted, level, light, normals, _some(reached))
+            else:
+                specular = _specular_by_lights(band.stack[-1], light, normals, _some(reached))
+            specular = replace(specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure))
+            exposure_of_white = exposure
+        strength = specular.strength * exposure / exposure_of_white
+        glare[band.channels[-1]] = (specular.roughness, strength)
+        diffuse = band.stack - lobe(specular.roughness) * np.float32(strength) * grid.mask
+        correction = _scaled_to(diffuse, predicted, matt)
+        # residual: slopes that the measured pseudo-normals have beyond the predicted ones
+        both = np.concatenate([diffuse, predicted]).astype(np.float32)
+        g = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, view=grid.view)
+        for c, name in enumerate(band.channels):
+            brightness[name] = level[c] * correction[c]
+            slopes[name] = residual_slopes(g[c], g[c + len(band.channels)], grid)
+    return Residual(slopes, brightness, glare, tuple(band.channels for band in bands))
+
+
+def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> Slopes:
+    """Slopes that `measured` (h, w, 3) has beyond `predicted`, to first order and whatever the local albedo.
+
+    With p the predicted slope, -(G_x + p G_z) / D vanishes where G is parallel to the prediction; D is the predicted z
+    component times the smooth ratio of the two.
+    """
+    z = np.maximum(predicted[..., 2], 0.1 * np.sqrt((predicted * predicted).sum(axis=-1)) + np.float32(1e-6))
+    inside = grid.mask & (z > 0.05 * np.median(z[grid.mask]))
+    albedo = grid.smooth(np.maximum(measured[..., 2], 0) / z, inside, 0.8)
+    scale = np.maximum(albedo * z, np.float32(1e-4))
+    slopes = []
+    for axis in range(2):
+        p = -predicted[..., axis] / z
+        value = -(measured[..., axis] + p * measured[..., 2]) / scale
+        slopes.append(np.where(grid.mask, np.clip(value, -0.6, 0.6), np.float32(0.0)).astype(np.float32))
+    return slopes[0], slopes[1]
+
+
+def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid) -> Slopes:
+    """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
+    `added`: slopes put in by earlier comparisons; `optics`: M of each channel.
+    """
+    names = list(residual.slopes)
+    omega = np.linspace(0, float(grid.omega[2].max()), 512)
+    reference = residual.brightness[names[0]]
+    glare = np.zeros((len(names), len(residual.bands)))  # each band has a specular reflection of its own
+    for g, members in enumerate(residual.bands):
+        for name in members:
+            glare[names.index(name), g] = reference / max(residual.brightness[name], 1e-6)
+    weights = unmixing_weights(
+        np.stack([optics[name](omega) for name in names]),
+        glare,
+        1 / (1 + (omega / _KNEE_PER_MM) ** 2) ** 2,
+        np.full(omega.shape, _GLARE_RATIO**2),
+        np.full(len(names), _NOISE_RATIO**2),
+    )
+    weights = weights * np.exp(-0.5 * (omega / _CUTOFF_PER_MM) ** 2)
+    gains = [grid.radial(omega, w) for w in weights]
+    kept = sum(w * grid.sampled(optics[name]) for w, name in zip(gains, names, strict=True))
+    slope_x, slope_y = (
+        grid.inverse(
+            kept * grid.forward(added[axis])
+            + sum(w * grid.forward(residual.slopes[name][axis]) for w, name in zip(gains, names, strict=True))
+        )
+        * grid.mask
+        for axis in range(2)
+    )
+    return slope_x, slope_y
+
+
+def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> list[float]:
+    """Bring each channel of the prediction (C, L, h, w), in place, to the images' median; return the factors."""
+    factors = []
+    for c, image in enumerate(measured):
+        factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], np.float32(1e-4)))))
+        predicted[c] *= np.float32(factors[-1])
+    return factors
+
+
+MAX_SPECULAR = 1.0
+"""Largest specular reflection that is predicted, over that of a clean boundary with the skin's refractive index. What
+is left over is separated by its colour; what is predicted in excess becomes relief that is not there."""
+
+
+def _specular_by_colour(
+    excess: FloatArray, brightness: Sequence[float], light: Lighting, normals: FloatArray, region: BoolArray
+) -> GlareFit:
+    """Lobe of a colour band: the part of the `excess` (C, L, h, w) over the prediction that is equal in all channels.
+    By least squares over the channels, per pixel and light, the excess is a part with the skin's colour (the shape is
+    not right yet) and a white one, to which strength and roughness are fitted.
+    """
+    excess = excess[:, :, region]
+    skin = np.array(brightness, dtype=np.float32)
+    n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
+    tinted = np.einsum("c,cln->ln", skin, excess)
+    white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
+    return best_lobe(white, MicrofacetGlare(normals[region], light.vectors[:, :, region]))
+
+
+def _specular_by_lights(stack: FloatArray, light: Lighting, normals: FloatArray, region: BoolArray) -> GlareFit:
+    """Lobe of a grey band (L, h, w): what no matt surface explains."""
+    vectors = light.vectors[:, :, region]
+    lit = vectors * light.entering[:, None][:, :, region]
+    return fit_glare(stack[:, region], lit, MicrofacetGlare(normals[region], vectors))
+
+
+def _some(region: BoolArray) -> BoolArray:
+    """Every other row of a large region."""
+    if int(region.sum()) < 8000:
+        return region
+    chosen = region.copy()
+    chosen[::2] = False
+    return chosen

@@ -1,0 +1,74 @@
+"""The unit in which lengths are written and shown: mm, or pixels where nobody has measured the scale.
+
+Arrays are always in mm. Where the scale is unknown they are in mm of a scale that was assumed for the methods to work
+with, and that means nothing to a person. Whatever writes or shows a length converts it here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import Note
+
+
+@dataclass(frozen=True, slots=True)
+class LengthUnit:
+    """A unit of lengths, and one of small lengths (ridges)."""
+
+    name: str
+    small: str
+    per_mm: float
+    small_per_mm: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it is a length that was measured, rather than a pixel."""
+        return self.name == "mm"
+
+    @property
+    def title(self) -> str:
+        """The unit as the head of a file states it."""
+        return self.name if self.known else "pixel, the scale is unknown"
+
+    def heights(self, heights_mm: NDArray[np.float32]) -> NDArray[np.float32]:
+        """An array of lengths in this unit; the same array where it is in mm already."""
+        return heights_mm if self.known else heights_mm * np.float32(self.per_mm)
+
+    def converted(self, value: Any) -> Any:
+        """Facts in this unit: mappings, lists, numbers and sentences. A number's unit is the end of its name.
+
+        >>> pixels(0.1).converted({"shift_mm": [0.5, 1.0], "area_mm2": 2.0, "gain": 1.5})
+        {'shift_px': [5.0, 10.0], 'area_px2': 200.0, 'gain': 1.5}
+        """
+        return value if self.known else self._converted(value, 1.0)
+
+    def _converted(self, value: Any, factor: float) -> Any:
+        if isinstance(value, Mapping):
+            return dict(self._entry(str(name), item, factor) for name, item in value.items())
+        if isinstance(value, list | tuple):
+            return [self._converted(item, factor) for item in value]
+        if isinstance(value, Note):
+            return value.in_px(self.per_mm)
+        return value * factor if isinstance(value, float) else value
+
+    def _entry(self, name: str, value: Any, outer: float) -> tuple[str, Any]:
+        """A name and its value in this unit; names without a unit (colours, bands) have that of the mapping around."""
+        px = self.per_mm
+        ends = {"_per_mm": ("_per_px", 1 / px), "_mm2": ("_px2", px * px), "_mm": ("_px", px), "_um": ("_px", px / 1e3)}
+        for end, (own, factor) in ends.items():
+            if name.endswith(end) and not name.endswith("px_per_mm"):  # the assumed scale itself
+                return name.removesuffix(end) + own, self._converted(value, factor)
+        return name, self._converted(value, outer)
+
+
+MILLIMETRES = LengthUnit("mm", "\N{MICRO SIGN}m", 1.0, 1000.0)
+
+
+def pixels(pitch_mm: float) -> LengthUnit:
+    """Pixels of a grid whose pitch was assumed."""
+    return LengthUnit("px", "px", 1.0 / pitch_mm, 1.0 / pitch_mm)

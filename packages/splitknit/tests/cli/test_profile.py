@@ -1,0 +1,74 @@
+"""``splitknit profile``: a cut through a surface, its table, its picture, its roughness."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handmade import finger
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.imaging.roughness import profile_roughness
+
+
+@pytest.fixture(scope="module")
+def waves(tmp_path_factory) -> Path:
+    """A result of an opaque thing: waves 0.25 mm long and 20 um high on a slope, along x."""
+    result, _ = finger(px_per_mm=40.0, size=(60, 520), yaw_deg=0.0)
+    x = (np.arange(520) - 259.5) / 40.0
+    height = np.tile(0.1 * x + 0.01 * np.sin(2 * np.pi * x / 0.25), (60, 1)).astype(np.float32)
+    flat = dict.fromkeys(("ridge_mm", "shape_mm", "height_mm"), height)
+    mask = np.ones(height.shape, dtype=bool)
+    mask[:, :20] = False
+    normals = np.tile(np.float32([0, 0, 1]), (*mask.shape, 1)) * mask[..., None]
+    flat = {name: np.where(mask, field, np.float32(np.nan)) for name, field in flat.items()}
+    facts = {"material": "opaque"}
+    out = tmp_path_factory.mktemp("waves") / "result"
+    none = {"uncertainty_um": None, "albedo": np.where(mask, np.float32(0.5), np.float32(np.nan))}
+    replace(result, **flat, **none, mask=mask, normals=normals, facts=facts, input_from_upright=np.eye(3)).save(out)
+    return out
+
+
+def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "profile"
+    assert main(["profile", str(waves), "-4,0", "4,0.1", "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["Ra_um"] == pytest.approx(20 / np.pi, rel=0.03)
+    assert facts["Rz_um"] == pytest.approx(20, rel=0.05)  # ten heights a wave miss its top
+    assert facts["sampling_lengths"] == 9
+    table = np.genfromtxt(out / "profile.csv", delimiter=",", names=True)
+    assert np.ptp(table["height_um"]) == pytest.approx(800, rel=0.05)
+    assert np.nanstd(table["roughness_um"]) == pytest.approx(facts["Rq_um"], rel=0.01)
+    assert cv2.imread(str(out / "profile.png")).std() > 5
+    assert (waves / "surface.ply").is_file() and not (waves / "phalange.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["-4,0", "-3.5,0"], "two cut-offs of 0.8 mm"),
+        (["-6.4,0", "4,0"], "has a gap"),
+        (["-4,0", "4,0", "--cutoff", "0.1"], "give a larger one"),
+        (["-4", "4,0"], "'-4' must be X,Y"),
+        (["nan,0", "4,0"], "must be X,Y"),
+        (["90,0", "95,0"], "no surface lies between"),
+    ],
+)
+def test_what_has_no_roughness_is_refused(waves: Path, tmp_path: Path, capsys, words, said) -> None:
+    assert main(["profile", str(waves), *words, "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_long_wave_is_form() -> None:
+    along = 0.005 * np.arange(4000)
+    for length, part in ((0.8, 0.5), (8.0, 0.007)):  # half of a wave as long as the cut-off passes (ISO 16610-21)
+        _, found = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
+        assert found["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
+    with pytest.raises(BadInput, match="gap"):
+        profile_roughness(np.full(4000, np.nan), 0.005, 0.8)

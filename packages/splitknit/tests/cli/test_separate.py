@@ -1,0 +1,288 @@
+"""``splitknit separate``: a folder in, a folder out, one sentence where it cannot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitknit.cli.main import main
+from splitknit.io.images import read_image, write_image
+from splitknit.io.tiff import write_float_tiff
+from splitknit.separation.stacks import checkerboard_patterns
+from written_files import read_light_tiff
+
+SIZE = (40, 50)
+ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]
+DIRECT = 0.2 * (1 + 0.3 * np.sin(ROWS / 9))
+GLOBAL = 0.4 + 0.1 * np.cos(COLUMNS / 17)
+STEP = 1 / 65535
+SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
+
+
+def stored(light: Any, full: int = 65535) -> Any:
+    return np.round(np.clip(light, 0, 1) * full).astype(np.uint16 if full > 255 else np.uint8)
+
+
+def write(folder: Path, images: dict[str, Any]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, light in images.items():
+        write_image(folder / name, stored(light))
+    return folder
+
+
+@pytest.fixture
+def boards(tmp_path: Path) -> Path:
+    """25 shifted checkerboards over a black level, with a white image, named by their shifts."""
+    patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
+    images = {
+        f"board_{i}_{j}.png": p * DIRECT + 0.5 * GLOBAL + 0.03 for (i, j), p in zip(SHIFTS, patterns, strict=True)
+    }
+    images["black.png"] = np.full(SIZE, 0.03)
+    images["white.png"] = DIRECT + GLOBAL + 0.03
+    return write(tmp_path / "boards", images)
+
+
+def run(*words: Any) -> int:
+    return main(["separate", *map(str, words)])
+
+
+def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
+    """Return the one sentence with which a run is refused; nothing is left behind."""
+    before = sorted(out.parent.iterdir())
+    assert run(*words, "--out", out) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("splitknit: error: ")
+    assert said.err.count("\n") == 1
+    assert sorted(out.parent.iterdir()) == before
+    return said.err
+
+
+def document(folder: Path, **fields: Any) -> None:
+    (folder / "separation.json").write_text(json.dumps({"format": "splitknit-separation", "version": 1, **fields}))
+
+
+def test_checkerboards_of_a_folder(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(boards, "--out", out, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    direct, metadata = read_light_tiff(out / "direct.tiff")
+    global_, _ = read_light_tiff(out / "global.tiff")
+    assert np.abs(direct - DIRECT).max() < 3 * STEP
+    assert np.abs(global_ - GLOBAL).max() < 4 * STEP
+    assert facts["method"] == "checkerboard"
+    assert len(facts["images"]) == 25
+    assert "black.png" in facts["inputs"]
+    assert metadata["inputs"] == facts["inputs"]
+    assert facts["against_white"]["median_ratio"] == pytest.approx(1, abs=1e-3)
+    assert facts["warnings"] == []
+    assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == sorted(facts["files"])
+    report = json.loads((out / "report.json").read_text())
+    assert report["direct_share"] == facts["direct_share"] == pytest.approx(np.median(DIRECT / (DIRECT + GLOBAL)), 0.02)
+    preview = read_image(out / "direct.png")
+    assert preview.shape == (*SIZE, 1)
+    assert preview.max() == 255
+    first = {name: (out / name).read_bytes() for name in facts["files"] if name != "report.json"}
+    assert run(boards, "--out", out) == 0  # ours may be replaced; same input, same bytes
+    assert {name: (out / name).read_bytes() for name in first} == first
+    assert "direct in the median" in capsys.readouterr().out
+
+
+def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> None:
+    patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
+    states = write(tmp_path / "states", {f"s_{k:02}.png": p for k, p in enumerate(patterns)})
+    mask = np.zeros(SIZE)
+    mask[5:30, 8:40] = 1
+    write_image(boards / "mask.png", stored(mask))
+    for choice in (states, "estimate"):
+        out = tmp_path / Path(choice).name
+        out = out.with_name("out_" + out.name)
+        assert run(boards, "--out", out, "--patterns", choice) == 0
+        direct, metadata = read_light_tiff(out / "direct.tiff")
+        assert np.array_equal(np.isnan(direct), mask == 0)
+        assert np.nanmax(np.abs(direct - DIRECT)) < 3 * STEP
+        assert metadata["settings"]["separate"]["patterns"] == ("estimate" if choice == "estimate" else "given")
+
+
+def test_checkerboards_by_symmetry(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The white image takes part: without it the pattern's fifth harmonics stay in the result."""
+    document(boards, method="symmetry", shifts=SHIFTS, period=10)
+    assert run(boards, "--check-px", 5, "--out", tmp_path / "out") == 0
+    direct, metadata = read_light_tiff(tmp_path / "out" / "direct.tiff")
+    assert metadata["settings"]["separate"]["method"] == "symmetry"
+    assert np.abs(direct - DIRECT).max() < 4 * STEP
+    (boards / "white.png").unlink()
+    (boards / "separation.json").unlink()
+    assert run(boards, "--method", "symmetry", "--out", tmp_path / "without") == 0
+    without = np.abs(read_light_tiff(tmp_path / "without" / "direct.tiff")[0] - DIRECT)
+    assert 100 * STEP < without.max() < 0.1 * DIRECT.max()
+    out = tmp_path / "x"
+    capsys.readouterr()
+    assert "checks of 5 pixels" in refusal(capsys, out, boards, "--method", "symmetry", "--check-px", 4)
+    assert "needs alpha 0.5" in refusal(capsys, out, boards, "--method", "symmetry", "--alpha", 0.25)
+    assert "takes no patterns" in refusal(capsys, out, boards, "--method", "symmetry", "--patterns", "estimate")
+    (boards / "board_4_2.png").unlink()
+    assert "the shift (4, 2) is missing" in refusal(capsys, out, boards, "--method", "symmetry")
+
+
+def test_known_states_ask_for_the_size_of_checks(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Skin is where it matters, and what is in the images the verb cannot know; the size alone is enough for it."""
+    written = {}
+    for number, words in enumerate((("--patterns", "estimate"), ("--check-px", 5))):
+        out = tmp_path / f"out_{number}"
+        assert run(boards, *words, "--out", out, "--json") == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert ("give check_px for skin" in " ".join(facts["warnings"])) == ("--check-px" not in words)
+        assert facts["settings"]["separate"]["patterns"] == "estimate"
+        written[number] = read_light_tiff(out / "direct.tiff")[0]
+        assert np.abs(written[number] - DIRECT).max() < 4 * STEP
+    assert not np.array_equal(written[0], written[1])
+    assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
+
+
+def test_sinusoids_by_their_shifts(tmp_path: Path) -> None:
+    shifts = [0, 7, 14]  # pixels of the projector, period 21
+    phase = 2 * np.pi * COLUMNS / 9.1
+    tint = np.array([1.0, 0.7, 0.4])
+    images = {}
+    for k, shift in enumerate(shifts):
+        wave = 0.5 + 0.5 * np.sin(phase + 2 * np.pi * shift / 21)
+        images[f"{'cab'[k]}.tiff"] = (wave * DIRECT + 0.5 * GLOBAL)[..., None] * tint
+    folder = write(tmp_path / "waves", images)
+    document(folder, method="sinusoid", images=["c.tiff", "a.tiff", "b.tiff"], shifts=shifts, period=21)
+    assert run(folder, "--out", tmp_path / "out") == 0
+    direct, _ = read_light_tiff(tmp_path / "out" / "direct.tiff")
+    found, metadata = read_light_tiff(tmp_path / "out" / "phase.tiff")
+    assert np.abs(direct - DIRECT[..., None] * tint).max() < 5 * STEP
+    assert np.abs(np.angle(np.exp(1j * (found - phase)))).max() < 1e-3
+    assert metadata["unit"] == "rad, wrapped"
+    assert read_image(tmp_path / "out" / "phase.png").shape == (*SIZE, 3)
+
+
+def test_a_film_and_a_single_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = {f"f{k}.png": (abs(COLUMNS - 4 * k) > 3) * DIRECT + GLOBAL for k in range(14)}
+    folder = write(tmp_path / "film", film)
+    assert run(folder, "--method", "occluder", "--out", tmp_path / "line") == 0
+    assert np.abs(read_light_tiff(tmp_path / "line" / "direct.tiff")[0] - DIRECT).max() < 3 * STEP
+    one = write(tmp_path / "one", {"a.png": checkerboard_patterns(SIZE, 3, [(0, 0)])[0] * 0.3 + 0.2})
+    assert run(one, "--method", "single", "--check-px", 3, "--block", 10, "--out", tmp_path / "small", "--json") == 0
+    assert json.loads(capsys.readouterr().out.split("\n", 2)[2])["result_size"] == [4, 5]
+    assert np.abs(read_light_tiff(tmp_path / "small" / "direct.tiff")[0] - 0.3).max() < 3 * STEP
+    message = refusal(capsys, tmp_path / "x", one, "--method", "single")
+    assert "needs block" in message
+
+
+def test_a_leaking_pattern_is_noticed(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(boards, "--dark", 0.8, "--out", tmp_path / "out") == 0
+    assert "Please note: global light is negative" in capsys.readouterr().out
+
+
+def test_what_the_names_say_is_missing(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (boards / "board_4_2.png").unlink()
+    assert "the shift (4, 2) is missing" in refusal(capsys, tmp_path / "out", boards)
+
+
+def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    good = (boards / "board_0_4.png").read_bytes()
+    (boards / "board_0_4.png").write_bytes((boards / "board_8_8.png").read_bytes())
+    assert "images 2 (board_0_4.png) and 24 (board_8_8.png) show the same" in refusal(capsys, out, boards)
+    write_image(boards / "board_0_4.png", stored(np.full(SIZE, 0.03)))
+    assert "image 2 (board_0_4.png) is black" in refusal(capsys, out, boards)
+    write_image(boards / "board_0_4.png", stored(np.full((40, 51), 0.3)))
+    assert "board_0_4.png has 40 x 51 pixels" in refusal(capsys, out, boards)
+    (boards / "board_0_4.png").write_bytes(good[: len(good) // 2])
+    assert "board_0_4.png" in refusal(capsys, out, boards)
+    (boards / "board_0_4.png").write_bytes(good)
+    write_image(boards / "board_2_0.png", stored(np.full(SIZE, 1.0)))
+    assert "saturated" in refusal(capsys, out, boards)
+    assert "alpha must lie" in refusal(capsys, out, boards, "--alpha", 0)
+    assert "not a folder of patterns" in refusal(capsys, out, boards, "--patterns", tmp_path / "none")
+    assert "not a folder" in refusal(capsys, out, tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    assert "holds no PNG, TIFF or JPEG" in refusal(capsys, out, tmp_path / "empty")
+    assert "holds the input itself" in refusal(capsys, boards, boards)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"version": 2}, "version must be 1"),
+        ({"colour": 1}, "'colour' is not known"),
+        ({"method": "laser"}, "method must be one of"),
+        ({"encoding": "gamma"}, "encoding must be"),
+        ({"alpha": "half"}, "alpha must be a number"),
+        ({"images": ["../a.png"]}, "leaves the capture folder"),
+        ({"images": ["none.png"]}, "none.png"),
+        ({"images": []}, "there are no images"),
+        ({"shifts": [[0, 0], [0, "x"]]}, "shifts must be a list of numbers"),
+        ({"shifts": SHIFTS[1:]}, "24 shifts for 25 images"),
+        ({"shifts": [*SHIFTS[:24], SHIFTS[3]]}, "images 3 (board_0_6.png) and 24 (board_8_8.png) have the same shift"),
+        ({"block": 2.5}, "block must be a whole number"),
+        ({"method": "sinusoid", "shifts": list(range(25))}, "need its period"),
+    ],
+)
+def test_bad_documents(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fields: dict[str, Any], words: str
+) -> None:
+    document(boards, **fields)
+    assert words in refusal(capsys, tmp_path / "out", boards)
+
+
+def test_light_tiff(tmp_path: Path) -> None:
+    light = np.array([[0.5, np.nan], [-0.1, 2.0]], dtype=np.float32)
+    write_float_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
+    read, metadata = read_light_tiff(tmp_path / "a.tiff")
+    assert np.array_equal(read, light, equal_nan=True)
+    assert metadata == {"n": 3, "unit": "lux"}
+    for bad in (np.zeros((2, 2, 2)), np.zeros(3)):
+        with pytest.raises(ValueError, match="must have the shape"):
+            write_float_tiff(tmp_path / "b.tiff", bad, "lux")
+
+
+def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
+    """Photographs through parallel and crossed films: half of the diffuse light each, the specular light in one."""
+    specular = [0.05 + 0.04 * np.sin(COLUMNS / 2 + k) for k in range(count)]
+    parallel = {f"photo_{k}.png": 0.5 * GLOBAL + one for k, one in enumerate(specular)}
+    crossed = {f"through_{k}.png": 0.5 * GLOBAL for k in range(count)}
+    return write(root / "parallel", parallel), write(root / "crossed", crossed)
+
+
+def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path, capsys) -> None:
+    folders, out = polarised(tmp_path), tmp_path / "out"
+    assert run("polarised", *folders, "--out", out, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["specular_share"] == pytest.approx(0.05 / 0.25, abs=0.03)
+    assert sorted(path.name for path in out.iterdir() if path.suffix) == sorted(facts["files"])
+    assert set(facts["inputs"]) == {f"parallel/photo_{k}.png" for k in range(3)} | {
+        f"crossed/through_{k}.png" for k in range(3)
+    }
+    for k in range(3):
+        specular, diffuse = (read_image(out / f"{name}_{k}.png")[..., 0] for name in ("specular", "diffuse"))
+        assert specular.dtype == diffuse.dtype == np.uint16
+        np.testing.assert_allclose(specular * STEP, 0.05 + 0.04 * np.sin(COLUMNS / 2 + k), atol=2 * STEP)
+        np.testing.assert_allclose(diffuse * STEP, 0.5 * GLOBAL, atol=2 * STEP)
+    assert read_image(out / "specular.png").dtype == np.uint8
+    assert run("polarised", *folders, "--out", out) == 0  # again: an earlier separation is replaced
+    assert "3 pairs of photographs" in capsys.readouterr().out
+    assert run("polarised", *folders[::-1], "--out", tmp_path / "exchanged") == 0
+    assert "were their folders exchanged" in capsys.readouterr().out
+
+
+def test_series_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parallel, crossed = polarised(tmp_path)
+    out = tmp_path / "out"
+    assert "name one folder" in refusal(capsys, out, parallel, crossed)
+    assert "with --out and --encoding alone" in refusal(capsys, out, "polarised", parallel, crossed, "--alpha", 0.5)
+    assert "is not a folder" in refusal(capsys, out, "polarised", parallel, tmp_path / "none")
+    write(crossed, {"through_1.png": GLOBAL[:20]})
+    assert "through_1.png is not of the size" in refusal(capsys, out, "polarised", parallel, crossed)
+    (crossed / "through_1.png").unlink()
+    assert "3 photographs and" in refusal(capsys, out, "polarised", parallel, crossed)
+    assert "holds the input itself" in refusal(capsys, parallel, "polarised", parallel, crossed)

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handmade import finger
+from splitknit.accuracy import _local_correlation, compare, high_passed
+from splitknit.errors import BadInput
+
+
+def test_the_truth_agrees_with_itself() -> None:
+    result, truth = finger()
+    figures = compare(result, truth).figures
+    assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["ridge_correlation"] == pytest.approx(1.0, abs=1e-6)
+    assert figures["ridge_gain"] == pytest.approx(1.0, abs=1e-4)
+    assert figures["ridge_rms_um"] == pytest.approx(0.0, abs=0.01)
+    assert figures["ridge_good_area"] == 1.0
+    assert figures["mask_overlap"] == 1.0
+    assert figures["normals_mean_deg"] == pytest.approx(0.0, abs=0.03)
+
+
+def test_gain_is_the_factor_of_the_relief() -> None:
+    result, truth = finger()
+    flat = replace(result, ridge_mm=result.ridge_mm * np.float32(0.25))
+    figures = compare(flat, truth).figures
+    assert figures["ridge_gain"] == pytest.approx(0.25, abs=1e-4)
+    assert figures["ridge_correlation"] == pytest.approx(1.0, abs=1e-6)
+    assert figures["ridge_rms_um"] == pytest.approx(0.75 * figures["ridge_truth_std_um"], rel=0.02)
+
+
+def test_distance_does_not_count_but_tilt_does() -> None:
+    result, truth = finger()
+    far = replace(result, height_mm=result.height_mm + np.float32(7.0))
+    assert compare(far, truth).figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-5)
+    tilt = np.linspace(-0.5, 0.5, result.mask.shape[1], dtype=np.float32)
+    comparison = compare(replace(result, height_mm=result.height_mm + tilt), truth)
+    inside = np.broadcast_to(tilt, result.mask.shape)[comparison.surface]
+    assert comparison.figures["surface_rms_mm"] == pytest.approx(float(inside.std()), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_the_edge_is_left_out() -> None:
+    result, truth = finger()
+    surface = compare(result, truth).surface
+    rows, columns = np.nonzero(surface)
+    edge_rows, edge_columns = np.nonzero(~result.mask)
+    step = slice(None, None, 97)
+    nearest = min(
+        float(np.hypot(edge_rows - r, edge_columns - c).min()) for r, c in zip(rows[step], columns[step], strict=True)
+    )
+    assert nearest * result.pitch_mm > 0.33
+    spoilt = np.where(surface, result.height_mm, result.height_mm + np.float32(1.0))
+    assert compare(replace(result, height_mm=spoilt), truth).figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_ridge_band_stops_at_sixty_degrees() -> None:
+    result, truth = finger()
+    comparison = compare(result, truth)
+    slope = np.hypot(*np.gradient(truth["shape_mm"].astype(float), result.pitch_mm))
+    slant = np.rad2deg(np.arctan(slope))
+    assert np.nanmax(slant[comparison.band]) < 61.5
+    beyond = comparison.surface & ~comparison.band
+    assert beyond.any()
+    assert np.nanmin(slant[beyond]) > 58.5
+
+
+def test_area_counts_where_ridges_are_right() -> None:
+    result, truth = finger()
+    noise = np.random.default_rng(0).normal(0, 0.03, result.mask.shape).astype(np.float32)
+    half = np.where(np.arange(result.mask.shape[1]) < result.mask.shape[1] // 2, result.ridge_mm, noise)
+    area = compare(replace(result, ridge_mm=half.astype(np.float32)), truth).figures["ridge_good_area"]
+    assert 0.4 < area < 0.6
+
+
+def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
+    result, truth = finger()
+    part = result.mask.copy()
+    part[220:] = False
+    figures = compare(replace(result, mask=part), truth).figures
+    assert figures["mask_overlap"] == pytest.approx(part.sum() / truth["mask"].sum())
+    assert figures["mask_on_finger"] == 1.0
+    wide = np.ones_like(part)
+    assert compare(replace(result, mask=wide), truth).figures["mask_on_finger"] == pytest.approx(truth["mask"].mean())
+    assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_wrong_truth_is_refused() -> None:
+    result, truth = finger()
+    with pytest.raises(BadInput, match="no 'shape_mm'"):
+        compare(result, {k: v for k, v in truth.items() if k != "shape_mm"})
+    with pytest.raises(BadInput, match="has the shape"):
+        compare(result, {**truth, "height_mm": truth["height_mm"][:-1]})
+    with pytest.raises(BadInput, match="no pixel in common"):
+        compare(result, {**truth, "mask": np.zeros_like(truth["mask"])})
+
+
+def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
+    x = np.arange(300, dtype=np.float32)[None].repeat(80, axis=0)
+    ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
+    kept = high_passed(np.ones(x.shape, bool), 8.0)(ridges + 0.05 * x)
+    assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
+
+
+def test_local_correlation_of_opposites() -> None:
+    wave = np.sin(np.arange(200, dtype=np.float32) / 2)[None].repeat(60, axis=0)
+    where = np.ones(wave.shape, bool)
+    assert _local_correlation(wave, -2 * wave, where, 13).max() < -0.99
+
+
+def test_a_wide_mean_on_a_reduced_copy_keeps_the_ridges() -> None:
+    x, y = np.meshgrid(np.arange(420.0), np.arange(400.0))
+    mask = np.hypot(x - 210, y - 200) < 190
+    ridges = np.where(mask, np.sin(x / 5.5) + 0.002 * y, 0).astype(np.float32)
+    fine, wide = (high_passed(mask, sigma)(ridges)[mask] for sigma in (23.99, 24.0))
+    assert np.corrcoef(fine, wide)[0, 1] > 0.9999
+    assert float(np.std(wide)) == pytest.approx(float(np.std(fine)), rel=5e-4)

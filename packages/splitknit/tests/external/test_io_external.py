@@ -1,0 +1,119 @@
+"""Data that nobody on this project made, read as captures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack, srgb_code
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image, write_image
+from splitknit.io.light_list import read_named_lights
+from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
+from splitknit.model import Band, Camera, Capture, Led, Rig
+
+pytestmark = pytest.mark.external
+
+
+def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray, px_per_mm: float) -> Capture:
+    """Grey images (L, H, W) uint16 under distant lights (L, 3), as DiLiGenT comes."""
+    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    count = len(images)
+    band = Band("white", images[..., None], tuple((k,) for k in range(count)), np.ones(count), np.zeros(count))
+    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
+    rig = Rig(Camera(px_per_mm, (images.shape[1], images.shape[2])), leds)
+    return Capture(rig, {"white": band}, material="opaque", mask=mask)
+
+
+def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
+    folder = data_dir / "blender_finger" / "phalange"
+    images = [folder / f"light_{k:02d}.png" for k in range(12)]
+    capture = capture_from_plain_images(
+        images,
+        read_named_lights(folder / "lights.txt")[0],
+        40.0,
+        PhotographOptions(mask=folder / "mask.png", background=71),
+    )
+    write_capture(capture, tmp_path / "capture")
+    again = read_capture(tmp_path / "capture")
+    assert again.bands["white"].pixels.shape[:3] == (12, *again.shape)
+    assert again.mask is not None
+    light = linear_stack(again.bands["white"], again.encoding)
+    outside = light[:, ~again.mask]
+    assert abs(float(np.median(outside))) < 1e-6  # the constant background is gone
+    assert float(np.median(light[:, again.mask])) > 0.1
+
+
+def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_path: Path) -> None:
+    folder = data_dir / "psm_spheres"
+    lights = read_named_lights(folder / "lights.txt")[0]
+    assert lights.shape == (12, 3)
+    images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
+    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(mask=folder / "gray" / "gray.mask.png"))
+    write_capture(capture, tmp_path / "capture", image_format="tiff")
+    again = read_capture(tmp_path / "capture")
+    assert again.mask is not None
+    rows, columns = np.nonzero(again.mask)
+    radius = (np.ptp(columns) + 1) / 2
+    x = (columns - (columns.min() + columns.max()) / 2) / radius
+    y = ((rows.min() + rows.max()) / 2 - rows) / radius
+    normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=1)
+    for image, light in zip(linear_stack(again.bands["white"], "linear"), lights, strict=True):
+        shade = image[again.mask]
+        lit = shade > 0.25 * shade.max()
+        seen = np.linalg.lstsq(normals[lit], shade[lit], rcond=None)[0]
+        assert seen @ light > np.cos(np.deg2rad(10.0)) * np.linalg.norm(seen) * np.linalg.norm(light)
+
+
+def test_the_mirrors_lights_are_places_not_directions(data_dir: Path) -> None:
+    assert read_named_lights(data_dir / "blender_finger" / "with_mirrors" / "lights.txt")[0].shape == (7, 3)
+    assert read_image(data_dir / "blender_finger" / "with_mirrors" / "light_00.png").shape == (2000, 3000, 3)
+
+
+def test_diligent_through_a_capture_folder(data_dir: Path, tmp_path: Path) -> None:
+    with np.load(data_dir / "diligent" / "bear.npz") as bear:
+        images, lights, mask = bear["images"], bear["lights"], bear["mask"].astype(bool)
+    write_capture(capture_from_arrays(images, lights, mask, 4.0), tmp_path / "bear")
+    again = read_capture(tmp_path / "bear")
+    np.testing.assert_array_equal(again.bands["white"].pixels[..., 0], images)
+    assert again.mask is not None
+    np.testing.assert_array_equal(again.mask, mask)
+
+
+def test_every_image_of_the_independent_data_is_read_or_refused_in_words(data_dir: Path) -> None:
+    files = [file for kind in ("png", "jpg", "tif", "bmp") for file in sorted(data_dir.rglob(f"*.{kind}"))]
+    read = 0
+    for file in files[:: max(1, len(files) // 60)]:
+        try:
+            read += read_image(file).ndim == 3
+        except BadInput as error:
+            assert str(file) in str(error)
+            assert file.suffix not in (".png", ".jpg")
+    assert read > 20
+
+
+@pytest.mark.parametrize("stored", ["linear", "srgb"])
+def test_the_encoding_of_eight_bits_shows_in_the_shading(data_dir, tmp_path, stored):
+    """The bear as 8-bit PNG without a word on its encoding: a wrong guess doubles the error (16 deg instead of 8)."""
+    file = data_dir / "diligent" / "bear.npz"
+    if not file.is_file():
+        pytest.skip(f"{file} is absent")
+    bear = np.load(file)
+    light = bear["images"][::3] / 65535.0
+    codes = np.rint(255.0 * (srgb_code(light) if stored == "srgb" else light)).astype(np.uint8)
+    for k, code in enumerate(codes):
+        write_image(tmp_path / f"{k}.png", code)
+    found = capture_from_photographs(tmp_path, bear["lights"][::3])
+    assert found.capture.encoding == stored
+    assert "`encoding`" in found.notes[0]
+
+
+def test_renders_without_a_tone_curve_stay_linear(data_dir):
+    folder = data_dir / "blender_finger" / "phalange"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    assert capture_from_photographs(folder, options=PhotographOptions(background=71)).capture.encoding == "linear"
+    assert capture_from_photographs(folder).capture.encoding == "linear"

@@ -1,0 +1,284 @@
+"""Finger masks on drawn fingers of every tone and disturbance, and refusal where there is no finger."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.finger.mask import (
+    MaskSettings,
+    _chromaticity,
+    _two_means,
+    check_borders,
+    finger_mask,
+    finger_outline,
+    finger_region,
+    touched_borders,
+)
+from splitknit.finger.quality import photometric_mask
+from splitknit.finger.regions import (
+    depth_inside,
+    dilate,
+    distance_outside,
+    erode,
+    fill_holes,
+    largest_component,
+    remove_spurs,
+)
+
+TONES = ("very dark", "dark", "medium", "very light")
+
+
+def overlap(a, b):
+    return float((a & b).sum() / (a | b).sum())
+
+
+@pytest.mark.parametrize("tone", TONES)
+@pytest.mark.parametrize(
+    ("disturbance", "least"),
+    [
+        ({}, 0.995),
+        ({"shadow": "step"}, 0.985),
+        ({"shadow": "side"}, 0.985),
+        ({"shadow": "gradient"}, 0.98),
+        ({"specks": 60}, 0.99),
+        ({"glare": True}, 0.99),
+        ({"infrared": 0.15}, 0.99),
+        ({"paper": 0.04, "paper_slope": 0.6}, 0.99),
+        ({"paper": 0.0, "noise": 0.004}, 0.985),
+        ({"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}, 0.99),
+    ],
+)
+def test_finds_the_finger_whatever_its_tone(draw_finger, tone, disturbance, least):
+    scene = draw_finger(tone, **disturbance)
+    mask = finger_mask(scene.rgb, scene.px_per_mm)
+    assert mask.shape == scene.mask.shape
+    assert mask.dtype == np.bool_
+    assert overlap(mask, scene.mask) > least
+    np.testing.assert_array_equal(mask, fill_holes(largest_component(mask)))
+
+
+@pytest.mark.parametrize(
+    "disturbance", [{}, {"shadow": "side"}, {"specks": 60}, {"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}]
+)
+def test_in_two_steps_the_outline_is_the_same(draw_finger, disturbance):
+    scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
+    settings = MaskSettings(coarse_px_per_mm=4.0, fine_px_per_mm=10.0)
+    rough = finger_region(scene.rgb, scene.px_per_mm, settings)
+    assert overlap(rough, scene.mask) > 0.97
+    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm, settings)
+    assert overlap(found, scene.mask) > 0.98
+    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(fine_px_per_mm=10.0))) > 0.99
+
+
+@pytest.mark.parametrize("tone", ["medium", "very light"])
+def test_the_thesis_mask_is_that_of_two_clusters(draw_finger, tone):
+    scene = draw_finger(tone)
+    plain = finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(method="kmeans"))
+    assert plain.shape == scene.mask.shape
+    assert overlap(plain, scene.mask) > 0.95
+    np.testing.assert_array_equal(plain, fill_holes(largest_component(plain)))
+    assert (plain != finger_mask(scene.rgb, scene.px_per_mm)).any()
+
+
+def test_in_two_steps_the_same_is_refused(draw_finger):
+    scene = draw_finger("medium", px_per_mm=20.0)
+    with pytest.raises(BadInput, match="no finger was found"):
+        finger_region(np.full_like(scene.rgb, 0.03), scene.px_per_mm)
+    wide = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
+    with pytest.raises(BadInput, match=r"touches 3 borders .*move it back"):
+        finger_region(wide.rgb, wide.px_per_mm)
+    with pytest.raises(BadInput, match="no finger was found"):
+        finger_outline(scene.rgb, np.zeros((40, 30), bool), scene.px_per_mm)
+
+
+@pytest.mark.parametrize("tone", ["medium", "very light"])
+def test_grey_images_fall_back_on_brightness(draw_finger, tone):
+    scene = draw_finger(tone, specks=20)
+    assert overlap(finger_mask(scene.grey, scene.px_per_mm), scene.mask) > 0.985
+    assert overlap(finger_mask(scene.grey[..., None], scene.px_per_mm), scene.mask) > 0.985
+
+
+@pytest.mark.parametrize("colour", [(0.08, 0.30, 0.12), (0.06, 0.14, 0.40), (0.25, 0.08, 0.32)])
+@pytest.mark.parametrize("tone", ["dark", "medium", "very light"])
+def test_finds_the_finger_on_coloured_paper(draw_finger, tone, colour):
+    scene = draw_finger(tone)
+    falling = np.linspace(0.7, 1.3, scene.rgb.shape[1], dtype=np.float32)[None, :, None]
+    paper = falling * np.asarray(colour, dtype=np.float32) + (scene.rgb - 0.03)  # with the background's own noise
+    mask = finger_mask(np.where(scene.mask[..., None], scene.rgb, paper), scene.px_per_mm)
+    assert overlap(mask, scene.mask) > 0.985
+
+
+def test_scale_and_brightness_do_not_matter(draw_finger):
+    scene = draw_finger("medium", px_per_mm=22.0)
+    mask = finger_mask(scene.rgb, 22.0)
+    assert overlap(mask, scene.mask) > 0.99
+    assert overlap(finger_mask(scene.rgb * np.float32(0.05), 22.0), mask) > 0.998
+    np.testing.assert_array_equal(mask, finger_mask(scene.rgb, 22.0))
+
+
+def test_a_stick_across_the_finger_is_cut_off(draw_finger):
+    scene = draw_finger("medium")
+    rgb = scene.rgb.copy()
+    rgb[250:270, :] = rgb[300, 170]  # a band of skin colour from side to side
+    mask = finger_mask(rgb, scene.px_per_mm)
+    assert overlap(mask, scene.mask) > 0.97
+    assert not mask[:, :20].any()
+
+
+def test_dust_on_the_outline_is_cut_off(draw_finger):
+    scene = draw_finger("medium", px_per_mm=20.0)
+    rgb = scene.rgb.copy()
+    height, width = scene.mask.shape
+    y, x = np.mgrid[0:height, 0:width]
+    for row in (400, 500, 600):
+        edge = int(np.flatnonzero(scene.mask[row])[-1])
+        rgb[((x - edge - 8) ** 2 + (y - row) ** 2 < 100) & ~scene.mask] = 0.5  # specks of 1 mm that touch the finger
+    assert (finger_mask(rgb, 20.0) ^ finger_mask(scene.rgb, 20.0)).sum() < 250  # of some 740
+
+
+def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
+    y, x = np.mgrid[0:500, 0:350] / 350
+    noise = rng.standard_normal((500, 350, 3))
+    images = {
+        "black": np.zeros((500, 350, 3)),
+        "noise": 0.01 * noise,
+        "paper": 0.03 + 0.003 * noise,
+        "vignette": (0.05 * (1 - (x - 0.5) ** 2 - (y - 0.7) ** 2))[..., None] + 0.002 * noise,
+        "ramp": (0.02 + 0.1 * y)[..., None] + 0.001 * noise,
+        "bright patch": (0.02 + 0.3 * np.exp(-((x - 0.5) ** 2 + (y - 0.7) ** 2) / 0.25))[..., None] + 0.001 * noise,
+        "saturated": np.ones((500, 350, 3)),
+        "all skin": np.array([0.4, 0.3, 0.2]) + 0.01 * noise,
+    }
+    return images[kind].astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "kind", ["black", "noise", "paper", "vignette", "ramp", "bright patch", "saturated", "all skin"]
+)
+@pytest.mark.parametrize("grey", [False, True])
+def test_no_finger_is_refused(kind, grey):
+    image = _empty(kind, np.random.default_rng(3))
+    with pytest.raises(BadInput, match=r"no finger was found|borders"):
+        finger_mask(image.mean(axis=2) if grey else image, 12.0)
+
+
+def test_a_finger_across_three_borders_is_refused(draw_finger):
+    scene = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
+    with pytest.raises(BadInput, match=r"touches 3 borders .*move it back"):
+        finger_mask(scene.rgb, scene.px_per_mm)
+
+
+def test_borders():
+    mask = np.zeros((100, 80), dtype=bool)
+    mask[30:, 20:60] = True
+    assert check_borders(mask) == ("bottom",)
+    mask[60:, 20:] = True
+    assert touched_borders(mask) == ("bottom", "right")
+    mask[:, 30:50] = True
+    with pytest.raises(BadInput, match="top, bottom, right"):
+        check_borders(mask)
+    corner = np.zeros((100, 80), dtype=bool)
+    corner[-2:, 10] = True
+    assert touched_borders(corner) == ()
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((5, 5, 3), np.float32), "too small"),
+        (np.zeros((50, 50, 2), np.float32), "shape"),
+        (np.full((50, 50), np.nan, np.float32), "NaN"),
+    ],
+)
+def test_bad_images(image, message):
+    with pytest.raises(BadInput, match=message):
+        finger_mask(image, 12.0)
+    with pytest.raises(BadInput, match="px_per_mm"):
+        finger_mask(np.ones((50, 50), np.float32), 0.0)
+
+
+def test_bad_settings():
+    with pytest.raises(BadInput, match="fine_px_per_mm"):
+        MaskSettings(fine_px_per_mm=0.0)
+
+
+def test_chromaticity_is_neutral_in_the_dark_and_ignores_neutral_light():
+    rng = np.random.default_rng(0)
+    image = np.zeros((40, 40, 3), np.float32)
+    image[:, 20:] = [0.4, 0.27, 0.2]
+    image += 0.001 * rng.standard_normal(image.shape).astype(np.float32)
+    chroma = _chromaticity(image)
+    np.testing.assert_allclose(chroma.sum(axis=2), 1.0, atol=1e-5)
+    np.testing.assert_allclose(chroma[:, :20], 1 / 3, atol=0.02)
+    assert chroma[:, 20:, 0].min() > 0.45
+    # by hand for the corrected (3.61): least channel 0.2, mean of the least 0.1
+    exact = _chromaticity(
+        np.where(np.arange(40)[None, :, None] < 20, 0.0, [0.4, 0.27, 0.2]).astype(np.float32)
+        * np.ones((40, 1, 1), np.float32)
+    )
+    np.testing.assert_allclose(exact[0, 30], np.array([0.3, 0.17, 0.1]) / 0.57, rtol=1e-5)
+
+
+def test_two_means_separates_and_is_deterministic():
+    rng = np.random.default_rng(1)
+    values = np.concatenate([rng.normal(0, 1, (300, 2)), rng.normal(8, 1, (100, 2))]).astype(np.float32)
+    second, separation = _two_means(values)
+    truth = np.arange(400) >= 300
+    assert (second == truth).all() or (second != truth).all()
+    assert separation > 8
+    np.testing.assert_array_equal(second, _two_means(values)[0])
+    assert _two_means(np.ones((50, 1), np.float32))[1] == 0.0
+
+
+@pytest.mark.parametrize("box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]])
+@pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.7, 9.3])
+def test_what_is_computed_around_a_region_is_what_the_whole_image_gives(box, radius):
+    mask = np.zeros((64, 80), dtype=bool)
+    mask[box] = np.random.default_rng(2).random(mask[box].shape) < 0.97
+    inside, outside = (
+        cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, ~mask)
+    )
+    np.testing.assert_allclose(depth_inside(mask), inside, rtol=1e-6)
+    np.testing.assert_array_equal(erode(mask, radius), inside > radius)
+    np.testing.assert_array_equal(dilate(mask, radius), outside <= radius)
+    near = outside <= radius
+    np.testing.assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
+    assert (distance_outside(mask, radius)[~near] > radius).all()
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    at_border = {int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line}
+    small = [k for k in range(1, count) if k not in at_border and stats[k, cv2.CC_STAT_AREA] <= 2]
+    np.testing.assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
+
+
+def test_regions():
+    mask = np.zeros((120, 100), dtype=bool)
+    mask[30:, 30:70] = True
+    mask[50:56, 70:95] = True  # a spur
+    mask[80:84, 45:50] = False  # a hole
+    cleaned = remove_spurs(fill_holes(mask), 0.4)
+    assert cleaned[81, 47]
+    assert not cleaned[50:56, 80:].any()
+    assert cleaned[-1, 30:70].all()
+    assert fill_holes(mask, 10.0)[81, 47] == mask[81, 47]
+
+
+def test_photometric_mask_drops_shadowed_and_saturated_pixels():
+    stack = np.full((7, 200, 150), 0.4, np.float32)
+    finger = np.zeros((200, 150), dtype=bool)
+    finger[20:180, 20:130] = True
+    stack[:5, 20:60, 20:130] = 0.0  # two lights left
+    stack[:4, 100:120, 110:130] = 0.0  # three lights left
+    stack[:, 90, 80] = 0.0  # a pinhole
+    stack[:6, 150:180, 20:130] = 1.0
+    mask = photometric_mask(stack, finger, 10.0)
+    assert not mask[20:60].any()
+    assert mask[60:150, 20:130].all()
+    assert not mask[150:].any()
+    assert not (mask & ~finger).any()
+    kept = photometric_mask(stack, finger, 10.0, saturation=np.full(7, 2.0))
+    assert kept[150:180, 20:130].all()
+    with pytest.raises(BadInput, match="reached by 3 lights"):
+        photometric_mask(np.ones_like(stack), finger, 10.0)

@@ -1,0 +1,139 @@
+"""Where pixels look, and surfaces along their rays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.view import pixels_of, plane_points, view_of
+from splitknit.integration.knit import place
+from splitknit.model import Camera
+
+SIZE = (180, 240)
+LENS = (-0.15, 0.02, 0.001, -0.0015, 0.0)
+
+
+def camera(distortion: tuple[float, ...] | None = LENS, size: tuple[int, int] = SIZE) -> Camera:
+    rows, columns = size
+    focal = 5.0 * 60.0  # a wide view, so that what spreads is seen
+    matrix = np.array([[focal, 0, columns / 2 + 6.0], [0, 1.01 * focal, rows / 2 - 4.0], [0, 0, 1]])
+    return Camera(5.0, size, 60.0, "perspective", matrix, distortion)
+
+
+def sphere(lens: Camera, radius: float = 14.0, low: float = -9.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(H, W, 3) points of a sphere that every pixel sees (NaN beside it), normals, and the distance from the camera."""
+    rows, columns = lens.image_size
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    plane = np.concatenate([plane_points(lens, grid), np.zeros((len(grid), 1))], axis=1)
+    start = np.array([0.0, 0.0, lens.height_mm])
+    rays = plane - start
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    centre = np.array([2.0, -1.0, low])
+    along = (rays * (centre - start)).sum(axis=1)
+    below = along**2 - ((centre - start) ** 2).sum() + radius**2
+    far = along - np.sqrt(np.where(below > 4.0, below, np.nan))
+    points = start + far[:, None] * rays
+    normals = (points - centre) / radius
+    return points.reshape(rows, columns, 3), normals.reshape(rows, columns, 3), far.reshape(rows, columns)
+
+
+@pytest.mark.parametrize("lens", [Camera(5.0, SIZE, 60.0), camera(None), camera()])
+def test_pixels_and_plane_are_inverse(lens: Camera) -> None:
+    pixels = np.random.default_rng(0).uniform(0, [SIZE[1] - 1, SIZE[0] - 1], (50, 2))
+    plane = plane_points(lens, pixels)
+    back = pixels_of(lens, np.concatenate([plane, np.zeros((50, 1))], axis=1))
+    np.testing.assert_allclose(back, pixels, atol=1e-5)
+
+
+def test_a_higher_point_is_seen_further_out() -> None:
+    lens = camera(None)
+    low, high = pixels_of(lens, [[10.0, 0.0, 0.0], [10.0, 0.0, 6.0]]) - pixels_of(lens, [[0.0, 0.0, 0.0]])
+    assert high[0] / low[0] == pytest.approx(60 / 54, rel=1e-6)
+
+
+def test_a_window_of_blocks_is_a_part_of_the_whole() -> None:
+    lens = camera()
+    whole = view_of(lens)
+    part = view_of(lens, slice(20, 141), slice(33, 200), binning=4)
+    assert part.x_mm.shape == (30, 41)
+    expected = whole.x_mm[20:140, 33:197].reshape(30, 4, 41, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(part.x_mm, expected, atol=2e-3)
+    exact = plane_points(lens, np.array([[100.0, 50.0], [0.0, 0.0], [239.0, 179.0]]))
+    np.testing.assert_allclose(exact[:, 1], [whole.y_mm[50, 100], whole.y_mm[0, 0], whole.y_mm[179, 239]], atol=1e-5)
+
+
+def test_turning_is_a_rotation_that_shows_the_camera_above() -> None:
+    lens = camera()
+    view = view_of(lens, along_rays=True)
+    vectors = np.random.default_rng(1).standard_normal((2, 3, *SIZE)).astype(np.float32)
+    turned = view.turned(vectors)
+    np.testing.assert_allclose((turned**2).sum(axis=1), (vectors**2).sum(axis=1), rtol=1e-4)
+    np.testing.assert_allclose(view.in_rig(np.moveaxis(turned[0], 0, -1)), np.moveaxis(vectors[0], 0, -1), atol=1e-5)
+    x, y = view.on_plane()
+    towards = np.stack([-x, -y, np.full(SIZE, 60.0)])[None].astype(np.float32)
+    own = view.turned(towards)[0]
+    assert np.abs(own[:2]).max() < 1e-4
+    assert (own[2] > 59).all()
+
+
+def test_points_along_rays_are_those_of_the_sphere() -> None:
+    lens = camera()
+    points, _, far = sphere(lens)
+    view = view_of(lens, along_rays=True)
+    x, y, z = view.points((lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32))
+    seen = np.isfinite(far)
+    np.testing.assert_allclose(np.stack([x, y, z], axis=-1)[seen], points[seen], atol=2e-4)
+
+
+def test_slopes_along_rays_are_those_of_the_normals() -> None:
+    lens = camera()
+    _, normals, far = sphere(lens)
+    height = (lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32)
+    right, up = height_gradients(height, lens.pitch_mm)
+    view = view_of(lens, along_rays=True)
+    own = view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
+    slope_x, slope_y = -own[0] / own[2], -own[1] / own[2]
+    x_x, x_y, y_x, y_y = view.stretch(lens.pitch_mm, SIZE)
+    inner = np.isfinite(height) & (np.hypot(slope_x, slope_y) < 1.0)
+    assert np.abs(right - (slope_x * x_x + slope_y * y_x))[inner].max() < 5e-3
+    assert np.abs(up - (slope_x * x_y + slope_y * y_y))[inner].max() < 5e-3
+    stretched = (right - (slope_x * x_x + slope_y * y_x))[inner].std()
+    assert stretched < 0.3 * (right - slope_x)[inner].std()  # without the stretch it is seen
+
+
+def test_a_regular_grid_is_not_stretched() -> None:
+    x_x, x_y, y_x, y_y = view_of(Camera(5.0, SIZE), along_rays=True).stretch(0.2, SIZE)
+    assert np.allclose(x_x, 1) and np.allclose(y_y, 1) and not x_y.any() and not y_x.any()
+
+
+def test_a_surface_integrated_as_if_on_a_regular_grid_is_placed_right() -> None:
+    """Heights whose slopes over equal steps are those of the pixels' frames, as photometric stereo makes them."""
+    from splitknit.integration.poisson import poisson
+
+    lens = camera(size=(360, 480))
+    points, normals, _ = sphere(lens)
+    view = view_of(lens, along_rays=True)
+    own = view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
+    mask = np.isfinite(own[2]) & (own[2] > 0.55)
+    slope_x, slope_y = (np.where(mask, -own[k] / np.where(mask, own[2], 1), 0).astype(np.float32) for k in range(2))
+    plain = np.nan_to_num(poisson(slope_x, slope_y, mask)).astype(np.float32) * np.float32(lens.pitch_mm)
+    window = (slice(0, 360), slice(0, 480))
+    top = float(np.quantile(points[..., 2][mask], 0.998))
+    z, _, found, x, _ = place(plain, plain, mask, lens, window, top)
+    error = (z - points[..., 2])[mask]
+    assert np.abs(error - error.mean()).max() < 0.08
+    assert np.std(error) < 0.02
+    assert np.abs(x - points[..., 0])[mask].max() < 0.1
+    cosine = (found * normals).sum(axis=-1)[mask]
+    assert np.rad2deg(np.arccos(np.clip(np.quantile(cosine, 0.02), -1, 1))) < 1.0
+    without = lens.height_mm - (lens.height_mm * np.exp(-plain / lens.height_mm))
+    assert np.std((without - points[..., 2])[mask]) > 0.2
+
+
+def test_bad_points_are_refused() -> None:
+    with pytest.raises(BadInput, match="below the camera"):
+        pixels_of(camera(), [[0.0, 0.0, 60.0]])
+    with pytest.raises(BadInput, match=r"\(N, 2\)"):
+        plane_points(camera(), [1.0, 2.0])

@@ -1,0 +1,246 @@
+"""Masked Poisson: exact where the truth is in its reach, equal to a direct solver everywhere else."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import scipy.sparse
+import scipy.sparse.linalg
+
+from splitknit.errors import BadInput
+from splitknit.integration.poisson import (
+    PoissonSettings,
+    _build_grids,
+    _edge_weights,
+    _Grid,
+    _padded_size,
+    _predicted_differences,
+    _zero_mean_by_component,
+    poisson,
+)
+
+
+def paraboloid(rows, columns):
+    """Heights and y-up gradients of a tilted bowl: trapezoidal differences of its slopes are exact."""
+    i, j = np.mgrid[0:rows, 0:columns].astype(float)
+    x, y = (j - 0.4 * columns) / 10, (0.6 * rows - i) / 10
+    height = 3 * x + 2 * y - 0.5 * x**2 + 0.25 * y**2 + 0.3 * x * y
+    return height, (3 - x + 0.3 * y) / 10, (2 + 0.5 * y + 0.3 * x) / 10
+
+
+def reference(slope_x, slope_y, mask, weights=None, quadrature="trapezoidal"):
+    """The same least squares by a sparse direct solver in double precision."""
+    target_right, target_down = _predicted_differences(slope_x, slope_y, mask, weights, quadrature)
+    weight_right, weight_down = _edge_weights(mask, weights)
+    index = np.full(mask.shape, -1)
+    index[mask] = np.arange(mask.sum())
+    right, down = weight_right > 0, weight_down > 0
+    first = np.concatenate([index[right], index[down]])
+    second = np.concatenate([index[:, 1:][right[:, :-1]], index[1:][down[:-1]]])
+    weight = np.concatenate([weight_right[right], weight_down[down]]).astype(float)
+    target = np.concatenate([target_right[right], target_down[down]]).astype(float)
+    edge = np.arange(len(first))
+    operator = scipy.sparse.csr_matrix(
+        (np.repeat([-1.0, 1.0], len(first)), (np.tile(edge, 2), np.concatenate([first, second]))),
+        shape=(len(first), int(mask.sum())),
+    )
+    normal = operator.T @ scipy.sparse.diags(weight) @ operator + 1e-10 * scipy.sparse.identity(int(mask.sum()))
+    height = np.zeros(mask.shape, dtype=np.float32)
+    height[mask] = scipy.sparse.linalg.spsolve(normal.tocsc(), operator.T @ (weight * target))
+    return _zero_mean_by_component(height, mask)
+
+
+def masks():
+    rows, columns = 70, 90
+    i, j = np.mgrid[0:rows, 0:columns]
+    radius, angle = np.hypot(i - 35, j - 45), np.arctan2(i - 35, j - 45)
+    rng = np.random.default_rng(0)
+    noise = cv2.GaussianBlur(rng.normal(size=(rows, columns)), (0, 0), 3)
+    return {
+        "disk": radius < 30,
+        "cut by the border": np.hypot(i - 69, j - 45) < 40,
+        "holes": (radius < 33) & (np.hypot(i - 30, j - 50) > 6) & (np.hypot(i - 45, j - 30) > 4),
+        "parts": noise > 0,
+        "spiral": ((radius - angle * 12 / (2 * np.pi)) % 12 < 6) & (radius < 34),
+        "comb": (j % 7 < 5) | (i < 4),
+        "stripes": j % 2 == 0,
+        "line": i == 20,
+        "crack": (j != 45) | (i < 3),
+    }
+
+
+@pytest.mark.parametrize("name", list(masks()))
+@pytest.mark.parametrize("weighted", [False, True])
+def test_equals_a_direct_solver_on_any_mask(name, weighted):
+    mask = masks()[name]
+    rng = np.random.default_rng(1)
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
+    weights = None
+    if weighted:
+        weights = (0.05 + 0.95 * rng.random(mask.shape)).astype(np.float32)
+    got = poisson(slope_x, slope_y, mask, weights)
+    expected = reference(slope_x, slope_y, mask, weights)
+    assert np.array_equal(np.isnan(got), ~mask)
+    scale = np.sqrt(np.mean(expected[mask] ** 2))
+    assert np.sqrt(np.mean((got - expected)[mask] ** 2)) < 2e-3 * scale
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (61, 37), (2, 9), (1, 8), (5, 1)])
+def test_whole_rectangle_is_exact_for_a_paraboloid(shape):
+    height, slope_x, slope_y = paraboloid(*shape)
+    got = poisson(slope_x, slope_y)
+    assert np.abs(got - (height - height.mean())).max() < 2e-5 * max(1.0, np.abs(height).max())
+
+
+def test_rectangle_and_masked_solver_agree():
+    rng = np.random.default_rng(2)
+    slope_x, slope_y = rng.normal(size=(2, 45, 66))
+    direct = poisson(slope_x, slope_y)
+    iterated = poisson(slope_x, slope_y, weights=np.ones((45, 66)))
+    assert np.abs(direct - iterated).max() < 1e-4
+
+
+def test_mean_is_zero_in_every_part():
+    mask = np.zeros((30, 50), dtype=bool)
+    mask[3:20, 4:18] = True
+    mask[10:28, 25:45] = True
+    mask[0, 49] = True
+    height = poisson(np.ones((30, 50)), np.zeros((30, 50)), mask)
+    assert abs(height[3:20, 4:18].mean()) < 1e-5
+    assert abs(height[10:28, 25:45].mean()) < 1e-5
+    assert height[0, 49] == 0
+    assert np.allclose(np.diff(height[12, 4:18]), 1, atol=1e-4)
+
+
+def test_y_is_up():
+    height = poisson(np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1))
+    assert height[2, 10] > height[15, 10]
+
+
+def test_values_outside_the_mask_do_not_matter():
+    mask = masks()["disk"]
+    _, slope_x, slope_y = paraboloid(*mask.shape)
+    clean = poisson(slope_x, slope_y, mask)
+    slope_x[~mask], slope_y[~mask] = np.nan, 1e9
+    assert np.array_equal(poisson(slope_x, slope_y, mask), clean, equal_nan=True)
+
+
+def test_untrusted_pixels_are_bridged():
+    height, slope_x, slope_y = paraboloid(60, 60)
+    weights = np.ones((60, 60))
+    weights[20:26, 30:36] = 0
+    slope_x[20:26, 30:36] = 50.0
+    got = poisson(slope_x, slope_y, None, weights)
+    error = got - height
+    error -= np.median(error)
+    assert np.abs(error[weights > 0]).max() < 1.0
+    assert np.abs((poisson(slope_x, slope_y) - height + height.mean())[weights > 0]).max() > 10.0
+
+
+def test_cubic_rule_is_exact_where_the_mean_is_not():
+    i, j = np.mgrid[0:64, 0:96].astype(float)
+    mask = np.hypot(i - 32, j - 48) < 30
+    wave = 2 * np.pi / 16
+    height = 4 * np.sin(wave * j) * np.cos(wave * i)
+    slope_x = 4 * wave * np.cos(wave * j) * np.cos(wave * i)
+    slope_y = 4 * wave * np.sin(wave * j) * np.sin(wave * i)
+    errors = []
+    for rule in ("trapezoidal", "cubic"):
+        got = poisson(slope_x, slope_y, mask, settings=PoissonSettings(quadrature=rule))
+        errors.append(np.std((got - height)[mask]))
+    assert errors[0] > 0.01
+    assert errors[1] < errors[0] / 5
+
+
+def test_no_bowl_and_no_border_artefact_on_a_finger():
+    i, j = np.mgrid[0:191, 0:117].astype(float)
+    u, v = (j - 58) / 55, (190 - i) / 181
+    mask = u**2 + v**2 < 0.9
+    dome = np.sqrt(np.clip(1 - u**2 - v**2, 1e-3, None))
+    got = poisson(-37.5 * u / 55 / dome, -37.5 * v / 181 / dome, mask)
+    error = got - 37.5 * dome
+    assert np.std(error[mask]) < 0.02
+
+
+def test_result_does_not_depend_on_threads():
+    rng = np.random.default_rng(3)
+    mask = masks()["cut by the border"]
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape))
+    threads = cv2.getNumThreads()
+    results = []
+    try:
+        for count in (1, 2):
+            cv2.setNumThreads(count)
+            results.append(poisson(slope_x, slope_y, mask).tobytes())
+    finally:
+        cv2.setNumThreads(threads)
+    assert results[0] == results[1]
+
+
+def grids(unit):
+    mask = np.pad(masks()["holes"], ((0, 2), (0, 6)))
+    rng = np.random.default_rng(4)
+    weights = None if unit else rng.random(mask.shape).astype(np.float32)
+    assert _padded_size(*mask.shape) == (96, 96)
+    mask = np.pad(mask, ((0, 24), (0, 0)))
+    weights = None if weights is None else np.pad(weights, ((0, 24), (0, 0)))
+    return _build_grids(*_edge_weights(mask, weights), unit=unit)
+
+
+def inner(a, b):
+    return float(np.sum(a.astype(float) * b))
+
+
+@pytest.mark.parametrize("unit", [True, False])
+def test_multigrid_operators_are_symmetric(unit):
+    grid = grids(unit)
+    rng = np.random.default_rng(5)
+    inside = grid.inside
+    a, b = (rng.normal(size=inside.shape).astype(np.float32) * inside for _ in range(2))
+    coarse = rng.normal(size=(48, 48)).astype(np.float32) * grid.coarser.inside
+    assert inner(grid.apply(a), b) == pytest.approx(inner(a, grid.apply(b)), rel=1e-4, abs=1e-3)
+    assert inner(grid.cycle(a), b) == pytest.approx(inner(a, grid.cycle(b)), rel=1e-4, abs=1e-3)
+    assert inner(grid.prolong(coarse), a) == pytest.approx(inner(coarse, grid.restrict(a)), rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["comb", "stripes", "spiral"])
+def test_strands_that_coarse_pixels_would_weld_converge_at_once(name):
+    mask = masks()[name]
+    slope_x, slope_y = np.random.default_rng(7).normal(size=(2, *mask.shape)).astype(np.float32)
+    got = poisson(slope_x, slope_y, mask, settings=PoissonSettings(max_iterations=8))
+    expected = reference(slope_x, slope_y, mask)
+    assert np.std((got - expected)[mask]) < 1e-3 * np.std(expected[mask])
+
+
+def test_one_cycle_takes_most_of_the_error():
+    grid = grids(True)
+    assert isinstance(grid, _Grid)
+    rng = np.random.default_rng(6)
+    smooth = cv2.GaussianBlur(rng.normal(size=grid.inside.shape).astype(np.float32), (0, 0), 8) * grid.inside
+    error = smooth - grid.cycle(grid.apply(smooth))
+    inside = grid.inside > 0
+    assert np.std(error[inside]) < 0.3 * np.std(smooth[inside])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gradient_y": np.zeros((4, 5))}, "gradient_x and gradient_y must have one shape"),
+        ({"gradient_x": np.zeros(4)}, r"\(H, W\)"),
+        ({"gradient_x": np.full((4, 4), np.nan)}, "inside the mask"),
+        ({"mask": np.zeros((4, 4), dtype=bool)}, "empty"),
+        ({"weights": np.full((4, 4), 2.0)}, "between 0 and 1"),
+        ({"weights": np.ones((3, 4))}, "weights must have the shape"),
+    ],
+)
+def test_bad_input_is_refused(change, message):
+    arguments = {"gradient_x": np.zeros((4, 4)), "gradient_y": np.zeros((4, 4)), **change}
+    with pytest.raises(BadInput, match=message):
+        poisson(**arguments)
+
+
+@pytest.mark.parametrize("field", [{"max_iterations": 0}, {"quadrature": "simpson"}])
+def test_bad_settings_are_refused(field):
+    with pytest.raises(BadInput, match="poisson"):
+        PoissonSettings(**field)

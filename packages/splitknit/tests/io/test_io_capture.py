@@ -1,0 +1,529 @@
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from io_shared import Build, edit
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image, write_image
+from splitknit.io.npz import read_npz
+from splitknit.io.rig import read_rig, write_rig
+from splitknit.model import Camera, Capture, Led, Rig
+
+
+def assert_same(a: Capture, b: Capture) -> None:
+    assert list(a.bands) == list(b.bands)
+    for key, band in a.bands.items():
+        other = b.bands[key]
+        assert band.pixels.dtype == other.pixels.dtype
+        np.testing.assert_array_equal(band.pixels, other.pixels)
+        assert band.leds == other.leds
+        np.testing.assert_array_equal(band.exposure, other.exposure)
+        np.testing.assert_array_equal(band.black_level, other.black_level)
+        assert (band.ambient is None) == (other.ambient is None)
+        if band.ambient is not None:
+            np.testing.assert_array_equal(band.ambient, other.ambient)
+        assert (band.ambient_exposure, band.ambient_black_level) == (
+            other.ambient_exposure,
+            other.ambient_black_level,
+        )
+    assert a.rig.leds == b.rig.leds
+    assert a.rig.provenance == b.rig.provenance
+    assert a.rig.camera.px_per_mm == b.rig.camera.px_per_mm
+    assert a.shape == b.shape
+    for name in ("encoding", "material", "tip_direction_deg", "subject", "captured_at"):
+        assert getattr(a, name) == getattr(b, name)
+    assert (a.mask is None) == (b.mask is None)
+    if a.mask is not None:
+        np.testing.assert_array_equal(a.mask, b.mask)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("image_format", ["png", "tiff"])
+def test_what_is_written_is_read_back(
+    dtype: Any, channels: int, image_format: str, tmp_path: Path, build_capture: Build
+) -> None:
+    mask = np.zeros((40, 30), dtype=bool)
+    mask[5:30, 4:20] = True
+    capture = build_capture(
+        dtype,
+        channels,
+        mask=mask,
+        encoding="srgb",
+        material="opaque",
+        tip_direction_deg=-12.5,
+        subject={"id": "anonymous", "session": 2},
+        captured_at="2026-11-20T10:00:00Z",
+    )
+    white = capture.bands["white"]
+    white = replace(
+        white,
+        exposure=np.array([0.5, 1.0, 0.25, 1 / 3]),
+        black_level=np.array([1.0, 0.0, 2.5, 0.0]),
+        ambient=white.pixels[0] // 20,
+        ambient_exposure=0.7,
+        ambient_black_level=1.0,
+        leds=((0, 1), (1,), (2,), (3,)),
+    )
+    capture = replace(capture, bands={**capture.bands, "white": white})
+    truth = {"height_mm": np.ones((3, 4), np.float32), "mask": np.ones((3, 4), bool)}
+    write_capture(capture, tmp_path / "c", truth, image_format)
+    again = read_capture(tmp_path / "c")
+    assert_same(capture, again)
+    assert again.truth == tmp_path / "c" / "truth.npz"
+    np.testing.assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
+    assert again.hashes == {
+        name.name: hashlib.sha256(name.read_bytes()).hexdigest()
+        for name in (tmp_path / "c").iterdir()
+        if name.name not in ("truth.npz", ".splitknit")
+    }
+    write_capture(again, tmp_path / "d", image_format=image_format)
+    assert_same(again, read_capture(tmp_path / "d" / "capture.json"))
+    assert (tmp_path / "d" / "truth.npz").read_bytes() == again.truth.read_bytes()
+    assert (tmp_path / "d" / "capture.json").read_bytes() == (tmp_path / "c" / "capture.json").read_bytes()
+
+
+def test_threads_do_not_change_anything(folder: Path) -> None:
+    one, four = (read_capture(folder, threads=n) for n in (1, 4))
+    assert_same(one, four)
+    assert one.hashes == four.hashes
+
+
+def test_the_least_document_and_unknown_fields(folder: Path) -> None:
+    def least(document: Any) -> None:
+        white = document["bands"]["white"]
+        white["comment"] = ["not", {"known": None}]
+        document.clear()
+        document |= {"format": "splitknit-capture", "version": 1, "rig": "rig.json", "bands": {"white": white}, "x": 1}
+        document |= {"mask": None, "truth": None, "subject": None, "captured_at": None, "tip_direction_deg": None}
+
+    edit(folder / "capture.json", least)
+    capture = read_capture(folder)
+    assert (capture.encoding, capture.material, list(capture.bands)) == ("linear", "skin", ["white"])
+    assert capture.mask is capture.truth is capture.tip_direction_deg is capture.captured_at is None
+
+
+def test_exposures_bring_images_to_one_scale(folder: Path) -> None:
+    def expose(document: Any) -> None:
+        images = document["bands"]["white"]["images"]
+        images[0] = {"file": images[0], "exposure_s": 0.5, "gain": 4.0, "black_level": 3}
+        images[1] = {"file": images[1], "gain": 2}
+        images[2] = {"file": images[2]}
+
+    before = linear_stack(read_capture(folder).bands["white"], "linear")
+    edit(folder / "capture.json", expose)
+    band = read_capture(folder).bands["white"]
+    assert band.exposure.tolist() == [2.0, 2.0, 1.0, 1.0]
+    assert band.black_level.tolist() == [3.0, 0.0, 0.0, 0.0]
+    after = linear_stack(band, "linear")
+    np.testing.assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
+    np.testing.assert_allclose(after[1], before[1] / 2, atol=1e-6)
+    np.testing.assert_allclose(after[2:], before[2:])
+
+
+@pytest.mark.parametrize(
+    ("exposures", "ambient", "expected"),
+    [
+        ([None] * 4, None, 1.0),
+        ([0.02] * 4, None, 0.02),
+        ([0.02] * 4, 0.5, 0.5),
+        ([0.02, None, 0.02, 0.02], None, 1.0),
+        ([0.02, 0.04, 0.02, 0.02], None, "its own exposure_s"),
+    ],
+)
+def test_exposure_of_the_ambient_image(
+    exposures: list[float | None], ambient: float | None, expected: float | str, folder: Path
+) -> None:
+    write_image(folder / "dark.png", np.ones((40, 30, 3), np.uint8))
+
+    def expose(document: Any) -> None:
+        white = document["bands"]["white"]
+        white["images"] = [
+            name if s is None else {"file": name, "exposure_s": s}
+            for name, s in zip(white["images"], exposures, strict=True)
+        ]
+        white["ambient"] = "dark.png" if ambient is None else {"file": "dark.png", "exposure_s": ambient}
+
+    edit(folder / "capture.json", expose)
+    if isinstance(expected, str):
+        with pytest.raises(BadInput, match=expected):
+            read_capture(folder)
+    else:
+        assert read_capture(folder).bands["white"].ambient_exposure == expected
+
+
+@pytest.mark.parametrize("ambient_channels", [1, 3])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_ambient_and_images_may_differ_in_colour(
+    channels: int, ambient_channels: int, tmp_path: Path, build_capture: Build
+) -> None:
+    capture = build_capture(channels=channels)
+    dark = np.ones((40, 30, ambient_channels), np.uint16)
+    white = replace(capture.bands["white"], ambient=dark)
+    write_capture(replace(capture, bands={"white": white}), tmp_path / "c")
+    assert read_capture(tmp_path / "c").bands["white"].ambient is not None
+
+
+def test_masks(folder: Path) -> None:
+    mask = np.zeros((40, 30), np.uint8)
+    mask[10:20, 5:9] = 1
+    edit(folder / "capture.json", lambda document: document.update(mask="m.png"))
+    for values in (mask, mask * 255, np.repeat(mask[..., None] * 255, 3, axis=2), mask.astype(np.uint16) * 65535):
+        write_image(folder / "m.png", values)
+        found = read_capture(folder).mask
+        assert found is not None
+        np.testing.assert_array_equal(found, mask > 0)
+    write_image(folder / "m.png", mask * 100)
+    with pytest.raises(BadInput, match=r"m\.png is an empty mask"):
+        read_capture(folder)
+    write_image(folder / "m.png", mask[1:])
+    with pytest.raises(BadInput, match=r"m\.png has 39 x 30 pixels"):
+        read_capture(folder)
+
+
+Change = Callable[[Any], Any]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("format"), "format is missing"),
+        (lambda d: d.update(format="splitknit-rig"), "format must be"),
+        (lambda d: d.update(version=2), "version must be 1"),
+        (lambda d: d.update(version=True), "version must be 1"),
+        (lambda d: d.update(version="1"), "version must be 1"),
+        (lambda d: d.pop("rig"), "rig is missing"),
+        (lambda d: d.update(rig={"leds": []}), "rig must be the name of a file"),
+        (lambda d: d.update(rig="no.json"), r"no\.json does not exist"),
+        (lambda d: d.update(encoding="log"), "encoding must be"),
+        (lambda d: d.update(encoding=3), "encoding must be a string"),
+        (lambda d: d.update(material="glass"), "material must be"),
+        (lambda d: d.update(tip_direction_deg=True), "tip_direction_deg must be a number"),
+        (lambda d: d.update(tip_direction_deg=10**400), "tip_direction_deg must be a number"),
+        (lambda d: d.update(subject=[]), "subject must be an object"),
+        (lambda d: d.update(captured_at=2026), "captured_at must be a string"),
+        (lambda d: d.update(truth="no.npz"), r"no\.npz, the truth that .* does not exist"),
+        (lambda d: d.update(bands=[]), "bands must be an object"),
+        (lambda d: d["bands"].pop("white"), r"bands\.white is missing"),
+        (lambda d: d["bands"].update(uv={}), "the bands are named"),
+        (lambda d: d["bands"].update(nir=4), r"bands\.nir must be an object"),
+        (lambda d: d["bands"]["white"].pop("leds"), r"bands\.white\.leds is missing"),
+        (lambda d: d["bands"]["white"].update(images="white_0.png"), "images must be a list"),
+        (lambda d: d["bands"]["white"].update(images=["white_0.png"] * 2), "at least three"),
+        (lambda d: d["bands"]["white"].update(images=[f"{k}.png" for k in range(1001)]), "at most 1000 are read"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2]), "4 images but 3 entries"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), r"leds\[3\] names LED 99, but the rig has 8"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, -1]), r"leds\[3\] must be the number"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 3.0]), r"leds\[3\] must be the number"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, True]), r"leds\[3\] must be the number"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, []]), r"leds\[3\] must be the number"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, [3, 3]]), r"leds\[3\] must be the number"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 4]), "is a 'nir' LED in the rig, not 'white'"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 2]), "same direction"),
+        (lambda d: d["bands"]["white"]["images"].__setitem__(0, 7), r"images\[0\] must be the name of a file"),
+        (lambda d: d["bands"]["white"]["images"].__setitem__(0, {}), r"images\[0\]\.file is missing"),
+        (lambda d: d["bands"]["white"]["images"].__setitem__(0, "white_1.png"), r"names 'white_1\.png' twice"),
+        (
+            lambda d: d["bands"]["white"]["images"].__setitem__(2, "./x/../white_1.png"),
+            r"white.* '\./x/\.\./white_1\.png' twice",
+        ),
+        (
+            lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "exposure_s": 0}),
+            r"images\[0\]\.exposure_s must be a number",
+        ),
+        (
+            lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "gain": "2"}),
+            r"images\[0\]\.gain must be a number",
+        ),
+        (
+            lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "black_level": 255}),
+            r"white_0\.png has the black level 255",
+        ),
+    ],
+)
+def test_documents_that_are_refused(change: Change, words: str, folder: Path) -> None:
+    edit(folder / "capture.json", change)
+    with pytest.raises(BadInput, match=words) as caught:
+        read_capture(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b"", "not valid JSON"),
+        (b'{"format": ', "not valid JSON"),
+        (b"\xff\xfe", "not valid JSON: it is no text in UTF-8"),
+        (b"[1]", r"must be an object, but it is \[1\]"),
+        (json.dumps(list(range(40))).encode(), "must be an object, but it is a list of 40"),
+        (b"null", "must be an object, but it is null"),
+        (b'{"version": NaN}', "contains NaN"),
+        (b'{"version": -Infinity}', "contains -Infinity"),
+        (b'{"version": 1, "version": 1}', "twice"),
+        (b'{"version": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b"[" * 600 + b"]" * 600, "must be an object, but it is a list of 1"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b'{"version": 1e999}', "contains 1e999, which is beyond all numbers"),
+        (b'{"version": -1E999}', "contains -1E999, which is beyond all numbers"),
+        (b" " * 16_000_001, "too large"),
+    ],
+)
+@pytest.mark.parametrize("file", ["capture.json", "rig.json"])
+def test_broken_json(text: bytes, words: str, file: str, folder: Path) -> None:
+    (folder / file).write_bytes(text)
+    with pytest.raises(BadInput, match=words) as caught:
+        read_capture(folder)
+    assert str(folder / file) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.png",
+        "sub/../../secret.png",
+        "../capture/white_0.png",
+        "/etc/passwd",
+        "~/secret.png",
+        "C:\\secret.png",
+        "..\\secret.png",
+        "link.png",
+        "linked/secret.png",
+    ],
+)
+@pytest.mark.parametrize("field", ["image", "ambient", "mask", "truth", "rig"])
+def test_paths_stay_inside_the_folder(name: str, field: str, folder: Path) -> None:
+    write_image(folder.parent / "secret.png", np.ones((40, 30, 3), np.uint8))
+    (folder / "link.png").symlink_to(folder.parent / "secret.png")
+    (folder / "linked").symlink_to(folder.parent)
+
+    def change(document: Any) -> None:
+        if field == "image":
+            document["bands"]["white"]["images"][0] = {"file": name}
+        elif field == "ambient":
+            document["bands"]["white"]["ambient"] = name
+        else:
+            document[field] = name
+
+    edit(folder / "capture.json", change)
+    with pytest.raises(BadInput, match="leaves the capture folder"):
+        read_capture(folder)
+
+
+@pytest.mark.parametrize("name", ["a\0b.png", "\ud800.png", "x" * 5000, " ", ""])
+def test_names_that_are_no_names(name: str, folder: Path) -> None:
+    edit(folder / "capture.json", lambda document: document.update(mask=name))
+    with pytest.raises(BadInput):
+        read_capture(folder)
+
+
+def test_folders_inside_and_a_linked_capture_are_fine(folder: Path) -> None:
+    (folder / "sub").mkdir()
+    (folder / "white_0.png").rename(folder / "sub" / "first.png")
+    edit(
+        folder / "capture.json",
+        lambda d: d["bands"]["white"]["images"].__setitem__(0, "./sub/../sub/first.png"),
+    )
+    (folder.parent / "link").symlink_to(folder)
+    assert "sub/../sub/first.png" in read_capture(folder.parent / "link").hashes
+
+
+def test_missing_things(tmp_path: Path, folder: Path) -> None:
+    with pytest.raises(BadInput, match="does not exist"):
+        read_capture(tmp_path / "nowhere")
+    with pytest.raises(BadInput, match=r"holds no capture\.json"):
+        read_capture(tmp_path)
+    with pytest.raises(BadInput, match="is not a capture"):
+        read_capture(folder / "white_0.png")
+    with pytest.raises(BadInput):
+        read_capture("\0")
+    (folder / "nir_2.png").unlink()
+    with pytest.raises(BadInput, match=r"nir_2\.png does not exist"):
+        read_capture(folder)
+
+
+def test_images_that_do_not_fit(folder: Path) -> None:
+    good = read_image(folder / "white_2.png")
+    data = (folder / "white_2.png").read_bytes()
+    (folder / "white_2.png").write_bytes(data[: len(data) // 2])
+    with pytest.raises(BadInput, match=r"white_2\.png is truncated"):
+        read_capture(folder)
+    write_image(folder / "white_2.png", good[:-1])
+    with pytest.raises(BadInput, match=r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
+        read_capture(folder)
+    write_image(folder / "white_2.png", good[..., 0])
+    with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"):
+        read_capture(folder)
+    write_image(folder / "white_2.png", good.astype(np.uint16))
+    with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 RGB, 16 bits"):
+        read_capture(folder)
+    write_image(folder / "white_2.png", good)
+    edit(folder / "rig.json", lambda document: document["camera"].update(image_size=[30, 40]))
+    with pytest.raises(BadInput, match=r"white_0\.png .*rig for another camera"):
+        read_capture(folder)
+
+
+def test_writing_refuses_what_it_could_not_read_back(tmp_path: Path, build_capture: Build) -> None:
+    capture = build_capture()
+    white = capture.bands["white"]
+
+    def refused(words: str, **changes: Any) -> None:
+        with pytest.raises(BadInput, match=words):
+            write_capture(replace(capture, **changes), tmp_path / "out")
+        assert list(tmp_path.iterdir()) == []
+
+    refused("a band 'white'", bands={"nir": capture.bands["nir"]})
+    refused("not 'uv'", bands={"white": white, "uv": white})
+    refused("have the shape", bands={"white": replace(white, pixels=white.pixels[:, 1:])})
+    refused("have the shape", bands={"white": replace(white, pixels=white.pixels[:2])})
+    refused("but 3 LEDs", bands={"white": replace(white, leds=white.leds[:3])})
+    refused("ambient", bands={"white": replace(white, ambient=white.pixels[0, 1:])})
+    refused("mask", mask=np.ones((3, 3), bool))
+    refused("group of LEDs", rig=capture.rig.select([[0, 1], [2]]))
+    refused("does not exist", truth=tmp_path / "no.npz")
+    refused("no form in JSON", subject={"age": float("nan")})
+    with pytest.raises(BadInput, match="image_format"):
+        write_capture(capture, tmp_path / "out", image_format="jpg")
+
+
+def test_a_capture_is_not_overwritten_unless_asked(folder: Path, build_capture: Build) -> None:
+    with pytest.raises(BadInput, match="exists and is not empty"):
+        write_capture(build_capture(), folder)
+    write_capture(build_capture(np.uint16), folder, overwrite=True)
+    assert read_capture(folder).bands["white"].pixels.dtype == np.uint16
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(BadInput, match=r"'notes\.txt', which splitknit did not write"):
+        write_capture(build_capture(), folder, overwrite=True)
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+RIG = {
+    "format": "splitknit-rig",
+    "version": 1,
+    "camera": {"px_per_mm": 75.7, "image_size": [22, 32], "height_mm": 140.0, "matrix": None, "distortion": None},
+    "leds": [{"position_mm": [52.5, 0, 140], "intensity": 1, "band": "white", "lobe_exponent": 1.5}],
+}
+
+
+def test_rigs_round_trip(tmp_path: Path) -> None:
+    matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
+    camera = Camera(6.45, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02))
+    leds = (
+        Led("white", position_mm=(1 / 3, -52.5, 140.0), intensity=0.1, lobe_exponent=2.0),
+        Led("nir", direction=(0.6, 0.0, 0.8)),
+        Led("nir", position_mm=(0.0, 50.0, 140.0), lobe_exponent=5.0, aim=(0.0, -0.3, -0.9)),
+    )
+    write_rig(Rig(camera, leds, {"by": "hand", "residuals": [1, 2.5]}), tmp_path / "rig.json")
+    rig = read_rig(tmp_path / "rig.json")
+    assert rig.leds == leds
+    assert rig.provenance == {"by": "hand", "residuals": [1, 2.5]}
+    assert rig.camera.matrix is not None
+    np.testing.assert_array_equal(rig.camera.matrix, matrix)
+    for name in ("px_per_mm", "image_size", "height_mm", "model", "distortion", "shading"):
+        assert getattr(rig.camera, name) == getattr(camera, name)
+    first = (tmp_path / "rig.json").read_bytes()
+    write_rig(rig, tmp_path / "rig.json")
+    assert (tmp_path / "rig.json").read_bytes() == first
+
+
+def test_a_lens_without_distortion_is_written_with_zeros(tmp_path: Path) -> None:
+    matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
+    write_rig(
+        Rig(Camera(6.45, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r"
+    )
+    assert read_rig(tmp_path / "r").camera.distortion == (0.0,) * 5
+
+
+def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
+    document = json.loads(json.dumps(RIG))
+    document["leds"] = [{"direction": [0.58, 0.58, 0.57], "band": "white"}]
+    (tmp_path / "rig.json").write_text(json.dumps(document))
+    direction = read_rig(tmp_path / "rig.json").leds[0].direction
+    assert direction is not None
+    assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-12)
+    assert direction[2] == pytest.approx(0.57 / 0.9987, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("camera"), "camera is missing"),
+        (lambda d: d["camera"].pop("px_per_mm"), r"camera\.px_per_mm is missing"),
+        (lambda d: d["camera"].update(px_per_mm=0), r"camera\.px_per_mm must be a number"),
+        (lambda d: d["camera"].update(px_per_mm=False), r"camera\.px_per_mm must be a number .* it is false"),
+        (lambda d: d["camera"].update(px_per_mm=1e-300), r"camera\.px_per_mm must be a number"),
+        (lambda d: d["camera"].update(height_mm="140"), r"camera\.height_mm must be a number"),
+        (lambda d: d["camera"].update(image_size=[22]), "rows and columns"),
+        (lambda d: d["camera"].update(image_size=[22, 32.0]), "rows and columns"),
+        (lambda d: d["camera"].update(image_size=[22, -1]), "rows and columns"),
+        (lambda d: d["camera"].update(image_size=[10**6, 10**6]), "pixels that are read"),
+        (lambda d: d["camera"].update(model="fisheye"), r"camera\.model must be"),
+        (lambda d: d["camera"].update(model="perspective"), r"distortion must be given"),
+        (lambda d: d["camera"].update(shading=[-1.5]), r"shading leaves no light"),
+        (lambda d: d["camera"].update(shading="dark"), r"camera\.shading must be"),
+        (lambda d: d["leds"][0].update(aim=[0, 0, 1]), r"leds\[0\].*aim must point towards"),
+        (lambda d: d["leds"][0].update(aim=[0, 1]), r"aim must be a list of 3"),
+        (lambda d: d["camera"].update(model="perspective", distortion=[0] * 5), r"camera\.matrix is missing"),
+        (lambda d: d["camera"].update(distortion=[0] * 6), r"a list of 4 or 5"),
+        (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]), "3 x 3"),
+        (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0], [1, 0, 1]]), "last row"),
+        (
+            lambda d: d["camera"].update(
+                model="perspective", distortion=[0] * 5, matrix=[[1, 0, 16], [0, 1, 11], [0, 0, 1]]
+            ),
+            r"camera\.px_per_mm is .*, but camera\.matrix and camera\.height_mm make it",
+        ),
+        (lambda d: d.update(provenance=3), r"^[^:]*: provenance must be an object"),
+        (lambda d: d.update(leds={}), "leds must be a list"),
+        (lambda d: d.update(leds=[]), "at least one LED"),
+        (lambda d: d.update(leds=[3]), r"leds\[0\] must be an object"),
+        (lambda d: d["leds"][0].pop("band"), r"leds\[0\]\.band is missing"),
+        (lambda d: d["leds"][0].update(band=""), r"leds\[0\]\.band must be"),
+        (lambda d: d["leds"][0].pop("position_mm"), "neither"),
+        (lambda d: d["leds"][0].update(direction=[0, 0, 1]), "both"),
+        (lambda d: d["leds"][0].update(position_mm=[1, 2]), "3 finite numbers"),
+        (lambda d: d["leds"][0].update(position_mm=[1, 2, "3"]), "3 finite numbers"),
+        (lambda d: d["leds"][0].update(position_mm=[1, 2, 1e300]), "3 finite numbers"),
+        (lambda d: d["leds"][0].update(position_mm=[1, 2, -3]), "above the finger plane"),
+        (lambda d: d["leds"][0].update(intensity=0), r"leds\[0\]\.intensity must be a number"),
+        (lambda d: d["leds"][0].update(lobe_exponent=-1), r"leds\[0\]\.lobe_exponent must be a number"),
+        (lambda d: d.update(leds=[{"band": "white", "direction": [3, 4, 5]}]), "unit vector"),
+        (lambda d: d.update(leds=[{"band": "white", "direction": [0, 0.6, -0.8]}]), "away from the camera"),
+        (lambda d: d.update(provenance="me"), "provenance must be an object"),
+    ],
+)
+def test_rigs_that_are_refused(change: Change, words: str, tmp_path: Path) -> None:
+    document = json.loads(json.dumps(RIG))
+    change(document)
+    (tmp_path / "rig.json").write_text(json.dumps(document))
+    with pytest.raises(BadInput, match=words) as caught:
+        read_rig(tmp_path / "rig.json")
+    assert str(tmp_path / "rig.json") in str(caught.value)
+
+
+def test_lights_in_one_plane(folder: Path) -> None:
+    def flatten(document: Any) -> None:
+        for k, led in enumerate(document["leds"]):
+            led["position_mm"] = [10.0 * (k % 4), 0.0, 140.0]
+
+    edit(folder / "rig.json", flatten)
+    with pytest.raises(BadInput, match=r"capture\.json: bands\.white\.leds: lights are coplanar"):
+        read_capture(folder)
+
+
+def test_the_images_of_a_capture_have_a_budget_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = read_capture(folder).bands["white"].pixels
+    monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
+    read_capture(folder)
+    monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes - 1)
+    with pytest.raises(BadInput, match=rf"take {2 * pixels.nbytes} bytes once decoded"):
+        read_capture(folder)

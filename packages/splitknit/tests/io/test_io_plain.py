@@ -1,0 +1,346 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+import splitknit
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack, srgb_code
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import write_image
+from splitknit.io.light_list import read_light_list, read_named_lights
+from splitknit.io.photos import encoding_of
+from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
+from splitknit.io.rig import write_rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.steps import IN_MEMORY, large_array
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(2)
+    for k in range(4):
+        write_image(tmp_path / f"{k}.png", rng.integers(80, 200, (25, 35)).astype(np.uint8))
+    write_image(tmp_path / "mask.png", np.eye(25, 35, dtype=np.uint8) * np.uint8(255))
+    write_image(tmp_path / "dark.png", np.full((25, 35), 20, dtype=np.uint8))
+    return tmp_path
+
+
+LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
+
+
+def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any) -> Any:
+    files = [plain / f"{k}.png" for k in range(count)]
+    return capture_from_plain_images(files, lights, 12.5, PhotographOptions(**options), intensities)
+
+
+def test_plain_images_become_a_capture(plain: Path) -> None:
+    capture = convert(plain, mask=plain / "mask.png", background=71, intensities=[1, 2, 3, 4], tip_direction_deg=90)
+    np.testing.assert_allclose(
+        [led.direction for led in capture.rig.leds], LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
+    )
+    assert [led.intensity for led in capture.rig.leds] == [1, 2, 3, 4]
+    assert capture.rig.camera.px_per_mm == 12.5
+    assert capture.shape == (25, 35)
+    assert (capture.material, capture.encoding, capture.tip_direction_deg) == ("opaque", "linear", 90)
+    assert capture.mask.sum() == 25
+    assert len(capture.hashes) == 5
+    band = capture.bands["white"]
+    np.testing.assert_allclose(linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6)
+    write_capture(capture, plain / "capture")
+    again = read_capture(plain / "capture")
+    np.testing.assert_array_equal(again.bands["white"].pixels, band.pixels)
+    np.testing.assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
+
+
+def test_an_image_as_background(plain: Path) -> None:
+    band = convert(plain, background=plain / "dark.png").bands["white"]
+    np.testing.assert_allclose(linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 20) / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"count": 2, "lights": LIGHTS[:2]}, "at least three"),
+        ({"lights": LIGHTS[:3]}, "differ in number"),
+        ({"lights": LIGHTS * [1, 0, 1]}, "coplanar"),
+        ({"lights": LIGHTS * [0, 0, 1]}, "three different light directions"),
+        ({"lights": [[0, 0, 1], [1, 0, 1], [2, 0, 1], [3, 0, 1]]}, "coplanar"),
+        ({"lights": np.where(LIGHTS == 3, np.nan, LIGHTS)}, "NaN"),
+        ({"lights": LIGHTS * [1, 1, -1]}, "points away"),
+        ({"intensities": [1, 1]}, "2 intensities for 4 lights"),
+        ({"intensities": [1, 1, 1, 0]}, "positive"),
+        ({"material": "wood"}, "material"),
+        ({"encoding": "log"}, "encoding"),
+        ({"background": 255}, "background"),
+        ({"background": "no.png"}, "does not exist"),
+    ],
+)
+def test_refusals(options: dict[str, Any], words: str, plain: Path) -> None:
+    with pytest.raises(BadInput, match=words):
+        convert(plain, **options)
+
+
+def test_images_of_another_size(plain: Path) -> None:
+    write_image(plain / "2.png", np.ones((24, 35), np.uint8))
+    with pytest.raises(BadInput, match=r"2\.png has 24 x 35 pixels.* expected by .*0\.png"):
+        convert(plain)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2\n1 0 1\n0 1.5e0 1\n",
+        "1 0 1\n0 1.5 1",
+        "# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n",
+        "\ufeff1 0 1\n0 1.5 1\n",
+    ],
+)
+def test_light_files(text: str, tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_bytes(text.encode())
+    np.testing.assert_array_equal(read_named_lights(tmp_path / "l.txt")[0], [[1, 0, 1], [0, 1.5, 1]])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b"", "holds no lights"),
+        (b"3\n1 0 1\n", "states 3 lights .* but 1 follow"),
+        (b"1 0 1\n0 1\n", "line 2: three finite numbers"),
+        (b"1 0 nan\n", "line 1"),
+        (b"1 0 one\n", "line 1"),
+        (b"1 0 1\n7\n", "line 2"),
+        (b"\xff\xfe\0", "not a text file"),
+    ],
+)
+def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_bytes(text)
+    with pytest.raises(BadInput, match=words):
+        read_named_lights(tmp_path / "l.txt")[0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0,5 0,3 0,8\n-0,5 0,25 0,8\n",
+        "0,5; 0,3; 0,8\n-0,5; 0,25; 0,8\n",
+        "0.5, 0.3, 0.8\n-0.5, 0.25, 0.8\n",
+        "x y z\n0,5\t0,3\t0,8\n-0,5\t0,25\t0,8\n",
+    ],
+)
+def test_decimal_commas_are_understood(text: str, tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_text(text)
+    np.testing.assert_array_equal(read_named_lights(tmp_path / "l.txt")[0], [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]])
+
+
+def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
+    with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
+        read_named_lights(tmp_path / "l.txt")[0]
+
+
+def test_lp_files_of_rti(plain: Path) -> None:
+    """Paths of another machine, with spaces and other capitals; the photographs are found by their own names."""
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
+    rows = [f"{name} {x} {y} {z}" for name, (x, y, z) in zip(names, LIGHTS, strict=True)]
+    (plain / "coin.lp").write_text("\r\n".join(["4", *rows]))
+    lights, found = read_named_lights(plain / "coin.lp")
+    assert found == ("3.PNG", "0.png", "1.jpg", "2.png")
+    np.testing.assert_array_equal(lights, LIGHTS)
+    band = capture_from_photographs(plain).capture.bands["white"]
+    assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
+
+
+def test_places_in_mm_are_near_lights(plain: Path) -> None:
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    places = LIGHTS * 40.0
+    table = plain / "lights.txt"
+    table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
+    rig = capture_from_photographs(plain, px_per_mm=20.0).capture.rig
+    np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
+    with pytest.raises(BadInput, match="`px_per_mm`"):
+        capture_from_photographs(plain)
+    leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
+    write_rig(Rig(Camera(12.5, (25, 35)), leds), plain / "rig.json")
+    again = capture_from_photographs(plain, plain / "rig.json").capture.rig
+    assert again.leds == rig.leds and again.camera.px_per_mm == 12.5
+    assert splitknit.read_photographs(plain, rig, max_megapixels=0.0004).rig.camera.px_per_mm == 20.0 / 1.5
+
+
+def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
+    image = Image.fromarray(np.zeros((4, 4), np.uint8))
+    for name, kind, data in (("s", b"sRGB", b"\0"), ("g", b"gAMA", (45455).to_bytes(4, "big")),
+                             ("l", b"gAMA", (100000).to_bytes(4, "big"))):  # fmt: skip
+        info = PngInfo()
+        info.add(kind, data)
+        image.save(tmp_path / f"{name}.png", pnginfo=info)
+    write_image(tmp_path / "n.png", np.zeros((4, 4), np.uint8))
+    found = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
+    assert found == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
+    assert encoding_of([tmp_path / "n.png"], lambda: True)[0] == "srgb"
+    with pytest.raises(BadInput, match=r"several kinds.*`encoding`"):
+        encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
+
+
+def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120) -> Any:
+    """A matt ball under `count` lights, stored through `code`; its directions."""
+    rows, columns = np.mgrid[:size, :size]
+    x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
+    inner = 1.0 - x * x - y * y
+    normals = np.stack([x, y, np.sqrt(np.clip(inner, 0, 1))], axis=-1)
+    angles = 2 * np.pi * np.arange(count) / count
+    lights = np.stack([0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1)
+    for k, light in enumerate(lights):
+        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9, 0)
+        write_image(folder / f"{k}.png", np.rint(255 * code(shade)).astype(np.uint8))
+    np.savetxt(folder / "lights.txt", lights)
+    return lights
+
+
+@pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
+def test_eight_bits_that_state_nothing_are_judged_by_their_shading(tmp_path: Path, code: Any, encoding: str) -> None:
+    ball_photographs(tmp_path, code)
+    found = capture_from_photographs(tmp_path)
+    assert found.capture.encoding == encoding
+    assert encoding in found.notes[0] and "`encoding`" in found.notes[0]
+
+
+def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
+    lights = ball_photographs(tmp_path, srgb_code)
+    write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
+    whole, small = (
+        capture_from_photographs(
+            tmp_path, None, 10.0, PhotographOptions(encoding="srgb", background=13, max_megapixels=limit)
+        )
+        for limit in (None, 120 * 120 / 4e6)
+    )
+    assert any("of 0.0144 megapixels were reduced to 0.0036 (`max_megapixels`)" in note for note in small.notes)
+    camera = small.capture.rig.camera
+    assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == ((60, 60), 5.0, "linear")
+    assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
+    stacks = [linear_stack(one.capture.bands["white"], one.capture.encoding) for one in (whole, small)]
+    means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
+    np.testing.assert_allclose(stacks[1], means, atol=2e-5)
+
+
+def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch: Any) -> None:
+    """The surface is that of images in memory; the file of the stack has no name."""
+    ball_photographs(tmp_path, srgb_code)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    results = []
+    for bound in (IN_MEMORY, 100_000):
+        write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
+        for name in (
+            "steps.IN_MEMORY",
+            "io.plain.IN_MEMORY",
+            "methods.photometry.IN_MEMORY",
+            "finger.locate.IN_MEMORY",
+        ):
+            monkeypatch.setattr(f"splitknit.{name}", bound)
+        said: list[str] = []
+        capture = capture_from_photographs(tmp_path, px_per_mm=20.0, announce=said.append).capture
+        band = capture.bands["white"]
+        assert isinstance(getattr(band.pixels.base, "base", None), memoryview) == (bound == 100_000)
+        assert said == [] and list((tmp_path / "scratch").iterdir()) == []
+        results.append([splitknit.reconstruct(capture, preset) for preset in ("metric", "ea")])
+    for whole, strips in zip(*results, strict=True):
+        np.testing.assert_array_equal(whole.mask, strips.mask)
+        np.testing.assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
+        np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
+
+
+def test_much_memory_is_announced_before_it_is_taken(tmp_path: Path, monkeypatch: Any) -> None:
+    ball_photographs(tmp_path, srgb_code)
+    monkeypatch.setattr("splitknit.io.plain._LARGE_MEGAPIXELS", 0.01)
+    said: list[str] = []
+    capture_from_photographs(tmp_path, announce=said.append)
+    assert said[0].startswith("8 photographs of 0.0 megapixels need about ") and "`max_megapixels`" in said[0]
+
+
+def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full)
+    with pytest.raises(BadInput, match=r"0\.6 GB of disk .*No space left.*TMPDIR"):
+        large_array((600, 1000, 1000), np.dtype(np.uint8))
+
+
+def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
+    (plain / "3.png").unlink()
+    (plain / "3.png").symlink_to("3.png")
+    with pytest.raises(BadInput, match=r"3\.png"):
+        convert(plain)
+    (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, px_per_mm=12.5)
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, None, 12.5, PhotographOptions(mask=plain / "3.png"))
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "bright"),
+    [
+        ("1 0 1 2\n0 1.5 1 0.5\n", (), [[2], [0.5]]),
+        ("1 0 1 2 3 4\n0 1.5 1 1 1 1\n", (), [[2, 3, 4], [1, 1, 1]]),
+        ("a b.png 1 0 1 2\nc.png 0 1.5 1 0.5\n", ("a b.png", "c.png"), [[2], [0.5]]),
+        ("1 0 1 2 a.png\n0 1.5 1 0.5 b.png\n", ("a.png", "b.png"), [[2], [0.5]]),
+        ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", ("coin 7", "coin 8"), None),
+    ],
+)
+def test_lists_with_the_brightness_of_each_light(
+    text: str, names: tuple[str, ...], bright: object, tmp_path: Path
+) -> None:
+    (tmp_path / "l.txt").write_text(text)
+    found = read_light_list(tmp_path / "l.txt")
+    np.testing.assert_array_equal(found.lights, [[1, 0, 1], [0, 1.5, 1]])
+    assert found.names == names
+    assert (None if found.intensities is None else found.intensities.tolist()) == bright
+
+
+@pytest.mark.parametrize(
+    "text", ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"]
+)
+def test_brightness_that_is_no_brightness_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_text(text)
+    with pytest.raises(BadInput, match=r"brightness|three finite numbers"):
+        read_light_list(tmp_path / "l.txt")
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+def test_light_intensities_beside_the_list_are_taken(columns: int, plain: Path) -> None:
+    """DiLiGenT's way: the photographs of a light twice as bright count as half."""
+    values = np.ones((len(LIGHTS), columns))
+    values[1] = 2.0
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    (plain / "light_directions.txt").write_text("\n".join(" ".join(map(str, row)) for row in LIGHTS))
+    (plain / "light_intensities.txt").write_text("\n".join(" ".join(map(str, row)) for row in values))
+    found = capture_from_photographs(plain)
+    bright = [led.intensity for led in found.capture.rig.leds]
+    assert bright[1] == pytest.approx(2 * bright[0])
+    assert not found.capture.rig.intensities_assumed
+    assert not any("light_intensities" in one for one in found.skipped)
+    (plain / "light_intensities.txt").write_text("1\n2\n")
+    with pytest.raises(BadInput, match="there are 2 for"):
+        capture_from_photographs(plain)
+
+
+def test_one_photograph_under_three_coloured_lights(tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(2000, 60000, (24, 30, 3)).astype(np.uint16)
+    write_image(tmp_path / "frame.png", image)
+    lights = np.array([[0.5, 0, 1], [-0.3, 0.4, 1], [-0.3, -0.4, 1]])
+    capture = capture_from_photographs(tmp_path, lights).capture
+    np.testing.assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
+    write_image(tmp_path / "frame.png", image[..., 0])
+    with pytest.raises(BadInput, match=r"frame\.png is grey"):
+        capture_from_photographs(tmp_path, lights)

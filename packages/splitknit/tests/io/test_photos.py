@@ -1,0 +1,263 @@
+"""Photographs of every format, however they are turned, and as a capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack
+from splitknit.imaging.light_field import few_lights
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.light_list import read_named_lights
+from splitknit.io.photos import read_photo
+from splitknit.io.plain import PhotographOptions, Photographs, capture_from_photographs
+from splitknit.photometric.lambertian import lambertian
+
+DIRECTIONS = np.array([[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]])
+
+
+def picture(rows: int = 40, columns: int = 60) -> Any:
+    noise = np.random.default_rng(3).integers(0, 255, (rows, columns, 3)).astype(np.uint8)
+    return cv2.GaussianBlur(noise, (9, 9), 3)
+
+
+TURNED = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+    8: lambda a: np.rot90(a, 1),
+}
+
+
+@pytest.mark.parametrize("orientation", TURNED)
+@pytest.mark.parametrize("suffix", ["png", "tif", "webp", "jpg"])
+def test_the_turn_in_exif_data_is_obeyed(orientation: int, suffix: str, tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[274] = orientation
+    file = tmp_path / f"x.{suffix}"
+    lossless = {"lossless": True} if suffix == "webp" else {"quality": 95} if suffix == "jpg" else {}
+    Image.fromarray(picture()).save(file, exif=exif, **lossless)
+    photo = read_photo(file)
+    assert photo.orientation == orientation
+    expected = TURNED[orientation](picture()).astype(int)
+    assert photo.pixels.shape == expected.shape
+    assert np.abs(photo.pixels - expected).mean() < (4.0 if suffix == "jpg" else 1e-9)
+
+
+def test_bmp_and_floats(tmp_path: Path) -> None:
+    Image.fromarray(picture()).save(tmp_path / "x.bmp")
+    np.testing.assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
+    values = (picture() / 7.0).astype(np.float32)
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
+    np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", compression="zlib", predictor=True, tile=(16, 16))
+    np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
+    values[3, 4] = np.nan
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
+    with pytest.raises(BadInput, match="not finite"):
+        read_photo(tmp_path / "x.tif")
+
+
+def test_heic(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif", reason="of the extra photos")
+    exif = Image.Exif()
+    exif[274] = 6
+    heif.from_pillow(Image.fromarray(picture())).save(tmp_path / "x.heic", exif=exif.tobytes(), quality=95)
+    photo = read_photo(tmp_path / "x.heic")
+    expected = np.rot90(picture(), -1).astype(int)
+    assert photo.pixels.shape == expected.shape
+    assert np.abs(photo.pixels - expected).mean() < 8.0
+
+
+def write_raw(file: Path, mosaic: Any, orientation: int = 1) -> None:
+    """The smallest DNG that LibRaw reads: black level 256, white level 4095."""
+    unit = tuple(x for value in (1, 0, 0, 0, 1, 0, 0, 0, 1) for x in (value, 1))
+    tags = [
+        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50721, "2i", 9, unit, True),
+        (50706, "B", 4, bytes([1, 4, 0, 0]), True), (50707, "B", 4, bytes([1, 1, 0, 0]), True),
+        (50708, "s", 0, "Test", True), (50714, "H", 1, 256, True), (50717, "H", 1, 4095, True),
+        (274, "H", 1, orientation, True),
+    ]  # fmt: skip
+    tifffile.imwrite(file, mosaic, photometric="CFA", extratags=tags, metadata=None)
+
+
+def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
+    pytest.importorskip("rawpy", reason="of the extra photos")
+    for name, level in (("dim", 500), ("bright", 3000)):
+        write_raw(tmp_path / f"{name}.dng", np.full((64, 96), level, dtype=np.uint16), 6)
+    dim, bright = (read_photo(tmp_path / f"{name}.dng") for name in ("dim", "bright"))
+    assert dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16 and dim.orientation == 6
+    middle = [photo.pixels[20:-20, 20:-20].astype(float).mean(axis=(0, 1)) for photo in (dim, bright)]
+    np.testing.assert_allclose(middle[1] / middle[0], (3000 - 256) / (500 - 256), rtol=0.01)
+    assert np.ptp(middle[1]) < 0.01 * middle[1].mean()  # no white balance
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "is empty"),
+        (b"nothing", "none of JPEG"),
+        (b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff", "claims 16777216 x 16777216"),
+        (b"RIFF\x20\0\0\0WEBPVP8L\x0a\0\0\0\x2f\xff\x3f\0\0", "cannot be decoded"),
+        (
+            b"RIFF\x14\0\0\0WEBPVP8L\x08\0\0\0\x2f\x0f\xe7\xc3\x09\0\0\0",
+            "10000 x 10000 pixels in 28 bytes, .* no photo",
+        ),
+        (b"BM" + bytes(26) + b"\x18\0\0\0" + bytes(24), "cannot be decoded"),
+        (b"BM" + bytes(16) + b"\xff\xff\0\0\xff\x0f\0\0\x01\0\x18\0" + bytes(24), "claims|MB|truncated"),
+        (b"\0\0\0\x18ftypheic" + bytes(40), "cannot be decoded|pip install"),
+    ],
+)
+def test_what_is_no_photograph(data: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "x.png").write_bytes(data)
+    with pytest.raises(BadInput, match=words):
+        read_photo(tmp_path / "x.png")
+
+
+def ball(light: Any, size: int = 60) -> Any:
+    rows, columns = np.mgrid[:size, :size]
+    x, y = (columns - (size - 1) / 2) / (0.45 * size), ((size - 1) / 2 - rows) / (0.45 * size)
+    normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, None))], axis=-1)
+    shade = np.where(x * x + y * y < 1, np.clip(normals @ (light / np.linalg.norm(light)), 0, None), 0)
+    return np.rint(shade * 200).astype(np.uint8)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Five photographs of a ball, their lights and a mask."""
+    root = tmp_path / "photos"
+    root.mkdir()
+    for k, light in enumerate(DIRECTIONS):
+        Image.fromarray(ball(light)).save(root / f"p{k + 8}.png")  # p8, p9, p10: not in the order of letters
+    Image.fromarray((ball(np.array([0, 0, 1.0])) > 0).astype(np.uint8) * np.uint8(255)).save(root / "mask.png")
+    (root / "lights.txt").write_text("\n".join(" ".join(map(str, light)) for light in DIRECTIONS))
+    return root
+
+
+def files_of(found: Photographs) -> list[str]:
+    return [Path(name).name for name in found.capture.bands["white"].files]
+
+
+def test_a_folder_becomes_a_capture(folder: Path) -> None:
+    (folder / "notes.docx").write_text("x")
+    (folder / ".hidden").write_text("x")
+    (folder / "other.mask.png").write_bytes((folder / "mask.png").read_bytes())
+    found = capture_from_photographs(folder, px_per_mm=12.0)
+    assert files_of(found) == ["p8.png", "p9.png", "p10.png", "p11.png", "p12.png"]
+    assert found.capture.mask is not None and found.capture.encoding == "linear"
+    assert found.skipped == ("notes.docx (not a photograph)", "other.mask.png (a mask? name it with `mask`)")
+    assert set(found.capture.hashes) == {"lights.txt", "mask.png", *files_of(found)}
+    assert any("skipped" in note and "notes.docx" in note for note in found.notes)
+
+
+def test_unknown_scale_goes_through_files(folder: Path) -> None:
+    capture = capture_from_photographs(folder).capture
+    write_capture(capture, folder / "capture")
+    assert '"px_per_mm": null' in (folder / "capture" / "rig.json").read_text()
+    again = read_capture(folder / "capture").rig.camera
+    assert not again.scale_known and again.px_per_mm == capture.rig.camera.px_per_mm == 60 / 25
+    assert "scale unknown" in repr(again) or "scale unknown" in repr(read_capture(folder / "capture"))
+
+
+def test_names_in_the_lights_file(folder: Path) -> None:
+    lines = ["p12.png 0.1 0.1 1", "0 -0.5 0.9 p11", "p10.png, 0, 0.5, 0.9"]
+    (folder / "lights.txt").write_text("\n".join(lines))
+    found = capture_from_photographs(folder)
+    assert files_of(found) == ["p12.png", "p11.png", "p10.png"]
+    assert found.skipped == ("p8.png (not in lights.txt)", "p9.png (not in lights.txt)")
+    (folder / "lights.txt").write_text("p99.png 0 0 1")
+    with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
+        capture_from_photographs(folder)
+    (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
+    with pytest.raises(BadInput, match=r"p12\.png is named twice"):
+        capture_from_photographs(folder)
+    for text, words in (("a 0 0 1\n1 0 1", "some of its lines"), ("a 0 0 1\na 1 0 1", "twice"), ("0 0 1 7 8", "more")):
+        (folder / "lights.txt").write_text(text)
+        with pytest.raises(BadInput, match=words):
+            read_named_lights(folder / "lights.txt")
+
+
+def test_numbers_that_differ_name_what_was_skipped(folder: Path) -> None:
+    (folder / "p12.png").rename(folder / "p12.gif")
+    with pytest.raises(BadInput, match=r"4 photographs .* 5 lights; skipped: p12\.gif"):
+        capture_from_photographs(folder)
+    for file in folder.glob("p*"):
+        file.rename(file.with_suffix(".txt"))
+    with pytest.raises(BadInput, match=r"holds no photographs .*skipped: p8\.txt"):
+        capture_from_photographs(folder)
+
+
+def test_photographs_under_one_light_are_averaged(folder: Path) -> None:
+    Image.fromarray(np.minimum(ball(DIRECTIONS[1]).astype(int) + 10, 255).astype(np.uint8)).save(folder / "p13.png")
+    with (folder / "lights.txt").open("a") as stream:
+        stream.write("\n-1.0 0.001 1.8")
+    found = capture_from_photographs(folder)
+    assert any("averaged: p9.png + p13.png" in note for note in found.notes)
+    light = linear_stack(found.capture.bands["white"], "linear")
+    assert light.shape[0] == 5
+    np.testing.assert_allclose(light[1], (ball(DIRECTIONS[1]) + 5.0) / 255, atol=2e-5)
+    np.testing.assert_allclose(light[0], ball(DIRECTIONS[0]) / 255.0, atol=2e-5)
+
+
+def test_series_turned_by_exif_data(folder: Path) -> None:
+    """As a camera that lies on its head writes it: stored the other way up, and marked so."""
+    exif = Image.Exif()
+    exif[274] = 3
+    for file in folder.glob("p*.png"):
+        Image.fromarray(np.ascontiguousarray(np.asarray(Image.open(file))[::-1, ::-1])).save(file, exif=exif)
+    found = capture_from_photographs(folder)
+    np.testing.assert_array_equal(found.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0]))
+    assert any("orientation 3" in note for note in found.notes)
+    Image.fromarray(ball(DIRECTIONS[2])).save(folder / "p10.png")
+    with pytest.raises(BadInput, match=r"p10\.png is turned differently"):
+        capture_from_photographs(folder)
+
+
+def test_floats_are_brought_to_one_scale(folder: Path) -> None:
+    for k, file in enumerate(sorted(folder.glob("p*.png"), key=lambda file: int(file.stem[1:]))):
+        tifffile.imwrite(file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0)
+        file.unlink()
+    found = capture_from_photographs(folder, options=PhotographOptions(background=3.0))
+    light = linear_stack(found.capture.bands["white"], "linear")
+    expected = np.stack([ball(one) for one in DIRECTIONS]).astype(float)
+    factor = light.max() / expected.max()
+    np.testing.assert_allclose(light, expected * factor, atol=2e-5)
+
+
+def test_the_tone_curve_of_a_camera_is_assumed_and_said(folder: Path) -> None:
+    for file in folder.glob("p*.png"):
+        Image.open(file).save(file.with_suffix(".jpg"), quality=95)
+        file.unlink()
+    found = capture_from_photographs(folder)
+    assert found.capture.encoding == "srgb"
+    assert any("srgb is assumed of the .jpg files" in note for note in found.notes)
+    Image.fromarray(ball(DIRECTIONS[0])).save(folder / "p8.png")
+    (folder / "p8.jpg").unlink()
+    with pytest.raises(BadInput, match="`encoding`"):
+        capture_from_photographs(folder)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_the_error_that_few_lights_are_warned_of_is_that_of_noise(count: int) -> None:
+    azimuth = 2 * np.pi * np.arange(count) / count
+    lights = np.stack([0.57 * np.cos(azimuth), 0.57 * np.sin(azimuth), np.full(count, 0.82)], axis=1)
+    words = few_lights(lights)
+    assert len(words) == (count < 5)
+    if words:
+        stack = np.random.default_rng(1).normal(lights[:, 2, None, None], 0.01, (count, 100, 100)).astype(np.float32)
+        lengths = np.linalg.norm(lights, axis=1)
+        normals, _ = lambertian(stack / lengths[:, None, None].astype(np.float32), lights / lengths[:, None])
+        tilt = np.degrees(np.sqrt((normals[..., :2] ** 2).sum(axis=-1).mean()))
+        said = float(words[0].split("normals by ")[1].split(" deg")[0])
+        assert said == pytest.approx(tilt, abs=0.08)

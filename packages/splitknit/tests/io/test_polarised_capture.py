@@ -1,0 +1,196 @@
+"""Captures behind polarising films: a parallel and a crossed series, image by image."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from io_shared import Build, edit
+from splitknit.errors import BadInput
+from splitknit.imaging.band import linear_stack, saturation_levels
+from splitknit.imaging.coloured import LightsSettings, as_lit
+from splitknit.imaging.polarised import without_films
+from splitknit.io.capture import read_capture, with_rig, write_capture
+from splitknit.io.rig import write_rig
+from splitknit.model import Capture, Led
+
+
+@pytest.fixture
+def polarised(build_capture: Build) -> Capture:
+    """Four lights photographed through an analyser that turns."""
+    capture = build_capture()
+    white = capture.bands["white"]
+    dark = (white.pixels // 2).astype(white.pixels.dtype)
+    series = {
+        "white": replace(white, polarisation="parallel"),
+        "white_crossed": replace(white, name="white_crossed", pixels=dark, polarisation="crossed"),
+    }
+    return replace(capture, bands={**series, "nir": capture.bands["nir"]})
+
+
+def neighbours(capture: Capture) -> Capture:
+    """The same with crossed films before LEDs of their own, beside the others."""
+    first = len(capture.rig.leds)
+    beside = []
+    for led in capture.rig.leds[:4]:
+        assert led.position_mm is not None
+        x, y, z = led.position_mm
+        turn = np.pi / 4  # halfway to the next LED
+        beside.append(
+            Led("white", (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z))  # type: ignore[arg-type]
+        )
+    crossed = replace(capture.bands["white_crossed"], leds=tuple((first + k,) for k in range(4)))
+    rig = replace(capture.rig, leds=(*capture.rig.leds, *beside))
+    return replace(capture, rig=rig, bands={**capture.bands, "white_crossed": crossed})
+
+
+@pytest.mark.parametrize("change", [lambda capture: capture, neighbours])
+@pytest.mark.parametrize("exposures", [(1.0, 1.0), (1.0, 2.0), (0.5, 1.0)])
+def test_both_series_are_written_and_read_back(
+    polarised: Capture, tmp_path: Path, change: Callable[[Capture], Capture], exposures: tuple[float, float]
+) -> None:
+    capture = change(polarised)
+    names = ("white", "white_crossed")
+    timed = {
+        name: replace(capture.bands[name], exposure=np.full(4, s)) for name, s in zip(names, exposures, strict=True)
+    }
+    capture = replace(capture, bands={**capture.bands, **timed})
+    write_capture(capture, tmp_path / "c")
+    again = read_capture(tmp_path / "c")
+    assert list(again.bands) == ["white", "white_crossed", "nir"]
+    for name, band in capture.bands.items():
+        found = again.bands[name]
+        np.testing.assert_array_equal(found.pixels, band.pixels)
+        np.testing.assert_array_equal(found.exposure, band.exposure)
+        assert (found.polarisation, found.leds) == (band.polarisation, band.leds)
+    assert "white_crossed_3.png" in again.hashes
+    write_capture(again, tmp_path / "d")
+    assert (tmp_path / "c" / "capture.json").read_bytes() == (tmp_path / "d" / "capture.json").read_bytes()
+
+
+def test_a_capture_without_films_says_nothing_of_them(folder: Path) -> None:
+    assert "polarisation" not in (folder / "capture.json").read_text()
+    capture = read_capture(folder)
+    assert without_films(capture) is capture
+    assert capture.bands["white"].polarisation == ""
+
+
+def _exposed(document: Any) -> None:
+    band = document["bands"]["white_crossed"]
+    band["images"] = [{"file": name, "exposure_s": 0.5} for name in band["images"]]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d["bands"]["white"].update(polarisation="vertical"), 'polarisation must be "" or "parallel" or'),
+        (lambda d: d["bands"]["white"].pop("polarisation"), 'bands.white must say "polarisation": "parallel"'),
+        (lambda d: d["bands"]["white_crossed"].update(polarisation="parallel"), 'bands.white_crossed "crossed"'),
+        (
+            lambda d: [d["bands"]["white_crossed"][name].pop() for name in ("images", "leds")],
+            "bands.white has 4 images but bands.white_crossed 3",
+        ),
+        (_exposed, "must state exposure_s for every image, both or neither"),
+        (lambda d: d["bands"]["white_crossed"].update(leds=[1, 2, 3, 0]), "list both series in the same order"),
+        (lambda d: d["bands"]["white_crossed"].update(leds=[4, 5, 6, 7]), "which is a 'nir' LED"),
+        (lambda d: d["bands"]["white_crossed"].update(images=d["bands"]["white"]["images"]), "twice"),
+        (lambda d: d["bands"].pop("white"), "bands.white is missing"),
+        (lambda d: d["bands"].update(red={}), "the bands are named white, white_crossed, nir"),
+    ],
+)
+def test_series_that_do_not_fit_are_refused(
+    polarised: Capture, tmp_path: Path, change: Callable[[Any], Any], words: str
+) -> None:
+    write_capture(polarised, tmp_path / "c")
+    edit(tmp_path / "c" / "capture.json", change)
+    with pytest.raises(BadInput, match=r"capture\.json") as refused:
+        read_capture(tmp_path / "c")
+    assert words in str(refused.value)
+
+
+def test_coloured_leds_are_refused(polarised: Capture, tmp_path: Path) -> None:
+    write_capture(polarised, tmp_path / "c")
+
+    def paint(rig: Any) -> None:
+        for led, colour in zip(rig["leds"][:4], ("red", "green", "blue", "red"), strict=True):
+            led["colour"] = colour
+
+    edit(tmp_path / "c" / "rig.json", paint)
+    with pytest.raises(BadInput, match="polarised series are lit by white LEDs"):
+        read_capture(tmp_path / "c")
+    with pytest.raises(BadInput, match="polarised series are lit by white LEDs"):
+        with_rig(polarised, tmp_path / "c" / "rig.json")
+
+
+def test_what_could_not_be_read_back_is_not_written(polarised: Capture, tmp_path: Path) -> None:
+    crossed = polarised.bands["white_crossed"]
+    three = replace(
+        crossed, pixels=crossed.pixels[:3], leds=crossed.leds[:3], exposure=np.ones(3), black_level=np.zeros(3)
+    )
+    with pytest.raises(BadInput, match=r"4 images but bands\.white_crossed 3"):
+        write_capture(replace(polarised, bands={**polarised.bands, "white_crossed": three}), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def test_another_rig_lights_both_series(polarised: Capture, tmp_path: Path) -> None:
+    capture = neighbours(polarised)
+    brighter = replace(capture.rig, leds=tuple(replace(led, intensity=2.0) for led in capture.rig.leds))
+    write_rig(brighter, tmp_path / "new.json")
+    assert with_rig(capture, tmp_path / "new.json").rig.leds[8].intensity == 2.0
+    write_rig(replace(brighter, leds=brighter.leds[:8]), tmp_path / "short.json")
+    with pytest.raises(BadInput, match="LED 8, which lit images of the band 'white_crossed', is not in it"):
+        with_rig(capture, tmp_path / "short.json")
+
+
+def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: Capture) -> None:
+    capture = neighbours(polarised)
+    crossed = replace(
+        capture.bands["white_crossed"], exposure=np.full(4, 2.0), ambient=np.full((40, 30, 3), 4, np.uint8)
+    )
+    both = without_films(replace(capture, bands={**capture.bands, "white_crossed": crossed}))
+    white = both.bands["white"]
+    assert white.lights == ((0, 8), (1, 9), (2, 10), (3, 11))
+    assert linear_stack(white, "linear").shape == (4, 40, 30)
+    parallel, dark = (linear_stack(band, "linear") for band in (capture.bands["white"], crossed))
+    np.testing.assert_allclose(linear_stack(white, "linear"), 0.5 * (parallel + dark), atol=1e-6)
+
+
+@pytest.mark.parametrize("ambient", [0, 20])
+@pytest.mark.parametrize("clips", ["white", "white_crossed"])
+def test_what_clips_in_either_series_clips_in_the_mean(polarised: Capture, clips: str, ambient: int) -> None:
+    pixels = polarised.bands[clips].pixels.copy()
+    pixels[1, 20, 15, :2] = 255
+    pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
+    room = np.full(pixels.shape[1:], ambient, np.uint8)
+    band = replace(polarised.bands[clips], pixels=pixels, ambient=room if ambient else None)
+    white = without_films(replace(polarised, bands={**polarised.bands, clips: band})).bands["white"]
+    clipped = linear_stack(white, "linear") >= saturation_levels(white, "linear")[:, None, None] - 1e-6
+    assert np.argwhere(clipped).tolist() == [[1, 20, 15]]
+
+
+def test_coloured_exposures_are_not_put_together_of_polarised_ones(polarised: Capture) -> None:
+    with pytest.raises(BadInput, match="this capture is polarised"):
+        as_lit(polarised, LightsSettings(compose=1))
+
+
+def test_the_document_is_the_one_of_the_docs(polarised: Capture, tmp_path: Path) -> None:
+    write_capture(polarised, tmp_path / "c")
+    bands = json.loads((tmp_path / "c" / "capture.json").read_text())["bands"]
+    assert bands["white"]["polarisation"] == "parallel"
+    assert bands["white_crossed"] == {
+        "images": [f"white_crossed_{k}.png" for k in range(4)],
+        "leds": [0, 1, 2, 3],
+        "polarisation": "crossed",
+    }
+
+
+def test_a_band_knows_its_leds(polarised: Capture) -> None:
+    assert {name: band.spectral for name, band in polarised.bands.items()} == {
+        "white": "white", "white_crossed": "white", "nir": "nir",
+    }  # fmt: skip

@@ -1,0 +1,134 @@
+"""Which part of a picture is the finger and which its mirror images; and pictures that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.imaging.areas import mirror_outline, without_mirrors
+from splitknit.mirrors.views import find_views, view_binning
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
+
+CAMERA = Camera(5.0, (300, 460))
+LEFT = Mirror("left", ((-15.0, -25.0, -20.0), (-15.0, 12.0, -20.0), (-37.0, 12.0, 2.0), (-37.0, -25.0, 2.0)))
+RIGHT = Mirror("right", ((15.0, -25.0, -20.0), (15.0, 12.0, -20.0), (37.0, 12.0, 2.0), (37.0, -25.0, 2.0)))
+MIRRORS = {"left": LEFT, "right": RIGHT}
+RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
+
+
+def bright(image: FloatArray, _: float) -> BoolArray:
+    """The largest bright piece: stands for the finger's mask."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((image.sum(axis=2) > 0.9).astype(np.uint8))
+    if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 400:
+        raise BadInput("no finger was found.")
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def picture(*fingers: tuple[int, int]) -> FloatArray:
+    """Fingers as bright strips: (first column, width); mirrors with grey frames and a second reflection."""
+    image = np.full((300, 460, 3), 0.02, dtype=np.float32)
+    for mirror in MIRRORS.values():
+        corners = mirror_outline(mirror, CAMERA).round().astype(np.int32)
+        cv2.fillPoly(image, [corners], (0.04, 0.04, 0.04))
+        cv2.polylines(image, [corners], True, (0.2, 0.2, 0.2), 2)
+    image[110:114, 20:40] = (0.6, 0.4, 0.3)  # a second reflection: small
+    for first, width in fingers:
+        bottom = 300 if 140 <= first < 300 else 262  # a mirror ends before the picture does
+        image[100:bottom, first : first + width] = (0.6, 0.4, 0.3)
+    return image
+
+
+def as_before(image: FloatArray, _: BoolArray, px_per_mm: float) -> BoolArray:
+    """The outline of a picture that is small already."""
+    return bright(image, px_per_mm)
+
+
+FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
+
+
+def test_front_and_mirrors_are_distinguished() -> None:
+    views = find_views(picture(FRONT, *BESIDE), RIG, bright, 1, as_before)
+    assert set(views.mirrors) == {"left", "right"}
+    for mask, (first, width) in zip(
+        (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
+    ):
+        columns = np.flatnonzero(mask.any(axis=0))
+        assert (columns[0], columns[-1]) == (first, first + width - 1)
+
+
+def test_a_mirror_without_a_finger_is_left_out() -> None:
+    assert set(find_views(picture(FRONT, BESIDE[1]), RIG, bright, 1, as_before).mirrors) == {"right"}
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (lambda: picture(FRONT), "no mirror shows the finger"),
+        (lambda: picture(*BESIDE), "no finger was found beside the mirrors"),
+        (lambda: picture((170, 50), (240, 48), *BESIDE), "two fingers"),
+        (lambda: picture((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
+    ],
+)
+def test_what_is_refused(image: Callable[[], FloatArray], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        find_views(image(), RIG, bright, 1, as_before)
+
+
+def test_no_mirrors_no_views() -> None:
+    with pytest.raises(BadInput, match="the rig has no mirrors"):
+        find_views(picture(FRONT), replace(RIG, mirrors=()), bright, 1, as_before)
+
+
+def test_the_front_is_left_alone() -> None:
+    """A capture with mirrors whose shape comes from light: the mirror images are painted over."""
+    image = without_mirrors(picture(FRONT, *BESIDE), CAMERA, MIRRORS, 1)
+    assert image[200, 100].max() < 0.25 and image[200, 360].max() < 0.25
+    assert image[200, 230, 0] == pytest.approx(0.6)
+    assert view_binning(44.0) == 2 and view_binning(8.0) == 1
+
+
+def outlined(image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
+    """Stands for the finger's outline: its mask in a piece of the image that the rough one, far smaller, covers."""
+    assert rough.any() and rough.size < 0.1 * image[..., 0].size
+    assert image.shape[0] < 1000
+    return bright(image, px_per_mm)
+
+
+def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
+    """The picture at four times the scale, one row and two columns larger: no whole number of the search's blocks."""
+    image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))
+    return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
+
+
+def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
+    image, camera = large(FRONT, *BESIDE)
+    views = find_views(image, replace(RIG, camera=camera), bright, 1, outlined)
+    assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
+    for mask, (first, width) in zip(
+        (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
+    ):
+        assert mask.shape == image.shape[:2]
+        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+        assert (columns[0], columns[-1]) == (4 * first, 4 * (first + width) - 1)
+        assert rows[0] == 400
+    assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200  # the rows that fill no block are looked at, too
+
+
+@pytest.mark.parametrize(
+    ("fingers", "words"),
+    [
+        ((FRONT,), "no mirror shows the finger"),
+        (BESIDE, "no finger was found beside the mirrors"),
+        (((170, 50), (240, 48), *BESIDE), "two fingers"),
+        (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
+    ],
+)
+def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
+    image, camera = large(*fingers)
+    with pytest.raises(BadInput, match=words):
+        find_views(image, replace(RIG, camera=camera), bright, 1, outlined)

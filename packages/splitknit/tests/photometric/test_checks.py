@@ -1,0 +1,49 @@
+"""Photographs against each other: gains of the lights, and which photograph does not fit."""
+
+import numpy as np
+import pytest
+
+from rough_dome import scene, spoilt
+from splitknit.errors import BadInput
+from splitknit.photometric.checks import faulty_photographs, light_gains
+
+
+def test_sound_photographs_have_no_fault():
+    stack, lights, mask = scene()
+    assert faulty_photographs(stack, lights, mask, 0.98) == ()
+
+
+@pytest.mark.parametrize("kind", ["moved", "double", "blurred", "overexposed", "underexposed", "unlike"])
+def test_the_photograph_at_fault_is_named_and_its_fault(kind):
+    stack, lights, mask = scene(1)
+    stack[5] = spoilt(stack[5], kind)
+    found = faulty_photographs(stack, lights, mask, 0.7)
+    assert [(fault.photograph, fault.kind) for fault in found] == [(5, kind)]
+    if kind in {"moved", "double", "blurred"}:
+        assert found[0].size == pytest.approx({"blurred": 2.5}.get(kind, 3.6), abs=0.6)
+    assert found[0].effect_deg > (-1 if kind == "underexposed" else 0.05)  # its floats are exact
+
+
+def test_two_photographs_at_fault():
+    stack, lights, mask = scene(2)
+    stack[1], stack[6] = spoilt(stack[1], "moved"), spoilt(stack[6], "blurred")
+    assert {fault.photograph for fault in faulty_photographs(stack, lights, mask)} == {1, 6}
+
+
+def test_four_photographs_leave_none_to_compare_with():
+    stack, lights, mask = scene()
+    stack[1] = spoilt(stack[1], "moved")
+    assert faulty_photographs(stack[:4], lights[:4], mask) == ()
+
+
+def test_gains_are_found_whatever_their_spread():
+    stack, lights, mask = scene()
+    gains = np.array([1, 3, 0.4, 1.5, 0.7, 1, 2, 0.5])
+    found = light_gains(stack * gains[:, None, None], lights, mask)
+    assert found == pytest.approx(gains / np.exp(np.log(gains).mean()), rel=0.02)
+
+
+def test_arrays_that_disagree_are_refused():
+    stack, lights, mask = scene()
+    with pytest.raises(BadInput, match="differ in number"):
+        faulty_photographs(stack, lights[:7], mask)

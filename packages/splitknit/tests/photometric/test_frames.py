@@ -1,0 +1,198 @@
+"""The frame in which lights were measured, found by curl and convexity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.photometric.frames import (
+    FRAMES,
+    SPOILT_DEG,
+    _fit_turn,
+    _frame_of,
+    doubts_of_lights,
+    fit_lights,
+    rig_of_frame,
+    spoils,
+)
+from splitknit.photometric.lambertian import lambertian
+from splitknit.pipeline import reconstruct
+
+SHAPE = (120, 100)
+MATRICES = {name: np.array(matrix, dtype=float) for name, matrix in FRAMES.items()}
+
+
+@pytest.fixture(scope="module")
+def egg() -> tuple[np.ndarray, np.ndarray]:
+    """Normals and mask of half an egg that lies at a slant."""
+    rows, columns = np.indices(SHAPE)
+    x, y = (columns - 49.5) / 40.0, (59.5 - rows) / 40.0
+    u, v = 0.8 * x + 0.6 * y, -0.6 * x + 0.8 * y
+    inside = u**2 + (v / 1.3) ** 2 < 0.9
+    z = np.sqrt(np.maximum(1.0 - u**2 - (v / 1.3) ** 2, 1e-3))
+    nu, nv = u / z, v / 1.69 / z
+    normals = np.dstack([0.8 * nu - 0.6 * nv, 0.6 * nu + 0.8 * nv, np.ones(SHAPE)])
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True), inside
+
+
+def in_frame(vectors: np.ndarray, frame: str) -> np.ndarray:
+    """What somebody measures whose axes point as the frame says."""
+    measured = np.array(vectors, dtype=float)
+    measured[..., :2] = measured[..., :2] @ MATRICES[frame]
+    return measured
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_every_frame_is_found(egg, frame):
+    normals, inside = egg
+    rng = np.random.default_rng(1)
+    noisy = in_frame(normals, frame) + 0.02 * rng.standard_normal(normals.shape)
+    assert _frame_of(_fit_turn(noisy.astype(np.float32), inside)) == frame
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_the_rig_is_brought_back(frame):
+    lights = np.array([[0.1, 0.2, 0.9], [-0.5, 0.3, 0.8], [0.4, -0.6, 0.7]])
+    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, frame)))
+    np.testing.assert_allclose([led.direction for led in rig_of_frame(rig, frame).leds], lights, atol=1e-12)
+    near = Rig(Camera(10.0, SHAPE), (Led("white", position_mm=(1.0, 2.0, 3.0), aim=(0.0, -1.0, -1.0)),))
+    (led,) = rig_of_frame(near, "right-down").leds
+    assert (led.position_mm, led.aim) == ((1.0, -2.0, 3.0), (0.0, 1.0, -1.0))
+
+
+def test_an_unknown_frame_is_refused():
+    with pytest.raises(BadInput, match="must be one of right-up, right-down"):
+        rig_of_frame(Rig(Camera(10.0, SHAPE), (Led("white", direction=(0.0, 0.0, 1.0)),)), "up")
+
+
+def test_a_flat_plate_is_no_alarm():
+    normals = np.zeros((*SHAPE, 3), dtype=np.float32)
+    normals[..., 2] = 1.0
+    assert _frame_of(_fit_turn(normals, np.ones(SHAPE, dtype=bool))) == "right-up"
+    normals[..., :2] = 0.05 * np.random.default_rng(0).standard_normal((*SHAPE, 2))
+    assert _frame_of(_fit_turn(normals, np.ones(SHAPE, dtype=bool))) == "right-up"
+
+
+def test_a_reconstruction_warns_and_names_the_frame(egg):
+    normals, inside = egg
+    angles = 2.0 * np.pi * np.arange(6) / 6.0
+    lights = np.stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(6, 0.9)], axis=1)
+    light = np.where(inside, np.clip(normals @ lights.T, 0.0, None).transpose(2, 0, 1), 0.0)
+    pixels = np.round(200.0 * light).astype(np.uint8)[..., None]
+    band = Band("white", pixels, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
+    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")))
+    capture = Capture(rig, {"white": band}, material="opaque", mask=inside)
+    warned = [text for text in reconstruct(capture, "ea").warnings if "`light_frame`" in text]
+    assert len(warned) == 1
+    assert "`light_frame` right-down" in warned[0]
+    mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
+    assert not [text for text in reconstruct(mended, "ea").warnings if "`light_frame`" in text]
+
+
+def around(count: int, *, uneven: bool) -> np.ndarray:
+    """Lights around the camera: on a ring, or at several heights."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    slant = 0.45 + (0.2 * np.sin(2.3 * np.arange(count)) if uneven else 0.0)
+    return np.stack([slant * np.cos(angles), slant * np.sin(angles), np.sqrt(1.0 - slant**2) * np.ones(count)], axis=1)
+
+
+def photographs(normals: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    light = np.clip(np.moveaxis(normals @ lights.T, -1, 0), 0.0, None)
+    return light + 0.01 * np.random.default_rng(4).standard_normal(light.shape)
+
+
+ORDERS = {
+    "reversed": tuple(range(11))[::-1],
+    "shifted": tuple(np.roll(range(11), -3)),
+    "two exchanged": (0, 1, 3, 2, *range(4, 11)),
+    "shuffled": (3, 9, 0, 6, 1, 10, 4, 8, 2, 7, 5),
+}
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("name", ORDERS)
+def test_a_wrong_order_is_found_and_no_frame_advised(egg, name, uneven):
+    normals, inside = egg
+    lights, order = around(11, uneven=uneven), ORDERS[name]
+    fit = fit_lights(photographs(normals, lights)[list(order)], lights, inside)
+    assert fit.order == order
+    (words,) = doubts_of_lights(fit)
+    if uneven or name in {"two exchanged", "shuffled"}:
+        assert fit.residual > 1.3 * fit.residual_in_order
+        assert "`light_frame`" not in words
+    assert {"two exchanged": "exchange the lights of photograph 3 and photograph 4"}.get(name, "order") in words
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("count", [3, 4, 5, 7, 12, 24])
+def test_the_right_order_is_never_doubted(egg, count, uneven):
+    normals, inside = egg
+    lights = around(count, uneven=uneven)
+    fit = fit_lights(photographs(normals, lights), lights, inside)
+    assert (fit.order, fit.frame) == (tuple(range(count)), "right-up")
+    assert not doubts_of_lights(fit)
+
+
+def test_unequal_brightness_is_no_other_order(egg):
+    normals, inside = egg
+    for seed in range(5):
+        gains = 1.0 + 0.15 * np.random.default_rng(seed).standard_normal(9)
+        lights = around(9, uneven=True)
+        fit = fit_lights(photographs(normals, lights) * gains[:, None, None], lights, inside)
+        assert fit.order == tuple(range(9))
+        assert np.allclose(fit.brightness, gains / gains.mean(), rtol=0.02)
+        (words,) = doubts_of_lights(fit)
+        assert "not as bright as is stated" in words and spoils(fit) == (fit.turned_deg > SPOILT_DEG)
+
+
+@pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])
+def test_few_lights_tell_nothing_of_their_brightness(egg, count, seed):
+    """Directions that are wrong by some degrees are no brightness, though one for each photograph explains them."""
+    normals, inside = egg
+    lights = around(count, uneven=True)
+    wrong = lights + 0.15 * np.random.default_rng(seed).standard_normal(lights.shape)
+    fit = fit_lights(photographs(normals, lights), wrong, inside)
+    assert fit.residual > 0.05 and fit.brightness == ()
+
+
+def test_photographs_of_something_else_are_doubted_and_the_worst_named(egg):
+    normals, inside = egg
+    lights = around(8, uneven=True)
+    stack = photographs(normals, lights)
+    stack[5] = np.indices(SHAPE)[0] // 6 % 2
+    fit = fit_lights(stack, lights, inside)
+    assert np.argmax(fit.residual_per_image) == 5
+    (words,) = doubts_of_lights(fit, [f"{k}.png" for k in range(8)])
+    assert fit.strange == 5 and "5.png does not belong" in words and "deg (median)" in words
+    (words,) = doubts_of_lights(replace(fit, strange=None), [f"{k}.png" for k in range(8)])
+    assert "do not fit the lights" in words and "most in 5.png" in words and "`light_frame`" not in words
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_field_of_balls_is_no_wrong_frame(frame):
+    rows, columns = np.indices((200, 200))
+    x, y = (columns % 40 - 19.5) / 14.0, (19.5 - rows % 40) / 14.0
+    ball = x**2 + y**2 < 0.9
+    normals = np.dstack([x * ball, y * ball, np.sqrt(np.where(ball, 1.0 - x**2 - y**2, 1.0))])
+    normals += 0.02 * np.random.default_rng(2).standard_normal(normals.shape)
+    lights = around(6, uneven=True)
+    measured, _ = lambertian(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
+    assert _frame_of(_fit_turn(measured, np.ones((200, 200), bool))) == "right-up"
+
+
+def test_a_report_holds_the_residual_of_every_photograph(egg):
+    normals, inside = egg
+    lights = around(6, uneven=True)
+    pixels = np.round(200.0 * np.clip(photographs(normals, lights), 0, 1) * inside).astype(np.uint8)[..., None]
+    files = tuple(f"photos/{k}.png" for k in range(6))
+    band = Band(
+        "white", pixels[[1, 0, 2, 3, 4, 5]], tuple((k,) for k in range(6)), np.ones(6), np.zeros(6), files=files
+    )
+    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
+    result = reconstruct(Capture(rig, {"white": band}, material="opaque", mask=inside), "ea")
+    assert any("exchange the lights of 0.png and 1.png." in text for text in result.warnings)
+    assert len(result.facts["light_residual_per_image"]) == 6

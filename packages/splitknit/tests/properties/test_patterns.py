@@ -1,0 +1,77 @@
+"""Separation by measurement: what must hold whatever the scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitknit.separation.binary import checkerboard, occluder
+from splitknit.separation.sinusoid import sinusoid
+from splitknit.separation.stacks import checkerboard_patterns
+
+quick = settings(max_examples=15, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**32 - 1)
+fractions = st.floats(0.0, 0.5)
+SIZE = (20, 20)
+PATTERNS = checkerboard_patterns(SIZE, 2, [(i, j) for i in range(4) for j in range(2)])
+
+
+def scene(seed):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.05, 0.3, SIZE), rng.uniform(0.05, 0.5, SIZE)
+
+
+def methods(seed, dark):
+    """All methods that work on a stack, each with an ideal stack of the same scene."""
+    direct, global_ = scene(seed)
+    columns = np.mgrid[: SIZE[0], : SIZE[1]][1]
+    board = (dark + (1 - dark) * PATTERNS) * direct + (1 + dark) / 2 * global_
+    shift = 2 * np.pi * np.arange(4) / 4
+    states = 0.5 + 0.5 * np.sin(columns / 1.7 + shift[:, None, None])
+    waves = (dark + (1 - dark) * states) * direct + (1 + dark) / 2 * global_
+    line = np.stack([(columns - k) % 5 > 0 for k in range(5)]) * direct + global_
+    return [
+        (board, lambda stack, order: checkerboard(stack, dark=dark)),
+        (board, lambda stack, order: checkerboard(stack, dark=dark, patterns=PATTERNS[order])),
+        (waves, lambda stack, order: sinusoid(stack, shift[order], dark=dark)),
+        (line, lambda stack, order: occluder(stack)),
+    ], direct + global_
+
+
+@quick
+@given(seeds, fractions)
+def test_direct_and_global_light_add_up_to_white(seed, dark):
+    cases, white = methods(seed, dark)
+    for stack, method in cases:
+        assert np.abs(method(stack, slice(None)).white - white).max() < 1e-6
+
+
+@quick
+@given(seeds, fractions, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
+def test_brighter_images_mean_more_light_alone(seed, dark, scale):
+    for full, method in methods(seed, dark)[0]:
+        stack = 0.4 * full  # no value clips at twice that
+        one, other = method(stack, slice(None)), method(stack * scale, slice(None))
+        assert np.allclose(other.direct, scale * one.direct, rtol=1e-4, atol=1e-6 * scale)
+        assert np.allclose(other.global_, scale * one.global_, rtol=1e-4, atol=1e-6 * scale)
+
+
+@quick
+@given(seeds, fractions)
+def test_order_of_the_images_does_not_matter(seed, dark):
+    for stack, method in methods(seed, dark)[0]:
+        order = np.random.default_rng(seed + 1).permutation(len(stack))
+        one, other = method(stack, slice(None)), method(stack[order], order)
+        assert np.allclose(one.direct, other.direct, atol=1e-6)
+        assert np.allclose(one.global_, other.global_, atol=1e-6)
+
+
+@quick
+@given(seeds, st.floats(0.0, 0.2))
+def test_light_that_no_pattern_changes_is_global_alone(seed, extra):
+    """Ambient light: twice of it falls into the global part, none into the direct one."""
+    for stack, method in methods(seed, 0.0)[0]:
+        one, other = method(stack, slice(None)), method(stack + extra, slice(None))
+        assert np.allclose(one.direct, other.direct, atol=1e-6)
+        assert np.all(other.global_ >= one.global_ - 1e-6)

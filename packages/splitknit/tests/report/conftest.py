@@ -1,0 +1,3 @@
+"""Fixtures of the folder."""
+
+from report_fixtures import *

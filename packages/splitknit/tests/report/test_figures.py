@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from handmade import capture_of, finger
+from splitknit.io.pictures import BLUE, ORANGE, upright_frame
+from splitknit.report import figures
+from splitknit.report.photos import Picture, capture_pictures
+
+
+def _decoded(picture: Picture) -> NDArray[np.uint8]:
+    data = base64.b64decode(picture.uri.partition(",")[2])
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+@pytest.mark.parametrize("yaw_deg", [-20.0, 0.0, 20.0])
+def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
+    """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above the middle value."""
+    result, _ = finger(yaw_deg=yaw_deg)
+    image = _decoded(figures._normals_picture(result, figures.small_fields(result, upright_frame(result, 200)))).astype(
+        float
+    )
+    rows, columns = image.shape[:2]
+    left, right = image[rows // 2, columns // 5], image[rows // 2, -columns // 5]
+    assert left[0] + right[0] == pytest.approx(255, abs=12)
+    assert right[0] > left[0] + 60
+    assert abs(left[1] - right[1]) < 20
+    tip = image[rows // 6, columns // 2]
+    assert tip[1] > 165
+    assert tip[0] == pytest.approx(127, abs=25)
+
+
+def test_outline_and_crease_lie_on_the_input() -> None:
+    result, _ = finger()
+    crease = [[150.0, 330.0], [450.0, 400.0]]
+    (shown,) = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
+    image = _decoded(shown).astype(int)
+    assert image.shape[:2] == result.mask.shape
+    orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
+    edge = cv2.morphologyEx(result.mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)) > 0
+    assert orange.sum() > 800
+    assert (orange & edge).sum() > 0.97 * orange.sum()
+    blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
+    assert blue.any()
+    assert "was cut" in shown.caption
+    assert "No crease" in capture_pictures(result, capture_of(result))[0].caption
+
+
+def test_scale_bar_is_as_long_as_it_says() -> None:
+    result, _ = finger()
+    frame = upright_frame(result, 200)
+    shown = figures._relief_picture(result, figures.small_fields(result, frame))
+    length_mm = float(shown.scale_label.split()[0])
+    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(length_mm, rel=1e-3)
+
+
+def test_relief_limits_leave_out_steep_flanks() -> None:
+    result, _ = finger()
+    spoilt = np.where(result.normals[..., 2] < 0.5, np.float32(-0.5), result.ridge_mm)
+    assert figures.relief_limits(replace(result, ridge_mm=spoilt)) == figures.relief_limits(result)
+    low, high = figures.relief_limits(result)
+    assert -45 <= low <= -30
+    assert 30 <= high <= 45
+
+
+def test_close_ups_share_one_scale() -> None:
+    result, truth = finger()
+    relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
+    first, second = (_decoded(figures._close_up(r, result, "x")).astype(int) for r in (relief, 0.2 * relief))
+    assert np.ptp(second[..., 2]) < 0.5 * np.ptp(first[..., 2])
+    assert first.shape[0] == first.shape[1] == 100  # 5 mm at 20 px/mm
+
+
+def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
+    result, _ = finger()
+    inner = figures.erode(result.mask, 4.0)
+    opaque = replace(result, facts={"material": "opaque"})
+    ring = replace(opaque, ridge_mm=np.where(inner, result.ridge_mm, np.float32(-0.5)))
+    assert figures.relief_limits(ring) == figures.relief_limits(opaque)
+    frame = upright_frame(result, 400)
+    pictures = [figures._relief_picture(one, figures.small_fields(one, frame)).uri for one in (ring, opaque)]
+    assert pictures[0] == pictures[1]

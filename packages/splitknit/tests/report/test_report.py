@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import html.parser
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handmade import capture_of, finger
+from splitknit.report.charts import Curve, bar_chart, profile_chart
+from splitknit.report.result import _plain, make_report, write_files
+
+Written = tuple[Path, dict[str, Any]]
+
+
+class _Page(html.parser.HTMLParser):
+    """Collects what a page would load, its unclosed elements and its words."""
+
+    VOID = frozenset({"meta", "img", "br", "rect", "line", "polyline", "link", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.tags: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "data", "action")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def _page(text: str) -> _Page:
+    page = _Page()
+    page.feed(text)
+    assert page.open == []
+    return page
+
+
+def test_page_is_self_contained(written: Written) -> None:
+    text = (written[0] / "report.html").read_text(encoding="utf-8")
+    page = _page(text)
+    assert len(page.addresses) >= 8
+    assert all(address.startswith("data:image/") for address in page.addresses)
+    assert "script" not in page.tags
+    assert "link" not in page.tags
+    assert "default-src 'none'" in text
+    assert not re.search(r"url\(|@import|https?://", re.sub(r'"data:[^"]*"', "", text))
+    assert len(text) < 4_000_000
+
+
+def test_page_says_what_a_stranger_needs(written: Written) -> None:
+    words = " ".join(_page((written[0] / "report.html").read_text(encoding="utf-8")).words)
+    for needed in (
+        "Finger found", "Surface normals", "Relief", "Shape", "From above", "From the left", "Print", "Uncertainty",
+        "No flexion crease is in view", "Compared with the truth", "Ridge band, gain", "Timings", "preprocess",
+        "scattering mm", "crossover", "led brightness", "focus", "white_0.png",
+    ):  # fmt: skip
+        assert needed in words, needed
+
+
+def test_document_holds_the_same_facts(written: Written) -> None:
+    facts = written[1]
+    assert facts["format"] == "splitknit-report"
+    assert facts["preset"] == "metric"
+    assert facts["warnings"] == ["No flexion crease is in view; the whole visible finger was kept."]
+    assert facts["timings_s"] == {"preprocess": 0.5, "normals": 1.25}
+    assert facts["inputs_sha256"] == {"white_0.png": "ab" * 32}
+    assert facts["comparison"]["metric"]["ridge_gain"] == pytest.approx(1.0, abs=1e-3)
+    assert facts["settings"]["knit"]["mode"] == "crossover"
+    assert facts["software"]["name"] == "splitknit"
+
+
+def test_strings_cannot_become_markup() -> None:
+    result, _ = finger()
+    evil = "<script>alert(1)</script><img src=http://x>"
+    capture = replace(capture_of(result), subject={"id": evil, evil: "x"}, captured_at=evil)
+    spiked = replace(
+        result,
+        warnings=(evil,),
+        facts={evil: evil, "nested": {evil: [1.0, evil]}},
+        quality={"list": [evil], evil: [1.0, 2.0]},
+        settings={evil: {evil: evil}},
+        hashes={evil: evil},
+        timings_s={evil: 1.0},
+        preset=evil,
+    )
+    text = make_report(spiked, capture).html
+    page = _page(text)
+    assert "script" not in page.tags
+    assert all(address.startswith("data:image/") for address in page.addresses)
+    assert text.count("&lt;script&gt;") >= 6
+
+
+def test_presets_are_compared_side_by_side() -> None:
+    result, truth = finger()
+    plain_result = replace(result, preset="ea", ridge_mm=0.3 * result.ridge_mm)
+    report = make_report(result, capture_of(result), truth=truth, others=[plain_result])
+    assert set(report.facts["comparison"]) == {"metric", "ea"}
+    words = " ".join(_page(report.html).words)
+    assert "Ridge error, ea" in words
+    assert "Ridge error, metric" in words
+    assert report.facts["comparison"]["ea"]["ridge_gain"] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_bare_result_has_a_report() -> None:
+    """No quality, no facts, no warnings, NaN among the facts, a capture of three grey images."""
+    result, _ = finger()
+    bare = replace(
+        result,
+        quality={},
+        facts={"odd": float("nan")},
+        warnings=(),
+        timings_s={},
+        settings={},
+        hashes={},
+        uncertainty_um=None,
+    )
+    report = make_report(bare, capture_of(result, 3))
+    assert "No warnings" in report.html
+    assert report.facts["facts"] == {"odd": None}
+    json.dumps(report.facts, allow_nan=False)
+
+
+def test_plain_values() -> None:
+    value = {
+        "a": np.float32(1.5),
+        "b": np.array([1, 2]),
+        "c": (float("inf"), True, None),
+        3: Path("x"),
+        "d": np.zeros(999),
+    }
+    assert _plain(value) == {"a": 1.5, "b": [1, 2], "c": [None, True, None], "3": "x", "d": "array (999,) float64"}
+
+
+def test_chart_is_drawn_to_scale() -> None:
+    x = np.linspace(0.0, 10.0, 11)
+    y = np.where(x == 5.0, np.nan, 2.0 * x)
+    chart = str(profile_chart([Curve("a < b", x, y)], "mm", "um"))
+    pieces = re.findall(r'points="([^"]+)"', chart)
+    assert len(pieces) == 2  # NaN interrupts the line
+    points = np.array([[float(v) for v in pair.split(",")] for pair in pieces[0].split()])
+    slope = np.diff(points[:, 1]) / np.diff(points[:, 0])
+    assert np.ptp(slope) < 0.02
+    assert slope[0] < 0  # up on the screen
+    assert "a &lt; b" in chart
+
+
+def test_bars_are_as_long_as_their_values() -> None:
+    chart = str(bar_chart([1.0, 0.5, float("nan")]))
+    lengths = [float(v) for v in re.findall(r'width="([\d.]+)" height="12"', chart)]
+    assert lengths[1] == pytest.approx(lengths[0] / 2, abs=0.1)
+    assert lengths[2] == 0.0
+
+
+def test_a_page_turns_no_writing_and_holds_no_control_character(tmp_path: Path) -> None:
+    result, _ = finger()
+    capture = replace(capture_of(result), subject={"id": "evil\x1b[2J\u202eexe"})
+    write_files(result, capture, tmp_path, None)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "\\x1b[2J\\u202eexe" in text
+    assert all(c.isprintable() or c in "\n\t" for c in text)

@@ -1,0 +1,239 @@
+"""Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to sloppy stacks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.errors import BadInput
+from splitknit.separation.binary import checkerboard
+from splitknit.separation.stacks import StackSettings, check_shifts, checkerboard_patterns, estimate_patterns
+
+SIZE = (60, 72)
+SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
+"""25 shifts of checks of five pixels: every state is 0 or 1."""
+
+
+def scene(channels=()):
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    direct = 0.2 * (1 + 0.3 * np.sin(rows / 9))
+    global_ = 0.4 + 0.1 * np.cos(columns / 17)
+    if channels:
+        direct, global_ = (np.multiply.outer(part, channels) for part in (direct, global_))
+    return direct, global_
+
+
+def stack_of(direct, global_, patterns, alpha=0.5, dark=0.0):
+    states = dark + (1 - dark) * patterns
+    if direct.ndim == 3:
+        states = states[..., None]
+    return states * direct + (alpha + dark * (1 - alpha)) * global_
+
+
+@pytest.fixture(scope="module")
+def patterns():
+    return checkerboard_patterns(SIZE, 5, SHIFTS)
+
+
+@pytest.mark.parametrize("dark", [0.0, 0.2])
+@pytest.mark.parametrize("channels", [(), (1.0, 0.6, 0.3)])
+@pytest.mark.parametrize("known", [False, True])
+def test_an_ideal_pattern_gives_the_truth(patterns, channels, dark, known):
+    direct, global_ = scene(channels)
+    stack = stack_of(direct, global_, patterns, dark=dark)
+    parts = checkerboard(stack, dark=dark, patterns=patterns if known else None)
+    assert parts.direct.shape == direct.shape
+    assert parts.direct.dtype == np.float32
+    assert np.abs(parts.direct - direct).max() < 1e-6
+    assert np.abs(parts.global_ - global_).max() < 1e-6
+    assert np.abs(parts.white - direct - global_).max() < 1e-6
+
+
+@pytest.mark.parametrize("alpha", [0.25, 0.75])
+def test_any_fraction_of_lit_checks(alpha):
+    """Squares on a grid, a quarter of the plane lit or dark."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    squares = np.stack([((rows - i) // 4 % 2 == 0) & ((columns - j) // 4 % 2 == 0) for i in (0, 4) for j in (0, 4)])
+    patterns = squares.astype(float) if alpha == 0.25 else 1.0 - squares
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns, alpha, 0.1)
+    for known in (None, patterns):
+        parts = checkerboard(stack, alpha=alpha, dark=0.1, patterns=known)
+        assert np.abs(parts.direct - direct).max() < 1e-6
+        assert np.abs(parts.global_ - global_).max() < 1e-6
+
+
+def test_noise_biases_extremes_and_not_known_states(patterns):
+    direct, global_ = scene()
+    sigma = 0.01
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(1).normal(0, sigma, patterns.shape)
+    errors = {
+        name: checkerboard(noisy, patterns=known).direct - direct
+        for name, known in (("extremes", None), ("known", patterns), ("found", estimate_patterns(noisy)))
+    }
+    mean = {name: float(error.mean()) for name, error in errors.items()}
+    # 25 images, 12 or 13 of them lit: the expected maximum of so many normals is 1.65 sigma, twice
+    assert mean["extremes"] == pytest.approx(3.3 * sigma, rel=0.05)
+    # standard error of the mean over 4320 pixels: 0.4 sigma / 66
+    assert abs(mean["known"]) < 4 * 0.4 * sigma / 66
+    assert abs(mean["found"]) < 0.05 * sigma
+    assert errors["known"].std() < 0.45 * sigma  # least squares over 25 images: 0.40
+    assert errors["known"].std() < 0.6 * errors["extremes"].std()
+
+
+def test_light_from_around_is_told_from_light_of_the_check(patterns):
+    """A third of the light spreads over 0.8 checks: what counts is the middle of the checks, noise or none."""
+    direct, global_ = scene()
+    fraction = np.array([0.5, 1, 1, 1, 0.5]) / 4  # four of five pixels
+    around = np.stack([cv2.sepFilter2D(p, -1, fraction, fraction, borderType=cv2.BORDER_REFLECT) for p in patterns])
+    stack = patterns * direct + around * direct / 2 + 0.5 * global_
+    contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(axis=0)
+    expected = direct * (1 + contrast / 2)
+    parts = checkerboard(stack, patterns=patterns, check_px=5)
+    assert np.abs(parts.direct - expected).max() < 1e-5
+    sigma = 0.02
+    noisy = stack + np.random.default_rng(6).normal(0, sigma, stack.shape)
+    error = checkerboard(noisy, patterns=patterns, check_px=5).direct - expected
+    assert abs(float(error.mean())) < 4 * sigma / np.sqrt(error.size)
+    assert (checkerboard(noisy).direct - expected).mean() > sigma
+    ideal = stack_of(direct, global_, patterns)
+    assert np.abs(checkerboard(ideal, patterns=patterns, check_px=5).direct - direct).max() < 1e-6
+
+
+def test_found_states_do_not_invent_direct_light(patterns):
+    """Where noise is as strong as the direct light, they fall a little short; extremes give four times too much."""
+    direct, global_ = scene()
+    direct, sigma = 0.1 * direct, 0.02
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(2).normal(0, sigma, patterns.shape)
+    found = checkerboard(noisy, patterns=estimate_patterns(noisy)).direct.mean() / direct.mean()
+    plain = checkerboard(noisy).direct.mean() / direct.mean()
+    assert 0.8 < found < 1.02
+    assert plain > 4
+
+
+def test_found_states_are_the_true_ones(patterns):
+    direct, global_ = scene()
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(3).normal(0, 0.01, patterns.shape)
+    states = estimate_patterns(noisy)
+    decided = states != 0.5
+    assert 0.3 < decided.mean() < 0.9
+    assert np.array_equal(states[decided], patterns[decided])
+
+
+def test_rims_of_checks_are_left_out():
+    """Half-lit pixels follow no model here: they must not count."""
+    patterns = checkerboard_patterns(SIZE, 8, [(3.2 * i, 3.2 * j) for i in range(5) for j in range(5)])
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns)
+    rim = (patterns > 0.1) & (patterns < 0.9)
+    assert 0.05 < rim.mean() < 0.5
+    stack[rim] += np.random.default_rng(4).uniform(-0.05, 0.05, int(rim.sum()))
+    parts = checkerboard(stack, patterns=patterns)
+    assert np.abs(parts.direct - direct).max() < 1e-6
+
+
+def test_pattern_is_the_lit_share_of_a_pixel():
+    fine = checkerboard_patterns((120, 120), 30, [(7, 11)])[0]
+    coarse = checkerboard_patterns((12, 12), 3, [(0.7, 1.1)])[0]
+    assert np.allclose(fine.reshape(12, 10, 12, 10).mean(axis=(1, 3)), coarse, atol=1e-6)
+    assert fine[7, 11] == 1.0
+    assert fine[6, 11] == 0.0
+
+
+def test_outside_the_mask_nothing_is_said(patterns):
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns)
+    mask = np.zeros(SIZE, dtype=bool)
+    mask[10:30, 20:50] = True
+    stack[:, ~mask] = 0.5  # never changes
+    parts = checkerboard(stack, mask=mask)
+    assert np.isnan(parts.direct[~mask]).all()
+    assert np.abs(parts.direct - direct)[mask].max() < 1e-6
+
+
+def refused(words, *arguments, **keywords):
+    with pytest.raises(BadInput) as caught:
+        checkerboard(*arguments, **keywords)
+    message = str(caught.value)
+    assert words in message
+    assert "\n" not in message
+    return message
+
+
+def test_inconsistent_stacks_are_refused(patterns):
+    stack = stack_of(*scene(), patterns)
+    noise = np.random.default_rng(5).normal(0, 0.01, stack.shape)
+    twice = [*range(24), 11]
+    refused("images 11 and 24 show the same pattern", stack[twice])
+    refused("images 11 and 24 show the same pattern", (stack[twice] + noise))
+    refused("patterns 11 and 24 are the same", stack[twice], patterns=patterns[twice])
+    refused("image 24 shows pattern", (stack + noise)[[*range(24), 11]], patterns=patterns)
+    refused("out of order", stack[::-1], patterns=patterns)
+    refused("does not show its pattern", stack, patterns=1 - patterns)
+    refused("never lit", stack[:2], patterns=patterns[:2])
+    refused("at least 2 images", stack[:1])
+    refused("image 3 has the shape", [*stack[:3], stack[3, :-1]])
+    refused("image 0 contains NaN", np.where(np.isnan(stack) | (stack == stack[0, 0, 0]), np.nan, stack))
+    refused("saturated", np.minimum(2.4 * stack, 1.0))
+    refused("image 7 is black", np.where(np.arange(25)[:, None, None] == 7, 1e-4, stack))
+    refused("every image is black", 0 * stack)
+    refused("never lit or never dark", np.broadcast_to(stack[0], stack.shape))
+    refused("the patterns never light the scene", np.broadcast_to(stack[0], stack.shape) + noise)
+    refused("patterns must have the shape", stack, patterns=patterns[:, 1:])
+    refused("from 0 (dark) to 1 (lit)", stack, patterns=2 * patterns)
+    refused("check_px needs patterns", stack, check_px=5)
+    refused("check_px must be at least 1", stack, patterns=patterns, check_px=0.5)
+    refused("alpha", stack, alpha=0.0)
+    refused("dark", stack, dark=1.0)
+    refused("channels", stack[..., None] * np.ones(2))
+
+
+def test_a_region_without_pattern_is_named(patterns):
+    stack = stack_of(*scene(), patterns)
+    stack[:, 40:] = 0.3
+    message = refused("33.3 % of the bright pixels were never lit", stack)
+    assert "row 40, column 0" in message
+    checkerboard(stack, settings=StackSettings(constant_share=0.5))
+
+
+def test_shift_tables():
+    check_shifts(SHIFTS, 25, 10)
+    check_shifts([0, 1, 2], 3, 3)
+    with pytest.raises(BadInput, match=r"the shift \(4, 2\) is missing"):
+        check_shifts([s for s in SHIFTS if s != (4, 2)], 24)
+    with pytest.raises(BadInput, match=r"images 3 and 25 have the same shift \(0, 6\)"):
+        check_shifts([*SHIFTS, (0, 6)], 26)
+    with pytest.raises(BadInput, match="images 0 and 1 have the same shift"):
+        check_shifts([0, 10, 3], 3, 10)
+    with pytest.raises(BadInput, match="25 shifts for 24 images"):
+        check_shifts(SHIFTS, 24)
+    with pytest.raises(BadInput, match="from 2 to 6 at once"):
+        check_shifts([s for s in SHIFTS if s[0] != 4], 20)
+    with pytest.raises(BadInput, match="from 6 to 10 at once"):  # the last row of five
+        check_shifts([s for s in SHIFTS if s[0] != 8], 20, 10)
+    with pytest.raises(BadInput, match="is missing from the grid"):
+        checkerboard(np.ones((24, 4, 4)), shifts=SHIFTS[:-1])
+
+
+def test_background_and_exact_zeros_do_no_harm(patterns):
+    """Half of the picture is black: its pixels never change, and that is no fault of the patterns."""
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns)
+    stack[:, :, 36:] = 0
+    parts = checkerboard(stack)
+    assert np.all(parts.direct[:, 36:] == 0)
+    assert np.all(parts.global_[:, 36:] == 0)
+
+
+def test_an_even_grid_of_shifts_shows_each_pattern_twice():
+    """A checkerboard moved by a check each way is the same again: that is no repeated shift, unless one is missing."""
+    shifts = [(2 * i, 2 * j) for i in range(4) for j in range(4)]
+    patterns = checkerboard_patterns(SIZE, 4, shifts)
+    direct, global_ = scene()
+    stack = stack_of(direct, global_, patterns)
+    for known in (None, patterns):
+        parts = checkerboard(stack, patterns=known, shifts=shifts, period=8)
+        assert np.abs(parts.direct - direct).max() < 1e-6
+    refused("images 0 and 10 show the same pattern", stack[:12])
+    refused("patterns 0 and 10 are the same", stack[:12], patterns=patterns[:12])

@@ -1,0 +1,237 @@
+"""What the networks see: exposure, pigment and the image's orientation drop out, slopes and glare do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skin_scene import CUT_MM, make_scene
+from splitknit.imaging.band import bin_mean
+from splitknit.skin.diffusion import SkinSettings, diffusion
+from splitknit.skin.grid import BandImages, Grid, coarsen
+from splitknit.skin.learned import (
+    COUNT,
+    GLARE,
+    RELIEF_MM,
+    SHAPE_COUNT,
+    SHAPE_SLOPE,
+    SLANT_DEG,
+    SLANT_ERROR,
+    _ridge_tensor,
+    _shape_features,
+    _slopes_by_network,
+    azimuth_waves,
+    can_learn,
+    features,
+    glare_of,
+    relief_by_network,
+)
+from splitknit.skin.light import fine_lighting, slant_of
+
+FACTOR = 3
+SLOPES, WAVES = slice(3, 9), slice(9, 21)
+
+
+def light_on(scene, grid=None, rig=None, surface=None):
+    grid = grid or scene.grid
+    low = coarsen(grid, FACTOR)
+    rows, columns = low.shape
+    height = (surface if surface is not None else placed(scene))[: rows * FACTOR, : columns * FACTOR]
+    return fine_lighting(rig or scene.white.rig, low, bin_mean(np.ascontiguousarray(height), FACTOR), FACTOR, grid)
+
+
+def placed(scene):
+    shape = scene.shape_mm
+    return (shape - shape[scene.grid.mask].mean() + 1.0).astype(np.float32)
+
+
+def fields_of(scene, stack=None):
+    band = BandImages(scene.white.channels, scene.white.stack if stack is None else stack, scene.white.rig)
+    return features(band, scene.grid, placed(scene), light_on(scene)).fields
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene()
+
+
+@pytest.fixture(scope="module")
+def matt():
+    return make_scene(glare=0.0)
+
+
+def rms(fields, where):
+    return np.sqrt((fields[:, where] ** 2).mean(axis=1))
+
+
+def test_ridges_are_seen_as_slopes_and_brightest_in_blue(matt):
+    fields = fields_of(matt)
+    assert fields.shape == (COUNT, *matt.grid.shape)
+    assert fields.dtype == np.float32
+    assert not fields[:, ~matt.grid.mask].any()
+    strength = rms(fields, matt.inner)
+    red, green, blue = (np.hypot(*strength[3 + 2 * c : 5 + 2 * c]) for c in range(3))
+    assert red < green < blue
+    true = np.gradient(matt.relief_mm, matt.grid.pitch_mm, axis=1)
+    assert np.corrcoef(fields[7][matt.inner], true[matt.inner])[0, 1] > 0.97
+
+
+def test_glare_is_what_no_matt_surface_explains(scene, matt):
+    glossy, dull = (rms(fields_of(s), s.inner)[WAVES].mean() for s in (scene, matt))
+    assert glossy > 4 * dull
+    assert fields_of(scene)[31][scene.inner].mean() > fields_of(matt)[31][scene.inner].mean() + 0.3
+
+
+def test_exposure_changes_nothing_and_pigment_only_the_tint(scene):
+    plain = fields_of(scene)
+    np.testing.assert_allclose(fields_of(scene, scene.white.stack * 3.0), plain, atol=2e-4)
+    browner = scene.white.stack * np.array([1.0, 0.8, 0.5], np.float32)[:, None, None, None]
+    changed = np.abs(fields_of(scene, browner) - plain)[:, scene.inner].max(axis=1)
+    tints = [25, 26]
+    assert (np.delete(changed, tints) < 1e-3).all()
+    assert changed[tints] == pytest.approx([-np.log(0.8) / 2, -np.log(0.5) / 2], abs=1e-3)
+
+
+def test_a_mirrored_finger_has_mirrored_features(scene):
+    """Scalars stay, x components turn their sign, and so do sin 2a and cos 3a."""
+    grid = scene.grid
+    across = Grid(grid.mask[:, ::-1].copy(), -grid.x_mm[::-1], grid.y_mm, grid.pitch_mm, grid.cut)
+    leds = tuple(replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:])) for led in scene.white.rig.leds)
+    rig = replace(scene.white.rig, leds=leds)
+    surface = placed(scene)[:, ::-1].copy()
+    band = BandImages(scene.white.channels, scene.white.stack[..., ::-1].copy(), rig)
+    mirrored = features(band, across, surface, light_on(scene, across, rig, surface)).fields[..., ::-1]
+    signs = np.ones(COUNT)
+    signs[[3, 5, 7, 21]] = -1
+    for c in range(3):
+        signs[[9 + 4 * c + 1, 9 + 4 * c + 2]] = -1
+    inner = scene.inner & scene.inner[:, ::-1]
+    expected = fields_of(scene) * signs[:, None, None].astype(np.float32)
+    np.testing.assert_allclose(mirrored[:, inner], expected[:, inner], atol=0.02)
+
+
+def test_waves_are_those_of_the_azimuth(scene):
+    waves = azimuth_waves(scene.white.rig, 3)
+    azimuth = 2 * np.pi * np.arange(7) / 7
+    assert waves.shape == (7, 7)
+    np.testing.assert_allclose(waves[:, 0], 1)
+    np.testing.assert_allclose(waves[:, 4], np.sin(2 * azimuth), atol=1e-6)
+    np.testing.assert_allclose(waves[:, 5], np.cos(3 * azimuth), atol=1e-6)
+
+
+def test_networks_need_colour_lights_all_around_and_fine_pixels(scene):
+    white = scene.white
+    assert can_learn(white, 0.0264)
+    assert not can_learn(white, 0.08)
+    assert not can_learn(BandImages(("green",), white.stack[1:2], white.rig), 0.0264)
+    few = BandImages(white.channels, white.stack[:, :5], replace(white.rig, leds=white.rig.leds[:5]))
+    assert not can_learn(few, 0.0264)
+    crowded = tuple(
+        replace(led, position_mm=(52.5 * np.cos(0.1 * k), 52.5 * np.sin(0.1 * k), 140.0))
+        for k, led in enumerate(white.rig.leds)
+    )
+    assert not can_learn(BandImages(white.channels, white.stack, replace(white.rig, leds=crowded)), 0.0264)
+
+
+def test_relief_and_glare_are_what_the_network_draws(scene):
+    grid, true = scene.grid, scene.relief_mm.astype(np.float32)
+    seen = []
+
+    def network(fields):
+        seen.append(fields)
+        drawn = np.zeros((9, *grid.shape), np.float32)
+        drawn[0] = true / RELIEF_MM + 5.0  # the offset is no relief
+        drawn[1], drawn[2] = 2.0, 1.0
+        drawn[8] = 2 * np.log(0.5)
+        return drawn
+
+    light = light_on(scene)
+    found = relief_by_network(features(scene.white, grid, placed(scene), light), grid, placed(scene), network)
+    np.testing.assert_array_equal(seen[0], fields_of(scene))
+    inner = scene.inner
+    np.testing.assert_allclose(found.relief_mm[inner], true[inner], atol=0.003)
+    assert not found.relief_mm[~grid.mask].any()
+    stated = found.deviation_mm / (0.5 * RELIEF_MM)
+    slant = slant_of(placed(scene), grid.pitch_mm)
+    np.testing.assert_allclose(stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01)
+    assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10
+    azimuth = 2 * np.pi * np.arange(7) / 7
+    size = np.linalg.norm(light.vectors, axis=1)
+    level = features(scene.white, grid, placed(scene), light).level[1]
+    expected = np.maximum(2 + np.cos(azimuth), 0)[:, None, None] * GLARE * level * size
+    np.testing.assert_allclose(glare_of(found, scene.white.rig, light)[:, inner], expected[:, inner], rtol=1e-4)
+
+
+def coarse_of(scene, tilt=0.0):
+    low = coarsen(scene.grid, FACTOR)
+    rows, columns = low.shape
+    cut = np.s_[..., : rows * FACTOR, : columns * FACTOR]
+    bands = tuple(
+        BandImages(b.channels, bin_mean(np.ascontiguousarray(b.stack[cut]), FACTOR) * low.mask, b.rig)
+        for b in (scene.white, scene.nir)
+    )
+    height = bin_mean(np.ascontiguousarray(placed(scene)[cut]), FACTOR)
+    height = (height + np.float32(tilt) * low.x_mm[None, :].astype(np.float32)) * low.mask
+    skin = SkinSettings()
+    optics = {n: diffusion(skin.scattering(n), skin.absorption(n)) for n in ("red", "green", "blue", "nir")}
+    return low, bands, height, optics, np.zeros((3, *low.shape), np.float32)
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    return make_scene(glare=0.0, depth=0.0)
+
+
+def test_a_true_shape_leaves_nothing_to_mend_and_a_tilted_one_its_tilt(smooth):
+    low, bands, height, optics, ridges = coarse_of(smooth)
+    inner = low.mask & (low.depth_mm > 1.2) & (low.y_mm[:, None] > CUT_MM + 1.2)
+    right = _shape_features(bands, low, height, optics, ridges)
+    assert right.shape == (SHAPE_COUNT, *low.shape)
+    assert not right[:, ~low.mask].any()
+    assert np.abs(right[:8][:, inner] / 4).max() < 0.05
+    assert np.abs(right[8:12][:, inner]).max() < 0.05
+    _, _, tilted, _, _ = coarse_of(smooth, tilt=0.1)
+    wrong = _shape_features(bands, low, tilted, optics, ridges) - right
+    assert wrong[0:8:2][:, inner].mean(axis=1) / 4 == pytest.approx(np.full(4, -0.1), rel=0.35)
+    assert np.abs(wrong[1:8:2][:, inner].mean(axis=1) / 4).max() < 0.01
+
+
+def test_a_missing_band_is_zero_and_said_to_be_missing(smooth):
+    low, bands, height, optics, ridges = coarse_of(smooth)
+    alone = _shape_features(bands[:1], low, height, optics, ridges)
+    nir = [6, 7, 11, 16, 17, 18, 19, 29, 30]
+    assert not alone[nir].any()
+    both = _shape_features(bands, low, height, optics, ridges)
+    assert (both[30][low.mask] == 1).all()
+    kept = np.setdiff1d(np.arange(SHAPE_COUNT), [*nir, 23])  # 23: trust of the last band's lights
+    np.testing.assert_array_equal(alone[kept], both[kept])
+
+
+def test_slopes_are_what_the_network_draws_whichever_way_the_finger_lies(smooth):
+    low, bands, height, optics, ridges = coarse_of(smooth, tilt=0.1)
+    fields = _shape_features(bands, low, height, optics, ridges)
+    x, y = _slopes_by_network(fields.copy(), lambda turned: turned[20:22].copy())
+    np.testing.assert_allclose(x, fields[20] * SHAPE_SLOPE, atol=1e-6)
+    np.testing.assert_allclose(y, fields[21] * SHAPE_SLOPE, atol=1e-6)
+    x, y = _slopes_by_network(fields, lambda turned: np.ones_like(turned[:2]))
+    assert max(np.abs(x).max(), np.abs(y).max()) < 1e-6  # a slope to one side that nothing in the fields points to
+
+
+@pytest.mark.parametrize("across_deg", [0.0, 35.0, 90.0, 160.0])
+def test_ridges_are_as_steep_as_they_are_and_across_their_direction(across_deg):
+    pitch, factor, period, height = 0.0264, 4, 0.5, 0.02
+    x, y = (np.arange(400) - 200) * pitch, (200 - np.arange(400)) * pitch
+    grid = Grid(np.ones((400, 400), bool), x, y, pitch, (False,) * 4)
+    low = coarsen(grid, factor)
+    angle = np.deg2rad(across_deg)
+    along = np.cos(angle) * x[None, :] + np.sin(angle) * y[:, None]
+    relief = (height * np.sin(2 * np.pi * along / period)).astype(np.float32)
+    even, odd, slope = _ridge_tensor(relief, grid, factor, low)[:, 30:-30, 30:-30]
+    steep = 2 * np.pi * height / period / np.sqrt(2)
+    np.testing.assert_allclose(slope, steep, rtol=0.06)
+    np.testing.assert_allclose(even, steep * np.cos(2 * angle), atol=0.08 * steep)
+    np.testing.assert_allclose(odd, steep * np.sin(2 * angle), atol=0.08 * steep)
+    none = _ridge_tensor(0 * relief, grid, factor, low)
+    assert np.abs(none).max() < 1e-3

@@ -1,0 +1,170 @@
+"""Glare of a rough dielectric: the textbook's limits, and finding it in images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splitknit.skin.light import MicrofacetGlare, fit_glare, fresnel_transmission
+
+NORMAL_REFLECTANCE = (0.42 / 2.42) ** 2
+
+
+def flat(directions):
+    """Normals (1, n, 3) and one light that many pixels share."""
+    return np.asarray(directions, dtype=np.float32)[None]
+
+
+def lights_at(*vectors, pixels):
+    return np.repeat(np.asarray(vectors, dtype=np.float32)[:, :, None, None], pixels, axis=3)
+
+
+def direction(polar_deg, azimuth_deg=0.0):
+    t, p = np.deg2rad(polar_deg), np.deg2rad(azimuth_deg)
+    return np.stack(np.broadcast_arrays(np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)), axis=-1)
+
+
+def test_transmission_is_one_at_normal_incidence_and_vanishes_at_grazing():
+    assert float(fresnel_transmission(1.0)) == pytest.approx(1.0, abs=1e-6)
+    assert float(fresnel_transmission(0.0)) < 0.02
+    assert (np.diff(fresnel_transmission(np.linspace(0, 1, 50))) >= -1e-6).all()
+
+
+def test_transmission_follows_fresnel():
+    # at Brewster's angle only s-polarised light is mirrored, ((n^2 - 1) / (n^2 + 1))^2 of it
+    index = 1.42
+    mirrored = 0.5 * ((index**2 - 1) / (index**2 + 1)) ** 2
+    brewster = np.cos(np.arctan(index))
+    assert float(fresnel_transmission(brewster)) == pytest.approx((1 - mirrored) / (1 - NORMAL_REFLECTANCE), abs=1e-5)
+    assert float(fresnel_transmission(0.3, index=1.0)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_lobe_at_normal_incidence_is_the_formula():
+    for roughness in (0.1, 0.3, 0.5):
+        glare = MicrofacetGlare(flat([[0, 0, 1]]), lights_at((0, 0, 1), pixels=1))(roughness)
+        assert float(glare[0, 0, 0]) == pytest.approx(NORMAL_REFLECTANCE / (4 * np.pi * roughness**2), rel=1e-4)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 130.0])
+def test_lobe_peaks_where_the_normal_halves_light_and_view(azimuth):
+    tilts = np.arange(0, 31, 0.5)
+    light = lights_at(direction(30.0, azimuth), pixels=len(tilts))
+    glare = MicrofacetGlare(flat(direction(tilts, azimuth)), light)(0.12)[0, 0]
+    assert tilts[int(np.argmax(glare))] == pytest.approx(15.0, abs=1.0)
+    assert glare.max() > 5 * glare[0]
+
+
+def test_roughness_widens_the_lobe():
+    tilts = np.arange(0, 30, 0.25)
+    light = lights_at((0, 0, 1), pixels=len(tilts))
+    widths = [
+        (g > g.max() / 2).sum() for g in (MicrofacetGlare(flat(direction(tilts)), light)(r)[0, 0] for r in (0.1, 0.2))
+    ]
+    assert widths[1] == pytest.approx(2 * widths[0], rel=0.1)
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.15, 0.4])
+def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
+    # of the sky's light, facets up to 45 deg, 1 / (1 + alpha^2) of all, send the reflectance towards the camera; a
+    # little is shadowed
+    t = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
+    sky = direction(np.rad2deg(t)).T.astype(np.float32)[None, :, None, :]
+    glare = MicrofacetGlare(flat(direction(np.zeros(2000))), sky)(roughness)[0, 0].astype(np.float64)
+    albedo = float((glare * 2 * np.pi * np.sin(t)).sum() * (np.pi / 2 / 2000))
+    assert 0.92 < albedo / NORMAL_REFLECTANCE * (1 + roughness**2) < 1.02
+
+
+def test_glare_of_any_facet_is_the_textbooks():
+    """Cook and Torrance with GGX and Smith's shadowing, written out in double precision."""
+    rng = np.random.default_rng(4)
+    tilts, around = rng.uniform(0, 70, 40), rng.uniform(0, 360, 40)
+    light, normal = direction(35.0, 20.0), direction(tilts, around)
+    half = light + np.array([0.0, 0.0, 1.0])
+    half /= np.linalg.norm(half)
+    for roughness in (0.15, 0.45):
+        a2 = roughness**2
+        nl, nv, nh, lh = normal @ light, normal[:, 2], normal @ half, light @ half
+        facets = a2 / (np.pi * ((nh * nh) * (a2 - 1) + 1) ** 2)
+        unshadowed = [2 / (1 + np.sqrt(1 + a2 * (1 / c**2 - 1))) for c in (nl, nv)]
+        g = np.sqrt(1.42**2 - 1 + lh**2)
+        reflectance = (
+            0.5 * ((g - lh) / (g + lh)) ** 2 * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
+        )  # Walter et al., eq. 22
+        expected = facets * unshadowed[0] * unshadowed[1] * reflectance / (4 * nv)
+        found = MicrofacetGlare(flat(normal), lights_at(light, pixels=40))(roughness)[0, 0]
+        lit = nl > 0.05
+        np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-3)
+        assert lit.sum() > 20
+
+
+def test_light_from_behind_gives_no_glare():
+    normals = flat([[0, 0, 1], direction(60.0, 180.0)])
+    glare = MicrofacetGlare(normals, lights_at((0.1, 0, -0.5), (1, 0, 0.2), pixels=2))(0.3)
+    assert glare[0, 0, 0] == 0
+    assert glare[1, 0, 1] == 0
+    assert glare[1, 0, 0] > 0
+
+
+def test_glare_is_linear_in_the_light():
+    normals = flat(direction(np.arange(0, 60, 5.0), 40.0))
+    light = lights_at(direction(20.0), direction(50.0, 90.0), pixels=12)
+    weak, strong = (MicrofacetGlare(normals, light * np.float32(s))(0.25) for s in (1.0, 7.0))
+    np.testing.assert_allclose(strong, 7 * weak, rtol=2e-5)
+    assert weak.dtype == np.float32
+
+
+def cap():
+    """Normals (n, 3) of a cap of 35 deg and seven lights (7, 3, n) of different strength."""
+    x, y = np.meshgrid(np.linspace(-0.55, 0.55, 41), np.linspace(-0.55, 0.55, 41))
+    inside = np.hypot(x, y) < 0.55
+    x, y = x[inside], y[inside]
+    normals = np.stack([x, y, np.sqrt(1 - x * x - y * y)], axis=-1).astype(np.float32)
+    towards = direction(np.full(7, 22.0), np.arange(7) * 360 / 7) * (1 + 0.1 * np.arange(7))[:, None]
+    lights = np.repeat(towards[:, :, None].astype(np.float32), len(x), axis=2)
+    return normals, lights
+
+
+def model_of(normals, lights):
+    return MicrofacetGlare(normals, lights)
+
+
+@pytest.mark.parametrize("roughness", [0.20, 0.30])
+def test_fit_finds_roughness_and_strength_whatever_the_albedo(roughness):
+    normals, lights = cap()
+    model = model_of(normals, lights)
+    albedo = 0.3 + 0.5 * np.random.default_rng(0).random(len(normals)).astype(np.float32)
+    matt = albedo * np.einsum("lin,ni->ln", lights, normals)
+    assert matt.min() > 0
+    fit = fit_glare(matt + np.float32(1.7) * model(roughness), lights, model)
+    assert fit.roughness == roughness
+    assert fit.strength == pytest.approx(1.7, rel=1e-3)
+    assert fit.explained == pytest.approx(1.0, abs=1e-3)
+
+
+def test_fit_finds_no_glare_on_a_matt_surface():
+    normals, lights = cap()
+    matt = np.einsum("lin,ni->ln", lights, normals)
+    fit = fit_glare(matt, lights, model_of(normals, lights))
+    assert abs(fit.strength) < 1e-4
+    noisy = fit_glare(
+        (matt + np.random.default_rng(1).normal(0, 1e-3, matt.shape)).astype(np.float32),
+        lights,
+        model_of(normals, lights),
+    )
+    assert 0 <= noisy.strength < 0.01
+    assert noisy.explained < 0.01
+
+
+def test_fit_is_never_negative():
+    normals, lights = cap()
+    model = model_of(normals, lights)
+    matt = np.einsum("lin,ni->ln", lights, normals)
+    assert fit_glare(matt - model(0.3), lights, model).strength == 0.0
+
+
+def test_fit_needs_four_lights_and_a_pixel():
+    normals, lights = cap()
+    stack = np.ones((7, len(normals)), dtype=np.float32)
+    model = model_of(normals, lights)
+    assert fit_glare(stack[:3], lights[:3], model).strength == 0.0
+    assert fit_glare(stack[:, :0], lights[:, :, :0], model).strength == 0.0

@@ -1,0 +1,394 @@
+"""The fine grid: what a measurement has beyond a surface, unmixed, integrated and denoised."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from skin_scene import ring
+from splitknit.skin.diffusion import SkinSettings, diffusion
+from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.light import Lighting
+from splitknit.skin.relief import (
+    CROSSOVER_MM,
+    Measured,
+    Unmixing,
+    _mean_normals,
+    _plausible,
+    _relief_residual,
+    _scattering_sensitivity,
+    denoise,
+    detail_of,
+    high_pass,
+    measure,
+    unmixing,
+    update,
+)
+
+PITCH = 0.04
+SHAPE = (150, 170)
+COLOURS = ("red", "green", "blue")
+BRIGHTNESS = np.array([0.6, 0.4, 0.3], dtype=np.float32)
+SKIN = SkinSettings()
+OPTICS = {n: diffusion(SKIN.scattering(n), SKIN.absorption(n)) for n in (*COLOURS, "nir")}
+K = 2 * np.pi / 0.48
+
+
+def disc():
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    mask = np.hypot((rows - 74.5) / 70, (columns - 84.5) / 80) < 1
+    x = (np.arange(SHAPE[1]) - 84.5) * PITCH
+    y = (74.5 - np.arange(SHAPE[0])) * PITCH
+    return Grid(mask, x, y, PITCH, (False,) * 4)
+
+
+GRID = disc()
+X, Y = np.meshgrid(GRID.x_mm, GRID.y_mm)
+INNER = GRID.depth_mm > 1.2
+DOME = (1.0 - 0.06 * X**2 - 0.03 * Y**2).astype(np.float32)
+
+
+def ridge(amplitude):
+    """Oblique waves (mm) and their slopes."""
+    phase = K * (0.6 * X + 0.8 * Y)
+    swing = -amplitude * K * np.sin(phase)
+    return (amplitude * np.cos(phase)).astype(np.float32), 0.6 * swing, 0.8 * swing
+
+
+def blurred(field, name):
+    """Irradiance pattern behind the skin, in double precision with a margin of its own."""
+    size = 512
+    omega = 2 * np.pi * np.hypot(np.fft.fftfreq(size, PITCH)[:, None], np.fft.rfftfreq(size, PITCH)[None, :])
+    spread = np.fft.irfft2(np.fft.rfft2(field, (size, size)) * OPTICS[name](omega), (size, size))
+    return spread[: SHAPE[0], : SHAPE[1]]
+
+
+def gain_of(found, true):
+    return float((found * true).sum() / (true * true).sum())
+
+
+def measured_of(slope_x, slope_y, albedo=1.0, glare=0.0, names=COLOURS):
+    """Pseudo-normals of a surface with these slopes behind the skin, times an albedo, plus white glare along z."""
+    normal = np.stack([-slope_x, -slope_y, np.ones(SHAPE)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal *= GRID.mask[..., None]
+    g = np.empty((len(names), *SHAPE, 3), dtype=np.float32)
+    for c, name in enumerate(names):
+        level = BRIGHTNESS[COLOURS.index(name)]
+        g[c] = (
+            level * np.stack([blurred(normal[..., i], name) for i in range(3)], axis=-1) * np.asarray(albedo)[..., None]
+        )
+        g[c, ..., 2] += glare
+    omega = np.linspace(0, float(GRID.omega[2].max()), 1024)
+    transfer = np.stack([GRID.radial(omega, OPTICS[n](omega)) for n in names])
+    trust = np.clip(GRID.depth_mm / 0.4, 0, 1)
+    region = np.clip((GRID.depth_mm - 0.5) / 0.5, 0, 1)
+    levels = np.array([BRIGHTNESS[COLOURS.index(n)] for n in names])
+    return Measured(names, g, transfer, levels, trust.astype(np.float32), region.astype(np.float32))
+
+
+def dome_slopes():
+    return -0.12 * X, -0.06 * Y
+
+
+RAMP = (1.0 + 0.06 * X - 0.04 * Y).astype(np.float32)
+
+
+@pytest.mark.parametrize("names", [COLOURS, ("green",)])
+@pytest.mark.parametrize("albedo", [np.ones(SHAPE, np.float32), RAMP], ids=["even", "ramp"])
+def test_the_same_surface_lacks_nothing_whatever_the_albedo(names, albedo):
+    slopes, _ = _relief_residual(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
+    assert len(slopes) == len(names)
+    for pair in slopes:
+        for slope in pair:
+            assert np.abs(slope[INNER]).max() < 1e-3
+
+
+def test_the_same_ridged_surface_lacks_nothing():
+    relief, sx, sy = ridge(0.02)
+    gx, gy = dome_slopes()
+    scale = np.sin(K * 0.6 * PITCH) / (K * 0.6 * PITCH)  # of central differences, along x
+    before, _ = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME)
+    after, _ = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
+    for one, other in zip(before, after, strict=True):
+        assert other[0][INNER].std() < 1.2 * (1 - scale + 0.01) * one[0][INNER].std()
+
+
+@pytest.mark.parametrize("names", [COLOURS, ("blue",)])
+def test_a_small_difference_arrives_through_the_transfer_function(names):
+    _, sx, sy = ridge(0.003)
+    gx, gy = dome_slopes()
+    slopes, _ = _relief_residual(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
+    for name, (x, y) in zip(names, slopes, strict=True):
+        # light leaks out at the outline: less of it, and so a larger slope for the same swing
+        gain = float(OPTICS[name](K)) / blurred(GRID.mask, name)
+        for found, true in ((x, sx), (y, sy)):
+            here = INNER & (np.hypot(gx, gy) < 0.25)
+            assert gain_of(found[here], (gain * true)[here]) == pytest.approx(1, abs=0.03)
+            assert np.abs(found - gain * true)[here].max() < 0.1 * np.abs(gain * true)[here].max()
+
+
+def test_share_of_the_glare_in_each_channel_is_told_by_colour():
+    _, glare = _relief_residual(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
+    seen = GRID.depth_mm > 0.5
+    level = [b * np.median(blurred(GRID.mask, name)[seen]) for b, name in zip(BRIGHTNESS, COLOURS, strict=True)]
+    np.testing.assert_allclose(glare, level[0] / np.array(level), rtol=0.02)
+    assert glare[2] > 1.5
+
+
+def lights(entering, trust):
+    """Photometric stereo takes the vectors from the rig; here they only have to be there."""
+    return Lighting(np.zeros((entering.shape[0], 3, *SHAPE), np.float32), entering, trust)
+
+
+def test_nothing_is_lacking_where_nothing_is_trusted():
+    _, sx, sy = ridge(0.02)
+    measured = measured_of(sx, sy)
+    for pair in _relief_residual(measured, GRID, np.ones(SHAPE, np.float32))[0]:
+        for slope in pair:
+            assert np.isfinite(slope).all()
+            assert not slope[~GRID.mask].any()
+
+
+def test_a_tilt_is_left_to_the_coarse_grid():
+    gx, gy = dome_slopes()
+    for x, y in _relief_residual(measured_of(gx + 0.2, gy), GRID, DOME)[0]:
+        assert np.abs(x[INNER]).max() < 0.02
+        assert np.abs(y[INNER]).max() < 0.02
+
+
+def test_mean_normals_are_unit_and_end_at_the_mask():
+    normals = _mean_normals(DOME, GRID)
+    assert not normals[~GRID.mask].any()
+    np.testing.assert_allclose(np.linalg.norm(normals[GRID.mask], axis=-1), 1, atol=1e-5)
+    gx, gy = dome_slopes()
+    np.testing.assert_allclose(-normals[INNER][:, 0] / normals[INNER][:, 2], gx[INNER], atol=1e-3)
+    np.testing.assert_allclose(-normals[INNER][:, 1] / normals[INNER][:, 2], gy[INNER], atol=1e-3)
+
+
+def test_measure_gives_albedo_times_normal():
+    rig = ring("white")
+    gx, gy = dome_slopes()
+    normal = np.stack([-gx, -gy, np.ones(SHAPE)]) / np.sqrt(1 + gx * gx + gy * gy)
+    stack = np.empty((3, 7, *SHAPE), dtype=np.float32)
+    rng = np.random.default_rng(0)
+    entering = (0.7 + 0.3 * rng.random((7, *SHAPE))).astype(np.float32)
+    for k, led in enumerate(rig.leds):
+        towards = np.asarray(led.position_mm)[:, None, None] - np.stack([X, Y, DOME])
+        distance = np.linalg.norm(towards, axis=0)
+        cosine = (towards / distance * normal).sum(axis=0)
+        stack[:, k] = BRIGHTNESS[:, None, None] * led.intensity * cosine / distance**2 * 149.52**2 * entering[k]
+    light = lights(entering, np.ones_like(entering))
+    brightness = dict(zip(COLOURS, BRIGHTNESS.tolist(), strict=True))
+    found = measure(BandImages(COLOURS, stack, rig), GRID, DOME, light, OPTICS, brightness)
+    assert found.channels == COLOURS
+    mean = np.mean([led.intensity for led in rig.leds])
+    for c in range(3):
+        truth = np.moveaxis(normal, 0, -1) * BRIGHTNESS[c] * mean
+        np.testing.assert_allclose(found.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3)
+    np.testing.assert_array_equal(found.brightness, BRIGHTNESS)
+    wx = GRID.omega[0][0]
+    np.testing.assert_allclose(found.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
+    assert not found.trust[~GRID.mask].any()
+    assert found.trust[INNER].min() > 0.99
+    assert not found.trust[GRID.depth_mm <= 0.1].any()
+    rim = np.abs(GRID.depth_mm - 0.25) < 0.01
+    assert np.abs(found.trust[rim] - 0.5).max() < 0.06
+    assert not found.region[GRID.depth_mm < 0.5].any()
+    assert found.region[75, 85] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_lights_that_are_not_trusted_do_not_count():
+    rig = ring("white")
+    stack = np.empty((1, 7, *SHAPE), dtype=np.float32)
+    for k, led in enumerate(rig.leds):
+        towards = np.asarray(led.position_mm)[:, None, None] - np.stack([X, Y, np.ones(SHAPE)])
+        stack[0, k] = led.intensity * towards[2] / np.linalg.norm(towards, axis=0) ** 3 * 149.52**2
+    stack[0, 2] = 0.0  # in shadow
+    trust = np.ones((7, *SHAPE), dtype=np.float32)
+    trust[2] = 1e-3
+    level = np.ones(SHAPE, dtype=np.float32)
+    band = BandImages(("green",), stack, rig)
+    found, fooled = (
+        measure(band, GRID, level, lights(np.ones_like(trust), t), OPTICS, {"green": 1.0}).pseudo_normals[0]
+        for t in (trust, np.ones_like(trust))
+    )
+    for g, straight in ((found, True), (fooled, False)):
+        tilt = np.hypot(g[INNER][:, 0], g[INNER][:, 1]) / g[INNER][:, 2]
+        assert (tilt.max() < 0.01) == straight
+
+
+def test_strong_ridges_are_hardly_shrunk_by_noise():
+    relief, sx, sy = ridge(0.03)
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.03)
+    mix = unmixing(measured, GRID, slopes, glare)
+    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_detail_of_the_shape_is_what_is_finer_than_the_crossover():
+    measured = measured_of(*dome_slopes())
+    wave = (0.02 * np.cos(2 * np.pi * X)).astype(np.float32)
+    smooth = detail_of(DOME, measured.trust, GRID)
+    assert np.abs(smooth[INNER]).max() < 0.002
+    detail = detail_of(DOME + wave, measured.trust, GRID)
+    assert gain_of((detail - smooth)[INNER], wave[INNER]) == pytest.approx(0.97, abs=0.04)
+    assert not detail[~GRID.mask].any()
+
+
+def test_smooth_features_are_expected_even_where_none_are_seen():
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((zero, zero), (zero, zero), 0.0)
+    mix = unmixing(measured, GRID, slopes, glare)
+    kept = sum(w * t for w, t in zip(mix.weights, measured.transfer, strict=True))
+    slow = (GRID.omega[2] > 5) & (GRID.omega[2] < 12)
+    assert kept[slow].min() > 0.9
+    assert kept.max() < 1.02
+
+
+def test_steep_slopes_are_not_trusted():
+    rig = ring("white")
+    steep = (-1.0 * np.abs(X) ** 2).astype(np.float32)  # 60 deg at 0.87 mm, 74 deg at 1.7 mm
+    ones = np.ones((7, *SHAPE), dtype=np.float32)
+    found = measure(BandImages(("green",), ones[None], rig), GRID, steep, lights(ones, ones), OPTICS, {"green": 1.0})
+    row = SHAPE[0] // 2
+    slant = np.rad2deg(np.arctan(2 * np.abs(GRID.x_mm)))
+    assert (found.trust[row, slant < 59] > 0.99).all()
+    assert (found.trust[row, slant > 75] == 0).all()
+    assert (found.region[row, slant > 51] == 0).all()
+
+
+def synthetic(relief_slopes, glare_slopes, noise, seed=0):
+    """Slopes p_c = M_c d + g_c s + noise of every colour, and what was measured with them."""
+    measured = measured_of(np.zeros(SHAPE), np.zeros(SHAPE))
+    glare = (BRIGHTNESS[0] / BRIGHTNESS).astype(np.float32)
+    rng = np.random.default_rng(seed)
+    slopes = []
+    for c, name in enumerate(COLOURS):
+        pair = []
+        for d, s in zip(relief_slopes, glare_slopes, strict=True):
+            value = blurred(d * GRID.mask, name) + glare[c] * s + noise * rng.standard_normal(SHAPE)
+            pair.append((value * measured.trust).astype(np.float32))
+        slopes.append(tuple(pair))
+    return measured, slopes, glare
+
+
+def test_unmixing_and_integration_give_the_relief():
+    relief, sx, sy = ridge(0.03)
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.003)
+    mix = unmixing(measured, GRID, slopes, glare)
+    assert len(mix.weights) == 3
+    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
+    assert np.corrcoef(found[INNER], relief[INNER])[0, 1] > 0.97
+    assert not found[~GRID.mask].any()
+
+
+def test_glare_does_not_become_relief():
+    relief, sx, sy = ridge(0.03)
+    phase = 17.0 * (0.9 * X - 0.4 * Y)
+    false = 0.3 * np.cos(phase)
+    measured, slopes, glare = synthetic((sx, sy), (0.9 * false, -0.4 * false), 0.003)
+    mix = unmixing(measured, GRID, slopes, glare)
+    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.08)
+    alone = list(slopes[2:])
+    blue = Measured(
+        ("blue",),
+        measured.pseudo_normals[2:],
+        measured.transfer[2:],
+        measured.brightness[2:],
+        measured.trust,
+        measured.region,
+    )
+    fooled = update(blue, GRID, alone, unmixing(blue, GRID, alone, np.ones(1, np.float32)), np.zeros(SHAPE, np.float32))
+    left, kept = ((f - relief)[INNER].std() for f in (found, fooled))
+    assert left < 0.3 * kept
+
+
+def test_repeating_settles_and_does_not_grow():
+    relief, sx, sy = ridge(0.03)
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.01)
+    mix = unmixing(measured, GRID, slopes, glare)
+    wx, wy, _ = GRID.omega
+    current = np.zeros(SHAPE, dtype=np.float32)
+    steps = []
+    for _ in range(6):
+        spectrum = GRID.forward(current)
+        residual = [
+            tuple(
+                (s - GRID.inverse(1j * w * t * spectrum) * measured.trust).astype(np.float32)
+                for s, w in zip(pair, (wx, wy), strict=True)
+            )
+            for pair, t in zip(slopes, measured.transfer, strict=True)
+        ]
+        after = update(measured, GRID, residual, mix, current)
+        steps.append(float(np.abs(after - current)[INNER].std()))
+        current = after
+    first = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    assert steps[-1] < 0.02 * steps[0]
+    assert current[INNER].std() == pytest.approx(first[INNER].std(), rel=0.05)
+    assert gain_of(current[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_fine_grid_leaves_the_shape_to_the_coarse_one():
+    fraction = high_pass(GRID)
+    assert fraction[0, 0] == 0
+    np.testing.assert_allclose(fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6)
+    measured, slopes, glare = synthetic((0.3 * np.ones(SHAPE), np.zeros(SHAPE)), (np.zeros(SHAPE),) * 2, 0.003)
+    mix = unmixing(measured, GRID, slopes, glare)
+    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    tilt = 0.3 * X
+    assert abs(gain_of(found[INNER], tilt[INNER])) < 0.05
+
+
+def test_denoise_takes_the_noise_that_the_unmixing_lets_through():
+    relief, sx, sy = ridge(0.03)
+    zero = np.zeros(SHAPE)
+    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.01)
+    mix = unmixing(measured, GRID, slopes, glare)
+    raw = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+    clean, deviation = denoise(raw, GRID, mix, 0)
+    before, after = (float(np.sqrt(((f - relief)[INNER] ** 2).mean())) for f in (raw, clean))
+    assert after < 0.9 * before
+    assert gain_of(clean[INNER], relief[INNER]) > 0.9
+    assert 0.3 * after < deviation[INNER].mean() < 2 * after
+    again = denoise(raw, GRID, mix, 0)
+    assert again[0].tobytes() == clean.tobytes()
+    assert again[1].tobytes() == deviation.tobytes()
+    assert denoise(raw, GRID, mix, 1)[0].tobytes() != clean.tobytes()
+
+
+def test_denoise_of_a_grid_smaller_than_the_window_only_tells_the_noise():
+    small = Grid(GRID.mask[60:90, 60:90], GRID.x_mm[60:90], GRID.y_mm[60:90], PITCH, (True,) * 4)
+    ones = np.ones_like(small.omega[2])
+    relief = np.random.default_rng(0).standard_normal((30, 30)).astype(np.float32)
+    same, deviation = denoise(relief, small, Unmixing([ones], np.array([0.01])), 0)
+    np.testing.assert_array_equal(same, relief)
+    assert deviation.shape == (30, 30)
+    assert deviation.min() == deviation.max() > 0
+
+
+def test_sensitivity_is_the_ratio_of_the_transfer_functions():
+    relief, _, _ = ridge(0.03)
+    measured = measured_of(np.zeros(SHAPE), np.zeros(SHAPE), names=("green",))
+    inverse = Unmixing([1 / measured.transfer[0]], np.array([0.01]))
+    other = {"green": diffusion(SKIN.scattering("green") * 1.3, SKIN.absorption("green"))}
+    found = _scattering_sensitivity(measured, GRID, inverse, other, relief)
+    assert found == pytest.approx(float(other["green"](K) / OPTICS["green"](K)) - 1, rel=0.05)
+    assert _scattering_sensitivity(measured, GRID, inverse, OPTICS, relief) == pytest.approx(0, abs=1e-3)
+
+
+def test_the_reliefs_spectrum_falls_no_slower_than_harmonics() -> None:
+    omega = np.geomspace(5.0, 100.0, 28)
+    signal = np.full(28, 4.0)
+    found = _plausible(omega, signal)
+    peak = omega[np.flatnonzero((omega >= 9.0) & (omega <= 24.0))[0]]
+    above = omega > peak
+    np.testing.assert_allclose(found[above], 4.0 * (peak / omega[above]) ** 2)
+    np.testing.assert_array_equal(found[~above], signal[~above])
+    steep = (9.0 / omega) ** 6
+    np.testing.assert_array_equal(_plausible(omega, steep), steep)

@@ -1,0 +1,182 @@
+"""A small dome of skin, from images to shape and relief."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, shape_rms
+from splitknit.errors import BadInput
+from splitknit.methods.metric import metric_skin
+from splitknit.skin.diffusion import SkinSettings, diffusion
+from splitknit.skin.grid import BandImages, coarsen
+from splitknit.skin.images import MetricSettings
+from splitknit.skin.light import fine_lighting
+from splitknit.skin.relief import Measured, _with_relief
+
+SETTINGS = MetricSettings(rounds=2)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene()
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    return metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+
+
+def grey(scene):
+    return BandImages(("green",), scene.white.stack[1:2], scene.white.rig)
+
+
+def assert_finite(surface, shape):
+    for field in (surface.shape_mm, surface.relief_mm, surface.deviation_mm, surface.albedo):
+        assert field.shape == shape
+        assert field.dtype == np.float32
+        assert np.isfinite(field).all()
+    assert (surface.deviation_mm >= 0).all()
+
+
+def test_relief_comes_out_of_skin_with_glare(scene, found):
+    assert_finite(found, scene.grid.shape)
+    gain, correlation = relief_gain(found.relief_mm, scene.relief_mm, scene.inner)
+    assert 0.85 < gain < 1.15
+    assert correlation > 0.97
+
+
+def test_shape_comes_out_beside_the_relief(scene, found):
+    whole, true = found.shape_mm + found.relief_mm, scene.shape_mm + scene.relief_mm
+    assert shape_rms(found.shape_mm, scene.shape_mm, scene.inner) < 0.04
+    assert shape_rms(whole, true, scene.grid.mask & (scene.grid.depth_mm > 0.33)) < 0.08
+    assert found.shape_mm[scene.grid.mask].mean() == pytest.approx(SETTINGS.plane_mm, abs=0.1)
+
+
+@pytest.mark.slow
+def test_matt_skin_has_less_glare_than_glossy_skin(found):
+    scene = make_scene(glare=0.0)
+    matt = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    gain, correlation = relief_gain(matt.relief_mm, scene.relief_mm, scene.inner)
+    assert 0.85 < gain < 1.15
+    assert correlation > 0.97
+    assert matt.facts["glare"]["blue"]["strength"] < 0.2 * found.facts["glare"]["blue"]["strength"]
+
+
+def test_facts_tell_what_was_assumed_and_found(found):
+    skin = SkinSettings()
+    assert found.facts["scattering_per_mm"] == {n: skin.scattering(n) for n in ("blue", "green", "nir", "red")}
+    assert found.facts["colour"]["red"] == 1.0
+    assert found.facts["colour"]["green"] == pytest.approx(0.42 / 0.62, rel=0.05)
+    assert found.facts["colour"]["blue"] == pytest.approx(0.33 / 0.62, rel=0.05)
+    # three colours that are blind to glare are nearly blind to the scattering too
+    assert 0 < found.facts["gain_sensitivity"] < 0.1
+
+
+@pytest.mark.parametrize("scattering", [0.7, 1.3])
+def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
+    scene = make_scene(scattering=scattering)
+    surface = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
+    assert 0.85 < gain < 1.15
+    assert correlation > 0.97
+
+
+@pytest.mark.slow
+def test_deviation_of_grey_skin_tells_what_wrong_scattering_does():
+    """Matt skin in grey: its relief is off by as much as is told, and the deviation holds it."""
+    true, stronger = make_scene(glare=0.0), make_scene(glare=0.0, scattering=1.3)
+    surface = metric_skin((grey(true),), true.grid, SkinSettings(), SETTINGS)
+    misled = metric_skin((grey(stronger),), true.grid, SkinSettings(), SETTINGS)
+    gain, correlation = relief_gain(misled.relief_mm, surface.relief_mm, true.inner)
+    assert correlation > 0.99
+    assert gain - 1 > 0.1
+    assert surface.facts["gain_sensitivity"] == pytest.approx(gain - 1, abs=0.05)
+    sure = metric_skin((grey(true),), true.grid, SkinSettings(scattering_uncertainty=0.0), SETTINGS)
+    np.testing.assert_array_equal(sure.relief_mm, surface.relief_mm)
+    assert sure.facts["gain_sensitivity"] == 0
+    assert sure.deviation_mm[true.inner].mean() > 0.0002
+    assert (surface.deviation_mm >= sure.deviation_mm)[true.inner].all()
+    more = (surface.deviation_mm**2 - sure.deviation_mm**2)[true.inner].mean()
+    spread = surface.facts["gain_sensitivity"] * surface.relief_mm
+    assert more == pytest.approx((spread**2)[true.inner].mean(), rel=0.4)
+
+
+@pytest.mark.parametrize("bands", ["grey", "grey and nir", "no nir"])
+def test_fewer_bands_do(scene, bands):
+    chosen = {"grey": (grey(scene),), "grey and nir": (grey(scene), scene.nir), "no nir": (scene.white,)}[bands]
+    surface = metric_skin(chosen, scene.grid, SkinSettings(), SETTINGS)
+    assert_finite(surface, scene.grid.shape)
+    gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
+    assert correlation > (0.97 if bands == "no nir" else 0.8)
+    assert bands != "no nir" or 0.85 < gain < 1.15
+    # grey images keep their glare: only its sign and pattern can be right
+
+
+def test_same_bytes_every_time(scene, found):
+    again = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    for name in ("shape_mm", "relief_mm", "deviation_mm", "albedo"):
+        assert getattr(again, name).tobytes() == getattr(found, name).tobytes()
+    assert again.facts == found.facts
+
+
+def test_fine_lights_are_the_coarse_ones_enlarged(scene):
+    low = coarsen(scene.grid, 3)
+    x, y = np.meshgrid(low.x_mm, low.y_mm)
+    shape = (-0.06 * x**2 - 0.04 * y**2).astype(np.float32)
+    height = shape - shape[low.mask].mean() + np.float32(1.0)
+    light = fine_lighting(scene.white.rig, low, height, 3, scene.grid)
+    assert light.entering.shape == light.trust.shape == scene.white.stack.shape[1:]
+    assert not light.trust[:, ~scene.grid.mask].any()
+    for row, column in ((90, 140), (60, 90), (150, 190)):
+        px, py = scene.grid.x_mm[column], scene.grid.y_mm[row]
+        normal = np.array([0.12 * px, 0.08 * py, 1.0])
+        height = 1.0 - shape[low.mask].mean() - 0.06 * px**2 - 0.04 * py**2
+        for k, led in enumerate(scene.white.rig.leds):
+            towards = np.asarray(led.position_mm) - [px, py, height]
+            cosine = towards @ normal / np.linalg.norm(towards) / np.linalg.norm(normal)
+            enters = (1 - fresnel(cosine)) / (1 - fresnel(np.float64(1.0)))
+            assert light.entering[k, row, column] == pytest.approx(enters, abs=2e-3)
+            assert light.trust[k, row, column] > 0.99
+    # and it varies: grazing light is mirrored more
+    assert np.ptp(light.entering[:, scene.grid.mask]) > 0.01
+
+
+def test_current_relief_is_added_to_the_slopes_through_the_skin(scene):
+    grid = scene.grid
+    skin = diffusion(SkinSettings().scattering("green"), SkinSettings().absorption("green"))
+    omega = np.linspace(0, float(grid.omega[2].max()), 1024)
+    ones = np.ones(grid.shape, dtype=np.float32)
+    measured = Measured(
+        ("green",),
+        np.zeros((1, *grid.shape, 3), np.float32),
+        grid.radial(omega, skin(omega))[None],
+        ones[0, :1],
+        ones,
+        ones,
+    )
+    relief = scene.relief_mm.astype(np.float32)
+    some = [(0.1 * ones, 0.2 * ones)]
+    assert _with_relief(some, measured, grid, 0 * relief) is some
+    ((x, y),) = _with_relief(some, measured, grid, relief)
+    k = 2 * np.pi / PERIOD_MM
+    gx, gy = np.meshgrid(grid.x_mm, grid.y_mm)
+    swing = -float(skin(k)) * DEPTH_MM / 2 * k * np.sin(k * (0.5 * gx + np.sqrt(0.75) * gy))
+    middle = np.s_[80:-80, 80:-80]
+    np.testing.assert_allclose((x - 0.1)[middle], 0.5 * swing[middle], atol=2e-3)
+    np.testing.assert_allclose((y - 0.2)[middle], np.sqrt(0.75) * swing[middle], atol=2e-3)
+
+
+def test_images_are_left_as_they_were(scene):
+    before = scene.white.stack.copy()
+    metric_skin((scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1))
+    np.testing.assert_array_equal(scene.white.stack, before)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"working_pitch_mm": 0.2}, {"working_pitch_mm": 0.0}, {"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}],
+)
+def test_settings_are_checked(wrong):
+    with pytest.raises(BadInput, match=r"metric\."):
+        MetricSettings(**wrong)

@@ -1,0 +1,101 @@
+"""Arrays in, a surface out; a photograph that spoils it is named, and lights may differ in brightness."""
+
+import numpy as np
+import pytest
+
+import splitknit
+from rough_dome import scene, spoilt
+from splitknit.errors import BadInput
+
+KINDS = {
+    "uint8": lambda stack: np.rint(stack * 255).astype(np.uint8),
+    "uint16": lambda stack: np.rint(stack * 65535).astype(np.uint16),
+    "float32": lambda stack: stack,
+    "float64": lambda stack: 7.0 * stack.astype(np.float64),
+    "colour": lambda stack: np.repeat(np.rint(stack * 65535).astype(np.uint16)[..., None], 3, axis=3),
+    "list": list,
+}
+
+
+def photographs(seed=0):
+    stack, lights, mask = scene(seed, 100)
+    return np.clip(0.6 * stack, 0, 1), lights, mask
+
+
+def turned(one, other):
+    cosine = (one.normals_measured * other.normals_measured).sum(axis=2)[one.mask & other.mask]
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return splitknit.reconstruct_images(*photographs(), px_per_mm=10.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_arrays_of_every_kind(kind, sound):
+    stack, lights, mask = photographs()
+    result = splitknit.reconstruct_images(KINDS[kind](stack), lights, mask, 10.0)
+    assert result.height_mm.shape == mask.shape
+    assert turned(result, sound) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"images": np.zeros((8, 9))}, "shape"),
+        ({"images": np.zeros((8, 9, 9, 4))}, "shape"),
+        ({"images": [np.zeros((9, 9)), np.zeros((8, 9))]}, "one shape"),
+        ({"images": np.zeros((8, 100, 100), dtype=np.int64)}, "uint8, uint16 or floats"),
+        ({"images": np.full((8, 100, 100), np.nan)}, "NaN"),
+        ({"images": np.zeros((8, 100, 100))}, "black"),
+        ({"lights": np.ones((3, 3))}, "differ in number"),
+        ({"lights": "no lights"}, "numbers"),
+        ({"mask": np.ones((4, 4), dtype=bool)}, "mask must have the shape"),
+        ({"px_per_mm": -1.0}, "px_per_mm"),
+        ({"intensities": np.zeros(8)}, "positive"),
+        ({"intensities": np.ones(7)}, "intensities"),
+    ],
+)
+def test_arrays_that_cannot_be_used_are_refused(change, words):
+    stack, lights, mask = photographs()
+    with pytest.raises(BadInput, match=words):
+        splitknit.reconstruct_images(**{"images": stack, "lights": lights, "mask": mask, **change})
+
+
+@pytest.mark.parametrize("kind", ["moved", "blurred", "double"])
+def test_a_spoilt_photograph_is_named_and_left_out(kind, sound):
+    stack, lights, mask = photographs()
+    stack[5] = spoilt(stack[5], kind)
+    result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
+    assert sum("image 5" in warning and "left out" in warning for warning in result.warnings) == 1
+    assert turned(result, sound) < 0.5
+
+
+def test_clipped_values_are_not_used(sound):
+    stack, lights, mask = photographs()
+    stack[5] = np.minimum(stack[5] / np.quantile(stack[5][mask], 0.9), 1.0)
+    pixels = np.rint(stack * 65535).astype(np.uint16)
+    result = splitknit.reconstruct_images(pixels, lights, mask, 10.0)
+    assert any("image 5 is overexposed" in warning for warning in result.warnings)
+    assert turned(result, sound) < 1.0
+
+
+def test_unequal_lights_are_estimated_or_taken_as_stated(sound):
+    stack, lights, mask = photographs()
+    bright = np.array([1, 0.5, 0.9, 0.7, 0.4, 1, 0.8, 0.6])
+    stack = stack * bright[:, None, None]
+    found = splitknit.reconstruct_images(stack, lights, mask, 10.0)
+    assert found.facts["light_brightness"] == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
+    assert turned(found, sound) < 0.5
+    stated = splitknit.reconstruct_images(stack, lights, mask, 10.0, bright)
+    assert "light_brightness" not in stated.facts
+    assert turned(stated, sound) < 0.3
+
+
+def test_lights_of_eight_colours(sound):
+    stack, lights, mask = photographs()
+    colours = np.random.default_rng(3).uniform(0.3, 1.0, (8, 3))
+    images = stack[..., None] * colours[:, None, None, :]
+    for given in (None, colours):
+        assert turned(splitknit.reconstruct_images(images, lights, mask, 10.0, given), sound) < 0.5

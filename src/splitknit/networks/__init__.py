@@ -1,1 +1,0 @@
-"""Trained networks: their files and cards, and the one module that runs onnxruntime."""

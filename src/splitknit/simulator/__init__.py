@@ -1,1 +1,0 @@
-"""The digital twin: fingers, skin, lights and sensor. Shares no code with the inverse stages."""

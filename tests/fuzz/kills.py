@@ -1,0 +1,214 @@
+"""Verbs that write, stopped at drawn moments by SIGINT, SIGTERM and SIGKILL: ``python -m tests.fuzz.kills``.
+
+What was there is there unchanged, or the new one is there whole. After SIGINT and SIGTERM nothing else is left; what
+SIGKILL leaves, the next command on the same place removes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+
+from splitknit.cli.main import main as splitknit
+from splitknit.errors import BadInput
+from splitknit.io.atomic import MANIFEST, manifest_of
+from splitknit_match.gallery.gallery import Gallery
+
+# words: {out} is what is written, {base} the folder of what is read, {gallery} a gallery of A and B; without `train`,
+# which needs torch, `rig cad`, which needs build123d, `serve` and `view`, which write nothing of their own, and `demo`
+VERBS: dict[str, str] = {
+    "simulate": "simulate --out {out} --seed 1 --scale 0.05 --overwrite",
+    "simulate-bench": "simulate --bench --out {out} --seed 1 --scale 0.1 --overwrite",
+    "simulate-population": "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1",
+    "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
+    "separate": "separate {base}/one --method single --block 24 --check-px 4 --out {out}",
+    "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
+    "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
+    "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
+    "print": "print {base}/result --out {out}",
+    "import-cloud": "import {base}/result/phalange.ply --out {out} --pitch 0.2 --overwrite",
+    "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",
+    "export": "export {gallery} --to iso-19794-2 --out {out}",
+    "gallery-export": "gallery export {gallery} --out {out}",
+    "gallery-index": "gallery index {gallery} --shards {out}",
+    "gallery-import": "gallery import {gallery} {base}/exported",
+    "gallery-repair": "gallery repair {gallery}",
+    "rig-circuit": "rig circuit --out {out}",
+    "rig-target": "rig target --out {out}",
+    "rig-phantom": "rig phantom --out {out}",
+    "rig-optimise": "rig optimise --objective slopes --out {out}",
+    "compare": "compare {base}/result {base}/result --out {out}",
+    "match-template": "match {base}/result {base}/result --template {out}",
+    "evaluate": "evaluate --scores {base}/scores.csv --replicates 20 --out {out}",
+    "batch": "batch {base}/population --out {out} --cases ea --matchers ridge --jobs 1",
+    "export-mesh": "export {base}/result --to glb --out {out}",
+    "enroll": "enroll {gallery} {base}/result --person C --finger right_index",
+    "gallery-remove": "gallery remove {gallery} --person A",
+    "gallery-rekey": "gallery rekey {gallery} --new-key-file {base}/key",
+    "forget": "forget --person A {gallery} --yes",
+}
+PARTS = ("gallery-index", "simulate-population", "batch")
+"""What these write comes in parts, each of them whole."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+
+
+def forked(words: Sequence[str], log: Path, stop: Callable[[int], object] = lambda child: None) -> int:
+    """Run a command in a fork, which has all modules already; its exit code, negative where a signal ended it."""
+    child = os.fork()
+    if child == 0:
+        code = 130  # stopped before the command began
+        try:
+            for stream in (1, 2):
+                os.dup2(os.open(log, os.O_CREAT | os.O_WRONLY | os.O_APPEND), stream)
+            sys.argv = ["splitknit", *words]
+            code = splitknit()
+        except Exception:
+            code = 99
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    stop(child)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def contents(place: Path) -> dict[str, bytes]:
+    """A file, or the files of a folder by name, but for what lies in temporary folders."""
+    files = [place] if place.is_file() else [file for file in place.rglob("*") if file.is_file()]
+    names = {file.relative_to(place).as_posix(): file for file in files}
+    return {name: file.read_bytes() for name, file in names.items() if not name.startswith(".splitknit-")}
+
+
+def people(gallery: Path) -> frozenset[str]:
+    """Who is in a gallery that is sound, under any of the keys."""
+    os.environ["SPLITKNIT_GALLERY_KEY"] = "0f" * 32
+    from splitknit_match.gallery.key import key_of
+
+    try:
+        opened = Gallery.open(gallery)
+    except BadInput:
+        opened = Gallery.open(gallery, key_of(None))
+    finally:
+        del os.environ["SPLITKNIT_GALLERY_KEY"]
+    with opened:
+        assert opened.problems() == [], opened.problems()
+        return frozenset(one.entry.person for one in opened.entries())
+
+
+def left_in(tree: Path) -> list[str]:
+    """Temporary folders and journals."""
+    return [str(one) for pattern in (".splitknit-*", "*-journal") for one in tree.rglob(pattern)]
+
+
+def prepared(base: Path) -> None:
+    """What the verbs read."""
+    for words in (
+        "simulate --out {0}/capture --seed 3 --scale 0.12",
+        "reconstruct {0}/capture --out {0}/result --preset ea",
+        "enroll {0}/people.skg {0}/result --person A --finger right_index",
+        "enroll {0}/people.skg {0}/result --person B --finger right_index",
+        "gallery export {0}/people.skg --out {0}/exported",
+        "simulate --bench --out {0}/bench --seed 1 --scale 0.15",
+        "simulate population --out {0}/population --subjects 2 --fingers left_index --sessions 2 --scale 0.05",
+    ):
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert splitknit(words.format(base).split()) == 0, words
+    (base / "one").mkdir()
+    shutil.copyfile(base / "capture/white_0.png", base / "one/white_0.png")
+    (base / "key").write_text("0f" * 32)
+    (base / "key").chmod(0o600)
+    (base / "scores.csv").write_text("label,score\n" + "".join(f"{k % 2},{k % 7}\n" for k in range(200)))
+
+
+def stopped_once(name: str, base: Path, tree: Path, seconds: float, draw: random.Random) -> list[str]:
+    """Stop one run of a verb; what is wrong afterwards."""
+    out, gallery, number = tree / "out", tree / "people.skg", draw.choice(SIGNALS)
+    shutil.copyfile(base / "people.skg", gallery)
+    words = VERBS[name].format(out=out, base=base, gallery=gallery).split()
+    if (base / f"{name}.out").exists():
+        (shutil.copytree if (base / f"{name}.out").is_dir() else shutil.copyfile)(base / f"{name}.out", out)
+    before, names = contents(out), set(contents(base / f"{name}.new"))
+    after = {"gallery-remove": {"B"}, "forget": {"B"}, "enroll": {"A", "B", "C"}}.get(name, {"A", "B"})
+
+    def stop(child: int) -> None:
+        time.sleep(draw.uniform(0.0, 1.05 * seconds))
+        os.kill(child, number)
+
+    def wrong(when: str) -> list[str]:
+        found, there = [], contents(out)
+        whole = there == before or set(there) == names
+        if MANIFEST in there and there != before:
+            whole &= set(manifest_of(out)) == set(there) - {MANIFEST}
+        found += [] if whole or (name in PARTS and set(there) <= names) else [f"{when}: {sorted(there)}"]
+        if people(gallery) not in ({"A", "B"}, after):
+            found.append(f"{when}: {sorted(people(gallery))}")
+        return found
+
+    (tree / "log").touch()  # it may be stopped before it opens its log
+    code = forked(words, tree / "log", stop)
+    said = (tree / "log").read_text()
+    stray = left_in(tree)
+    found = [] if code in (0, 130, -number) else [f"exit code {code}: {said[-200:]}"]
+    found += [f"Traceback: {said[-500:]}"] if "Traceback" in said else []
+    if number != signal.SIGKILL:
+        found += [f"left: {stray}"] if stray else []
+        return [*found, *wrong("after the signal")]
+    found += wrong("after SIGKILL")
+    code = forked(words, tree / "log")  # what is done already is no longer possible
+    found += [] if code in (0, 2) else [f"the next run: exit code {code}"]
+    found += [f"left after the next run: {left_in(tree)}"] if left_in(tree) else []
+    return [*found, *wrong("after the next run")]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Stop every verb again and again; the number of findings as exit code, at most 1."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=4, help="of every verb")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    cv2.setNumThreads(1)  # a fork has no threads of others
+    draw, findings = random.Random(options.seed), 0
+    with tempfile.TemporaryDirectory() as root:
+        base = Path(root) / "base"
+        base.mkdir()
+        prepared(base)
+        for name, words in VERBS.items():
+            new, gallery = base / f"{name}.new", base / "copy.skg"
+            shutil.copyfile(base / "people.skg", gallery)
+            command = words.format(out=new, base=base, gallery=gallery).split()
+            with contextlib.redirect_stdout(io.StringIO()):
+                assert splitknit(command) == 0, command  # its modules are loaded, too
+            started = time.perf_counter()
+            shutil.copyfile(base / "people.skg", gallery)
+            code = forked(words.format(out=base / f"{name}.again", base=base, gallery=gallery).split(), base / "log")
+            seconds = time.perf_counter() - started
+            assert code == 0, (name, code)
+            if name not in ("export", "gallery-export", *PARTS):
+                with contextlib.suppress(FileNotFoundError):
+                    (base / f"{name}.again").rename(base / f"{name}.out")
+            for run in range(options.runs):
+                tree = Path(root) / f"{name}-{run}"
+                tree.mkdir()
+                found = stopped_once(name, base, tree, seconds, draw)
+                findings += len(found)
+                for one in found:
+                    print(f"{name}: {one}")
+                shutil.rmtree(tree)
+    print(f"{len(VERBS)} verbs, {options.runs * len(VERBS)} runs, {findings} findings")
+    return int(findings > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

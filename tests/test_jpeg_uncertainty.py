@@ -1,0 +1,20 @@
+"""What JPEG may have taken stands in the relief's uncertainty, by scale (``validation/jpeg``)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import splitknit
+from splitknit_simulator import simulate_capture
+
+
+def test_coarse_jpeg_photographs_tell_little_of_the_relief() -> None:
+    capture, _ = simulate_capture(3, settings={"scale": 0.08})  # 6 px/mm
+    white = capture.bands["white"]
+    named = replace(white, files=tuple(f"{k}.jpg" for k in range(len(white.pixels))))
+    result = splitknit.reconstruct(replace(capture, bands={**capture.bands, "white": named}))
+    inside = result.mask & np.isfinite(result.uncertainty_um)
+    assert (result.uncertainty_um[inside] >= 899 * np.abs(result.ridge_mm[inside])).all()
+    assert any("saved as JPEG" in note for note in result.warnings)

@@ -1,0 +1,35 @@
+"""Objects of validation/objects that were taken for faulty, or came out worse than they should."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from script_folder import VALIDATION, scripts_of
+from splitknit.photometric.checks import faulty_photographs
+from splitknit.photometric.robust import robust
+
+
+@pytest.fixture(scope="module")
+def rendered():
+    with scripts_of(VALIDATION / "objects") as found:
+        yield found("render").rendered
+
+
+@pytest.mark.parametrize(
+    ("seed", "what"), [(228, "the step where another light ends"), (349, "gloss on the ribs of a vase")]
+)
+def test_a_sound_photograph_is_not_taken_for_blurred(rendered, seed, what):
+    one = rendered(seed)
+    assert faulty_photographs(one.images.astype(np.float32) / 65535, one.lights, one.mask, 0.985) == (), what
+
+
+def test_given_brightness_is_as_good_as_equal_lights(rendered):
+    """Bright lights counted more: 0.7 deg above equal ones on this glossy bumpy plate."""
+    degrees = []
+    for strengths in (0.0, 0.3):
+        one = rendered(206, strengths=strengths)
+        normals, _ = robust(one.images.astype(np.float32), one.lights * one.intensities[:, None], one.mask)
+        cosine = np.clip((normals * one.normals).sum(axis=2)[one.mask], -1, 1)
+        degrees.append(float(np.degrees(np.arccos(cosine)).mean()))
+    assert degrees[1] < degrees[0] + 0.1

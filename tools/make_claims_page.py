@@ -1,0 +1,114 @@
+"""Write the table and the summary of docs/experiments/claims.md from validation/thesis/tables/claims.csv.
+
+    python tools/make_claims_page.py            # writes
+    python tools/make_claims_page.py --check    # exit code 1 if the page is out of date
+
+A row of the CSV file has a criterion in words and as a rule, and what was measured with its interval. The verdict
+follows from the rule alone: ``> 0`` is confirmed where the whole interval lies above 0, refuted where all of it lies
+below, and not decided otherwise. ``= 95`` is refuted where the interval excludes 95, ``= 19 21`` is confirmed where the
+interval lies within 19 to 21. With two bounds, ``> 1.4 2.5`` compares with a figure that has an interval itself. No
+rule: no figure decides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "experiments" / "claims.md"
+TABLE = ROOT / "validation" / "thesis" / "tables" / "claims.csv"
+VERDICTS = ("confirmed", "refuted", "not decided")
+NUMBER = r"[+-]?[\d.]+"
+
+
+def interval(measured: str) -> tuple[float, float]:
+    """The widest interval that `measured` states: drawn by finger, by subject, a range, or one exact figure."""
+    bounds = [
+        float(end) for pair in re.findall(rf"[\[(]({NUMBER})(?:, | to |-)({NUMBER})[\])]", measured) for end in pair
+    ]
+    if bounds:
+        return min(bounds), max(bounds)
+    exact = re.fullmatch(rf"({NUMBER}) (exactly|or more|or less)", measured)
+    assert exact is not None, f"no interval: {measured}"
+    value = float(exact[1])
+    return (value if exact[2] != "or less" else -float("inf"), value if exact[2] != "or more" else float("inf"))
+
+
+def verdict(rule: str, measured: str) -> str:
+    """Confirmed, refuted or not decided, by `rule` and the interval of `measured`."""
+    if not rule:
+        return "not decided"
+    sign, *ends = rule.split()
+    bounds = [float(end) for end in ends]
+    low, high = interval(measured)
+    if sign == "<":
+        low, high, bounds, sign = -high, -low, [-end for end in bounds], ">"
+    if sign == ">":
+        return "confirmed" if low > max(bounds) else "refuted" if high < min(bounds) else "not decided"
+    if len(bounds) == 2 and min(bounds) <= low and high <= max(bounds):
+        return "confirmed"
+    return "refuted" if high < min(bounds) or low > max(bounds) else "not decided"
+
+
+def read() -> list[dict[str, str]]:
+    """Rows of the table, each with its verdict."""
+    with TABLE.open(encoding="utf-8", newline="") as stream:
+        return [{**row, "verdict": verdict(row["rule"], row["measured"])} for row in csv.DictReader(stream)]
+
+
+def summary(rows: Sequence[Mapping[str, str]]) -> str:
+    """How many criteria have each verdict, and the claims behind it that have a short form."""
+    lines = []
+    for one in VERDICTS:
+        found = [row for row in rows if row["verdict"] == one]
+        short = "; ".join(f"{row['short']} ({row['number']})" for row in found if row["short"])
+        line = f"- **{one.capitalize()}**, {len(found)} of {len(rows)} criteria, among them: {short}."
+        lines.append(textwrap.fill(line, 140, subsequent_indent="  ", break_on_hyphens=False))
+    return "\n".join(lines)
+
+
+def table(rows: Sequence[Mapping[str, str]]) -> str:
+    """The table in Markdown."""
+    lines = ["| # | claim | criterion | measured | verdict | again by |", "| --- " * 6 + "|"]
+    for row in rows:
+        measured = "; ".join(filter(None, (row["measured"].removesuffix(" exactly"), row["more"])))
+        again = row["again"] if "](" in row["again"] else f"`{row['again']}`"
+        cells = (
+            row["number"],
+            row["claim"],
+            row["criterion"] or "-",
+            f"{measured}, {row['page']}",
+            row["verdict"],
+            again,
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def page() -> str:
+    """The page with its table and summary written anew."""
+    rows, text = read(), PAGE.read_text(encoding="utf-8")
+    for name, made in (("summary", summary(rows)), ("claims", table(rows))):
+        text, count = re.subn(
+            rf"(<!-- begin {name} -->\n\n).*?(\n\n<!-- end {name} -->)",
+            lambda found, made=made: found[1] + made + found[2],
+            text,
+            flags=re.DOTALL,
+        )
+        assert count == 1, name
+    return text
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--check", action="store_true")
+    made = page()
+    if parser.parse_args().check:
+        sys.exit(made != PAGE.read_text(encoding="utf-8"))
+    PAGE.write_text(made, encoding="utf-8")

@@ -1,0 +1,70 @@
+"""Write JSON schemas of what verbs print with --json, from the classes that they return.
+
+    python tools/make_json_schemas.py
+
+writes docs/reference/schemas/VERB.json; the tests of galleries compare files and results.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, Union
+
+from splitknit import json_text
+from splitknit_match.gallery.enrol import Enrolment
+from splitknit_match.gallery.identify import Identification, RankedCandidate
+from splitknit_match.matching.methods import Match
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reference" / "schemas"
+VERBS = {"match": Match, "identify": Identification, "enroll": Enrolment}
+PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", type(None): "null"}
+
+
+def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
+    """Schema of a type; those of classes go into `known`."""
+    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    if kind in PLAIN:
+        return {"type": PLAIN[kind]}
+    if origin is Literal:
+        return {"enum": list(inside)}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [schema_of(one, known) for one in inside]}
+    if origin is tuple or origin is list:
+        return {"type": "array", "items": schema_of(inside[0], known)}
+    if origin in (dict, Mapping):
+        return {"type": "object", "additionalProperties": schema_of(inside[1], known)}
+    if kind.__name__ not in known:
+        known[kind.__name__] = {}
+        hints = typing.get_type_hints(kind, localns={"RankedCandidate": RankedCandidate})
+        fields = {one.name: schema_of(hints[one.name], known) for one in dataclasses.fields(kind)}
+        needed = [one.name for one in dataclasses.fields(kind) if one.default is not None]  # as known_json leaves out
+        known[kind.__name__] = {"type": "object", "properties": fields, "required": needed}
+    return {"$ref": f"#/$defs/{kind.__name__}"}
+
+
+def schema_of_verb(verb: str) -> dict[str, Any]:
+    """JSON schema of what a verb prints."""
+    known: dict[str, Any] = {}
+    found = schema_of(VERBS[verb], known)
+    if verb == "enroll":  # prints the fields of its content beside the others
+        content, whole = known.pop("GalleryContent"), known["Enrolment"]
+        del whole["properties"]["content"]
+        whole["properties"] |= content["properties"]
+        whole["required"] = [*content["required"], *(name for name in whole["required"] if name != "content")]
+    about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"splitknit {verb} --json"}
+    return {**about, **found, "$defs": known}
+
+
+def main() -> None:
+    """Write them all."""
+    FOLDER.mkdir(exist_ok=True)
+    for verb in VERBS:
+        (FOLDER / f"{verb}.json").write_text(json_text(schema_of_verb(verb)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""What is done to a capture of a simulated finger, whether it is refused, and what the surface is with ``keep``.
+
+``python validation/damaged/run.py`` (simulator; some minutes) writes ``tables/damaged.csv``: a row for each damage and
+finger. With ``--sound N`` it counts how many of N sound captures, of all conditions of the skin, are doubted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from splitknit import BadInput, compare, reconstruct
+from splitknit.methods.photographs import finger_photographs
+from splitknit.model import Capture
+from splitknit.presets import preset_settings
+from splitknit_simulator import simulate_capture
+
+TABLE = Path(__file__).parent / "tables" / "damaged.csv"
+COLUMNS = ("damage", "finger", "refused", "noted", "first_words", "surface_rms_mm", "ridge_correlation", "ridge_gain")
+Pixels = np.ndarray[Any, Any]
+
+
+def changed(capture: Capture, names: str, change: Callable[[Pixels], Pixels]) -> Capture:
+    """The capture with the images (L, H, W, C) of some bands changed."""
+    bands = {
+        name: replace(band, pixels=change(band.pixels.copy())) if name in names.split() else band
+        for name, band in capture.bands.items()
+    }
+    return replace(capture, bands=bands)
+
+
+def ordered(*order: int) -> Callable[[Pixels], Pixels]:
+    """Images in another order."""
+    return lambda pixels: pixels[list(order)]
+
+
+def one(k: int, change: Callable[[Pixels], Pixels]) -> Callable[[Pixels], Pixels]:
+    """Image k changed."""
+
+    def work(pixels: Pixels) -> Pixels:
+        pixels[k] = change(pixels[k]).reshape(pixels[k].shape)
+        return pixels
+
+    return work
+
+
+def jpeg(quality: int) -> Callable[[Pixels], Pixels]:
+    """All images through JPEG."""
+
+    def work(pixels: Pixels) -> Pixels:
+        for k, image in enumerate(pixels):
+            _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+            back = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+            pixels[k] = back.reshape(image.shape)[..., ::-1]
+        return pixels
+
+    return work
+
+
+def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
+    """Damaged captures by name."""
+    rng, both = np.random.default_rng(0), "white nir"
+
+    def noisy(image: Pixels) -> Pixels:
+        return np.clip(image + rng.normal(0.0, 1.5, image.shape), 0, 255).astype(np.uint8)
+
+    def noise(image: Pixels) -> Pixels:
+        return rng.integers(10, 200, image.shape).astype(np.uint8)
+
+    unequal = np.array([0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74])[:, None, None, None]
+    first = {name: band.pixels[0] for name, band in capture.bands.items()}
+    theirs = {name: band.pixels for name, band in other.bands.items()}
+    leds = tuple(
+        replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:])) if led.position_mm else led
+        for led in capture.rig.leds
+    )
+    return {
+        "none": capture,
+        "NIR 0 and 3 exchanged": changed(capture, "nir", ordered(3, 1, 2, 0, 4, 5, 6)),
+        "NIR shifted by one": changed(capture, "nir", ordered(1, 2, 3, 4, 5, 6, 0)),
+        "white 0 and 1 exchanged": changed(capture, "white", ordered(1, 0, 2, 3, 4, 5, 6)),
+        "both shifted by 3": changed(capture, both, ordered(3, 4, 5, 6, 0, 1, 2)),
+        "NIR 1 a noisy copy of NIR 0": changed(capture, "nir", one(1, lambda _: noisy(first["nir"]))),
+        "white 1 a noisy copy of white 0": changed(capture, "white", one(1, lambda _: noisy(first["white"]))),
+        "all white under one light": changed(capture, "white", lambda p: np.stack([noisy(first["white"]) for _ in p])),
+        "NIR 2 turned by 180 deg": changed(capture, "nir", one(2, lambda image: image[::-1, ::-1])),
+        "NIR 2 noise": changed(capture, "nir", one(2, noise)),
+        "white 2 noise": changed(capture, "white", one(2, noise)),
+        "white 2 blurred by 3 px": changed(capture, "white", one(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))),
+        "all NIR of another finger": changed(capture, "nir", lambda _: theirs["nir"]),
+        "white 3 of another finger": changed(capture, "white", one(3, lambda _: theirs["white"][3])),
+        "NIR 3 of another finger": changed(capture, "nir", one(3, lambda _: theirs["nir"][3])),
+        "LEDs mirrored": replace(capture, rig=replace(capture.rig, leds=leds)),
+        "LEDs 12 % unequal": changed(capture, both, lambda pixels: (pixels * unequal).astype(np.uint8)),
+        "images flipped": changed(capture, both, lambda pixels: np.ascontiguousarray(pixels[:, :, ::-1])),
+        "values times two, wrapped round": changed(capture, both, lambda pixels: pixels * np.uint8(2)),
+        "JPEG, quality 75": changed(capture, both, jpeg(75)),
+        "JPEG, quality 95": changed(capture, both, jpeg(95)),
+    }
+
+
+def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> dict[str, Any]:
+    """Reconstruct, and again with `keep` where that is refused."""
+    row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | {"damage": name, "finger": finger, "refused": 0, "noted": 0}
+    try:
+        result = reconstruct(capture, "metric")
+    except BadInput as refusal:
+        row |= {"refused": 1, "first_words": str(refusal)[:90]}
+        try:
+            result = reconstruct(capture, "metric", {"keep": True})
+        except BadInput:
+            return row
+    else:
+        row["noted"] = int(result.facts.get("spoilt", 0) > 0)
+        row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
+    found = compare(result, truth).figures
+    return row | {key: round(found[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")}
+
+
+def doubted(count: int) -> int:
+    """How many of `count` sound captures the checks of photographs and lights say anything of."""
+    settings, conditions = (
+        replace(preset_settings("metric"), keep=True),
+        (None, "wet", "dry", "dusty", "scarred", "glossy"),
+    )
+    found = 0
+    for seed in range(300, 300 + count):
+        condition = conditions[seed % 6]
+        twin = {"scale": 0.12 if seed % 2 else 0.2} | ({"condition.kind": condition} if condition else {})
+        capture, _ = simulate_capture(seed, settings=twin, impression=seed % 3)
+        facts = finger_photographs(capture, settings).finger.facts
+        found += facts.get("spoilt", 0) + ("jpeg" in facts)
+    return found
+
+
+def main() -> None:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fingers", type=int, nargs="+", default=[3, 8])
+    parser.add_argument("--scale", type=float, default=0.12)
+    parser.add_argument("--sound", type=int, default=0)
+    options = parser.parse_args()
+    if options.sound:
+        print(f"{doubted(options.sound)} of {options.sound} sound captures are doubted")
+        return
+    rows = []
+    for finger in options.fingers:
+        (capture, truth), (other, _) = (
+            simulate_capture(seed, settings={"scale": options.scale}) for seed in (finger, finger + 18)
+        )
+        for name, damaged in damages(capture, other).items():
+            rows.append(row_of(name, finger, damaged, dict(truth)))
+            print(rows[-1], flush=True)
+    with TABLE.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""What a search by the index of minutiae loses and takes, among 10,000 captures of real ridges.
+
+    python validation/gallery/index.py [--cache FILE]          # about 8 minutes of one core
+
+writes ``tables/index.csv`` and ``tables/index.json`` (times) beside this file. Probes and their mates: FVC 2000, 2002,
+2004, presses 1 to 8 of five fingers on each of seven sensors; pairs one and three presses apart that match (method
+fusion, false match rate of 1 in 10,000). The others in the gallery are halves of two prints of other sensors, joined.
+A pair is lost where its mate is not among the given number that are compared in full; interval of Clopper and Pearson,
+and by fingers drawn anew. Constants of the index were chosen on the same prints. Times: of `OpenGallery.identify` with
+every fifth press of the first four sensors, a template; the gallery holds the others (present), or none of theirs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import pickle
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import beta
+
+from splitknit import read_print_png
+from splitknit_match.gallery.enrol import templates_hash
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.identify import LIST
+from splitknit_match.gallery.minutia_index import MinutiaIndex
+from splitknit_match.gallery.warm import OpenGallery
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.methods import similarity_at
+from splitknit_match.matching.minutia_pairs import pair_minutiae
+from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.template import Template, pack, print_size, unpack
+
+HERE = Path(__file__).resolve().parent
+PPI = {
+    "fvc2002_db1b": 500, "fvc/fvc2000_db2b": 500, "fvc/fvc2002_db2b": 569, "fvc/fvc2004_db1b": 500,
+    "fvc/fvc2004_db2b": 500, "fvc/fvc2004_db3b": 512, "fvc/fvc2000_db3b": 500,
+}  # fmt: skip
+FOLDS = tuple(PPI)[:4], tuple(PPI)[4:]
+SIZE = 10_000
+COMPARED = (1, 2, 6, 14, 30, LIST)
+SURE = 9.0
+
+
+def main() -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
+    payloads = templates(parser.parse_args().cache)
+    prints = {name: unpack(payload) for name, payload in payloads.items()}
+    ready = {name: Prepared(one) for name, one in prints.items()}
+    limit = similarity_at(1e-4, "fusion")
+    ranks: list[tuple[str, int]] = []
+    support: dict[bool, list[float]] = {True: [], False: []}
+    for fold in (0, 1):
+        mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
+        others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
+        gallery = [*(payloads[name] for name in mine), *map(pack, joined(others, SIZE - len(mine)))]
+        started = time.process_time()
+        index = MinutiaIndex(dict(enumerate(gallery)), HERE)
+        built, started = time.process_time() - started, time.process_time()
+        for n, name in enumerate(mine):
+            own = [k for k, other in enumerate(mine) if other[:-2] == name[:-2]]
+            mates = [own[(own.index(n) + step) % len(own)] for step in (1, 3)]
+            order = [row for row in index.nearest(ready[name].cylinders, 2 * LIST) if row not in own or row in mates]
+            for mate in mates:
+                if fused_match(ready[name], ready[mine[mate]]).similarity >= limit:
+                    before = [row for row in order if row not in mates or row == mate]
+                    support[True].append(most(ready[name], ready[mine[mate]]))
+                    ranks.append((name[:-2], before.index(mate) if mate in before else SIZE))
+            others = [row for row in order if row not in own][:LIST]
+            support[False] += [most(ready[name], Prepared(unpack(gallery[row]))) for row in others]
+        seconds = time.process_time() - started
+        print(f"built in {built:.1f} s, {len(mine)} searches with their comparisons {seconds:.1f} s")
+        if fold == 0:
+            times(mine, gallery)
+    sure = sum(one >= SURE for one in support[True]), len(support[True])
+    print(
+        f"support of {SURE}: {sure} matching pairs; of {len(support[False])} others {max(support[False]):.1f} at most"
+    )
+    write(ranks)
+
+
+def most(a: Prepared, b: Prepared) -> float:
+    """Support of the best alignment by minutiae."""
+    assert a.cylinders is not None and b.cylinders is not None
+    return max((one.support for one in pair_minutiae(a.cylinders, b.cylinders)), default=0.0)
+
+
+def times(mine: list[str], templates: list[bytes]) -> None:
+    """Measure and write what a search takes."""
+    found: dict[str, object] = {"captures": len(templates)}
+    with tempfile.TemporaryDirectory() as folder:
+        probes = range(0, len(mine), 5)
+        for case, kept in (("present", set(range(len(templates))) - set(probes)), ("absent", range(len(mine), SIZE))):
+            file = Path(folder) / f"{case}.skg"
+            with Gallery.create(file, templates_hash(MatchingSettings())) as made:
+                made.add(
+                    NewCapture(Entry(f"P{n}", "right_index", "1", "template", "", unpack(one).area_mm2), one)
+                    for n, one in enumerate(templates)
+                    if n in kept
+                )
+            gallery = OpenGallery.open(file)
+            started = time.process_time()
+            gallery.identify(templates[0])
+            found[f"{case}_first_cpu_s"] = round(time.process_time() - started, 1)
+            taken, matches = [], 0
+            for n in probes:
+                before = time.perf_counter(), time.process_time()
+                matches += gallery.identify(templates[n]).answer == "match"
+                taken.append((time.perf_counter() - before[0], time.process_time() - before[1]))
+            found |= {f"{case}_probes": len(taken), f"{case}_matches": matches}
+            wall, cpu = 1000 * np.array(taken).T
+            for name, values in (("wall", wall), ("cpu", cpu)):
+                found[f"{case}_{name}_ms"] = [round(float(one), 1) for one in np.percentile(values, (0, 50, 95))]
+    print(json.dumps(found))
+    (HERE / "tables" / "index.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def templates(cache: Path) -> dict[str, bytes]:
+    """Templates of all prints, made once."""
+    if cache.exists():
+        return dict(pickle.loads(cache.read_bytes()))
+    root = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
+    made = {}
+    for name, ppi in PPI.items():
+        for file in sorted((root / name).glob("*_[1-8].png")):
+            made[f"{name}/{file.stem}"] = pack(print_template(read_print_png(file).image, float(ppi)))
+    cache.write_bytes(pickle.dumps(made))
+    return made
+
+
+def joined(prints: list[Template], count: int) -> list[Template]:
+    """Templates whose upper half is one print's and whose lower half another's."""
+    rng = np.random.default_rng(0)
+    made = []
+    while len(made) < count:
+        a, b = (prints[n] for n in rng.integers(len(prints), size=2))
+        if a is b or a.minutiae is None or b.minutiae is None:
+            continue
+        shape = tuple(np.maximum(a.valid.shape, b.valid.shape) + 2)
+        level, valid = np.zeros(shape, np.uint8), np.zeros(shape, bool)
+        half, parts = shape[0] // 2, []
+        for one, upper in ((a, True), (b, False)):
+            rows, columns = one.valid.shape
+            down, right = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+            there = np.zeros(shape, bool)
+            there[down : down + rows, right : right + columns] = one.valid
+            there &= (np.arange(shape[0]) < half)[:, None] == upper
+            moved = np.zeros(shape, np.uint8)
+            moved[down : down + rows, right : right + columns] = one.level
+            level[there], valid[there] = moved[there], True
+            step = one.pitch_mm * 500 / 25.4
+            x = one.minutiae.x_px + round((shape[1] - columns - right) * step)  # prints are mirrored
+            y = one.minutiae.y_px + round(down * step)
+            kept = (y < half * step) == upper
+            parts.append(
+                (
+                    x[kept],
+                    y[kept],
+                    one.minutiae.direction_rad[kept],
+                    one.minutiae.type[kept],
+                    one.minutiae.quality[kept],
+                )
+            )
+        template = Template(level, valid, a.pitch_mm)
+        if not template.empty:
+            fields = [np.concatenate(part) for part in zip(*parts, strict=True)]
+            size = print_size(template)
+            inside = (fields[0] >= 0) & (fields[0] < size[1]) & (fields[1] >= 0) & (fields[1] < size[0])
+            minutiae = Minutiae(*(part[inside] for part in fields), size)
+            made.append(Template(level, valid, a.pitch_mm, minutiae))
+    return made
+
+
+def write(ranks: list[tuple[str, int]]) -> None:
+    """Write the table of lost pairs."""
+    owner, place = np.array([name for name, _ in ranks]), np.array([rank for _, rank in ranks])
+    fingers, rng = np.unique(owner), np.random.default_rng(0)
+    rows: list[list[object]] = [
+        ["captures", "compared", "matching_pairs", "lost", "low", "high", "low_by_finger", "high_by_finger"]
+    ]
+    for compared in COMPARED:
+        out = place >= compared
+        lost, n = int(out.sum()), len(out)
+        sums = np.array([[out[owner == one].sum(), (owner == one).sum()] for one in fingers])
+        drawn = sums[rng.integers(len(fingers), size=(2000, len(fingers)))].sum(axis=1)
+        ends = np.percentile(drawn[:, 0] / drawn[:, 1], (2.5, 97.5))
+        low = beta.ppf(0.025, lost, n - lost + 1) if lost else 0.0
+        high = beta.ppf(0.975, lost + 1, n - lost)
+        rows.append([SIZE, compared, n, lost, *(f"{value:.4f}" for value in (low, high, *ends))])
+        print(*rows[-1])
+    with (HERE / "tables" / "index.csv").open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,326 @@
+"""Small prints: square windows of real prints against whole prints and against each other, by what overlaps.
+
+    python validation/match/windows.py --compare 24000        # adds comparisons to the cache, in a fixed order
+    python validation/match/windows.py                        # fits, rates and tables from what was compared
+    python validation/match/windows.py --write                # and writes what the matcher ships
+
+Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
+where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
+*Touches*: middle windows of the first four impressions of each finger against each other. Evidence is kept, so that
+constants and false match rates follow from one run: every set is judged by constants fitted on the six others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from code_tails import wilson
+from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
+from numpy.typing import NDArray
+
+from impostors import FOLDER
+from splitknit_match.matching import fusion
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.methods import REAL_PRINTS, TABLES
+from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.score import calibrate_scores
+
+HERE = Path(__file__).resolve().parent
+OUT = HERE / "windows.json"
+SETS = (*REAL, KNOWN)
+SIZES_MM = (4, 5, 6, 8, 10)
+SEED = 48
+WHOLE, TOUCHES, PRINTS = 0, 1, 2
+RATED_MM2, EXCLUDED_MM2 = 6.0, 40.0
+"""Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see ``by_overlap``)."""
+FIRST, SECOND = 5600, 2800
+"""Comparisons of either kind of order."""
+
+
+def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image]]:
+    """Of each print and size a window around the middle, and a drawn one: print, mm, which, pixels."""
+    rng = np.random.default_rng([SEED, number])
+    found = []
+    for n, image in enumerate(images):
+        detail = image.astype(np.float32) - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 6)
+        spread = cv2.GaussianBlur(detail * detail, (0, 0), 12)
+        rows, columns = np.nonzero(spread > 0.25 * np.quantile(spread, 0.95))
+        middle = rows.mean(), columns.mean()
+        for mm in (*SIZES_MM, 13):
+            side = round(mm * 500 / 25.4)
+            for which in ("middle", "drawn"):
+                y, x = middle
+                if which == "drawn":
+                    k = rng.integers(len(rows))
+                    y, x = y + 0.6 * (rows[k] - y), x + 0.6 * (columns[k] - x)
+                top = int(np.clip(round(y - side / 2), 0, max(0, image.shape[0] - side)))
+                left = int(np.clip(round(x - side / 2), 0, max(0, image.shape[1] - side)))
+                part = np.ascontiguousarray(image[top : top + side, left : left + side])
+                found.append((n, mm, which, part))
+    return [one for one in found if one[1] in SIZES_MM]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One comparison: kind, set, size, whether of one finger, the window, and the other's number."""
+
+    kind: int
+    number: int
+    mm: int
+    same: bool
+    window: tuple[int, int, str]
+    other: int
+
+
+def tasks(number: int, owner: list[str], impression: list[int], count: int) -> list[Task]:
+    """Of a set, in the order in which they are compared: touches between windows against whole prints."""
+    rng = np.random.default_rng([SEED, number, 1])
+    everyone = np.array(owner)
+    whole = []
+    for k in range(count):
+        n, mm, which = int(rng.integers(len(owner))), int(rng.choice(SIZES_MM)), str(rng.choice(["middle", "drawn"]))
+        same = k % 5 == 4
+        others = [m for m in np.flatnonzero((everyone == owner[n]) == same).tolist() if m != n]
+        whole.append(Task(WHOLE, number, mm, same, (n, mm, which), int(rng.choice(others))))
+    few = [n for n in range(len(owner)) if impression[n] < 4]
+    touches = [
+        Task(TOUCHES, number, mm, owner[i] == owner[j], (i, mm, "middle"), j)
+        for i, j in itertools.combinations(few, 2)
+        for mm in (4, 5, 6, 8)
+    ]
+    order = rng.permutation(len(touches))
+    spread = np.argsort(
+        np.concatenate([np.arange(count) / count, np.arange(len(touches)) / len(touches)]), kind="stable"
+    )
+    both = whole + [touches[k] for k in order]
+    return [both[k] for k in spread]
+
+
+def first(todo: list[list[Task]]) -> list[Task]:
+    """The tasks of all sets in turn."""
+    return [one for group in itertools.zip_longest(*todo) for one in group if one][:FIRST]
+
+
+def second(owners: list[list[str]]) -> list[Task]:
+    """More impostors: drawn windows, each against four whole prints of other fingers."""
+    rng = np.random.default_rng([SEED, 2])
+    found = []
+    for k in range(SECOND // 4):
+        number = k % len(owners)
+        owner = np.array(owners[number])
+        n, mm, which = int(rng.integers(len(owner))), int(rng.choice(SIZES_MM)), str(rng.choice(["middle", "drawn"]))
+        others = rng.choice(np.flatnonzero(owner != owner[n]), 4, replace=False)
+        found += [Task(WHOLE, number, mm, False, (n, mm, which), int(one)) for one in others]
+    return found
+
+
+def compare(job: Job, most: int) -> None:
+    """Compare the next tasks, in turn of every set; evidence is kept as it comes."""
+    file = job.cache / "windows.npy"
+    known = np.load(file) if file.is_file() else np.zeros((0, 10))
+    todo = []
+    sides: dict[tuple[int, Any], Prepared] = {}
+    owners: list[list[str]] = []
+    kept: list[tuple[list[Image], dict[tuple[int, int, str], Image]]] = []
+    for number, name in enumerate(SETS):
+        images, owner, impression = prints(name, job)
+        kept.append((images, {(n, mm, which): part for n, mm, which, part in windows(images, number)}))
+        owners.append(owner)
+        todo.append(tasks(number, owner, impression, 2500))
+
+    def side(number: int, key: Any) -> Prepared:
+        if (number, key) not in sides:
+            image = kept[number][0][key] if isinstance(key, int) else kept[number][1][key]
+            sides[number, key] = Prepared(made(image, "template", job))
+        return sides[number, key]
+
+    rows, begun = [], time.monotonic()
+    for task in [*first(todo), *second(owners), *third(owners)][len(known) : most]:
+        other = task.other if task.kind != TOUCHES else (task.other, task.mm, "middle")
+        own = task.window[0] if task.kind == PRINTS else task.window
+        found = fused_match(side(task.number, own), side(task.number, other))
+        rows.append((task.kind, task.number, task.mm, task.same, task.window[0], task.other, *found.evidence))
+        for key in [key for key in sides if not isinstance(key[1], int)][:-50]:  # turned windows are large
+            del sides[key]
+        if len(rows) % 250 == 0:
+            np.save(file, np.concatenate([known, np.array(rows, dtype=np.float64)]))
+            print(f"{len(known) + len(rows)} comparisons, {time.monotonic() - begun:.0f} s", flush=True)
+    if rows:
+        np.save(file, np.concatenate([known, np.array(rows, dtype=np.float64)]))
+
+
+def third(owners: list[list[str]]) -> list[Task]:
+    """All pairs of whole prints of each set."""
+    return [
+        Task(PRINTS, number, 0, owner[i] == owner[j], (i, 0, ""), j)
+        for number, owner in enumerate(owners)
+        for i, j in itertools.combinations(range(len(owner)), 2)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """Of the score: without minutiae, and with."""
+
+    overlap: NDArray[np.float64]
+    both: NDArray[np.float64]
+
+
+def fitted(rows: NDArray[np.float64]) -> Constants:
+    """Logistic regressions on windows, both classes of equal weight."""
+    rows = rows[(rows[:, 0] != PRINTS) & ~np.isnan(rows[:, 7])]
+    fraction, correlation, overlap, same = rows[:, 6], rows[:, 7], rows[:, 9], rows[:, 3] == 1
+    grown = correlation * np.sqrt(np.minimum(overlap, fusion.SMALL_MM2))
+    found = []
+    for known, columns in (
+        (np.isnan(fraction), [correlation, grown]),
+        (~np.isnan(fraction), [fraction, correlation, grown]),
+    ):
+        x = np.stack([*(one[known] for one in columns), np.ones(known.sum())], axis=1)
+        label = same[known]
+        found.append(np.round(logistic(x, label, np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())), 4))
+    return Constants(*found)
+
+
+def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
+    """The fusion's scores by these constants of small prints."""
+    fusion._BY_OVERLAP = tuple(by.overlap.tolist())
+    fusion._BY_OVERLAP_AND_MINUTIAE = tuple(by.both.tolist())
+    return np.array([fusion._score(*row) for row in rows[:, 6:].tolist()])
+
+
+def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
+    """Cost of log-likelihood ratios, in bits (Bruemmer and du Preez 2006)."""
+    return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (2 * np.log(2))
+
+
+def equal_error(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
+    """Where both rates are equal, in percent."""
+    edges = np.unique(score)
+    missed = np.searchsorted(np.sort(score[same]), edges) / same.sum()
+    passed = 1 - np.searchsorted(np.sort(score[~same]), edges) / (~same).sum()
+    k = int(np.argmin(np.abs(missed - passed)))
+    return 50 * float(missed[k] + passed[k])
+
+
+def shares(passed: NDArray[np.bool_]) -> list[float]:
+    """Fraction and its interval (Wilson), in percent."""
+    low, high = wilson(int(passed.sum()), passed.size) if passed.size else (0.0, 1.0)
+    return [round(100 * one, 3) for one in (float(passed.mean()) if passed.size else 0.0, low, high)]
+
+
+def at_stated(score: NDArray[np.float64], rows: NDArray[np.float64], fmr: float) -> dict[str, Any]:
+    """False matches and non-matches where every set is decided by a threshold of the six others."""
+    same, number = rows[:, 3] == 1, rows[:, 1]
+    accepted = np.zeros(len(rows), dtype=bool)
+    for one in range(len(SETS)):
+        others = np.sort(score[(number != one) & ~same])
+        allowed = int(fmr * (others.size + 1)) - 1  # (k + 1) / (N + 1) at most fmr
+        threshold = np.inf if allowed < 0 else others[others.size - 1 - allowed] + 1e-9
+        accepted[number == one] = score[number == one] >= threshold
+    per = {
+        name: {"fmr": shares(accepted[(number == k) & ~same]), "fnmr": shares(~accepted[(number == k) & same])}
+        for k, name in enumerate(SETS)
+    }
+    return {"stated": fmr, "fmr": shares(accepted[~same]), "fnmr": shares(~accepted[same]), "sets": per}
+
+
+def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float64], Constants]:
+    """Every figure, the scores by constants of the other sets, and the constants of all."""
+    number, same, kind, mm = rows[:, 1], rows[:, 3] == 1, rows[:, 0], rows[:, 2]
+    score = np.zeros(len(rows))
+    for one in range(len(SETS)):
+        part = number == one
+        score[part] = scored(rows[part], fitted(rows[~part]))
+    overlap, small = np.nan_to_num(rows[:, 9]), ~np.isnan(rows[:, 9])
+    facts: dict[str, Any] = {"comparisons": len(rows), "sizes": {}, "by_overlap": {}, "sets": {}}
+    for which, name in ((TOUCHES, "touch to touch"), (WHOLE, "window to whole print")):
+        for size in SIZES_MM:
+            part = (kind == which) & (mm == size)
+            if part.any() and (same & part).any():
+                facts["sizes"][f"{name}, {size} mm"] = {
+                    "genuine": int((part & same).sum()), "impostors": int((part & ~same).sum()),
+                    "eer": round(equal_error(score[part], same[part]), 1),
+                }  # fmt: skip
+    windows_ = (kind != PRINTS) & small
+    limit = float(np.sort(score[windows_ & ~same & (overlap >= RATED_MM2)])[-1])
+    for low, high in itertools.pairwise((0, 6, 10, 15, 20, 30, 40, 60, 400)):
+        part = windows_ & (overlap >= low) & (overlap < high)
+        impostor = score[part & ~same]
+        facts["by_overlap"][f"{low} to {high} mm2"] = {
+            "impostors": int(impostor.size), "q99": round(float(np.quantile(impostor, 0.99)), 2),
+            "q999": round(float(np.quantile(impostor, 0.999)), 2), "largest": round(float(impostor.max()), 2),
+            "genuine above all": shares(score[part & same] > limit),
+        }  # fmt: skip
+    whole = (kind == PRINTS) & ~small
+    rated = windows_ & (overlap >= RATED_MM2)
+    for name, part in (("whole prints", whole), ("windows", rated)):
+        if part.any():
+            facts[name] = {
+                "genuine": int((part & same).sum()), "impostors": int((part & ~same).sum()),
+                "eer": round(equal_error(score[part], same[part]), 2), "cllr": round(cllr(score[part], same[part]), 3),
+                "at": [at_stated(score[part], rows[part], fmr) for fmr in (0.01, 0.001)],
+            }  # fmt: skip
+            for k, one in enumerate(SETS):
+                own = part & (number == k)
+                if not (own & same).any():
+                    continue
+                facts["sets"].setdefault(one, {})[name] = {
+                    "eer": round(equal_error(score[own], same[own]), 2), "cllr": round(cllr(score[own], same[own]), 3)
+                }  # fmt: skip
+    return facts, score, fitted(rows)
+
+
+def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[str, Any]:
+    """What the matcher reads."""
+    table = calibrate_scores(impostor)
+    return {
+        "what": what, "by": "validation/match/windows.py", "impostors": table.impostors, **more,
+        "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
+        "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
+    }  # fmt: skip
+
+
+def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
+    """Figures, and the tables that the matcher ships; constants are copied by hand into ``matching/fusion.py``."""
+    score, same, small = scored(rows, constants), rows[:, 3] == 1, ~np.isnan(rows[:, 9])
+    part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
+    what = "windows of 16 to 100 mm² of real prints of seven sensors"
+    made_ = table_of(score[part], what, rated_mm2=RATED_MM2, excluded_mm2=EXCLUDED_MM2)
+    (FOLDER / TABLES["windows"]).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
+    part = (rows[:, 0] == PRINTS) & ~small & ~same
+    made_ = table_of(score[part], "pairs of real prints of seven sensors")
+    (FOLDER / REAL_PRINTS).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
+    document = {"fitted": {"overlap": constants.overlap.tolist(), "overlap_and_minutiae": constants.both.tolist()}}
+    OUT.write_text(json.dumps({**document, **facts}, indent=1) + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--compare", type=int, metavar="N", help="compare until the cache holds N")
+    parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
+    parser.add_argument("--version", default="1", help="of what is made of a print")
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    if options.compare is not None:
+        compare(Job(options.cache, options.version), options.compare)
+    rows = np.load(options.cache / "windows.npy")
+    facts, _, constants = report(rows)
+    print(json.dumps(facts, indent=1))
+    print("constants:", constants.overlap.tolist(), constants.both.tolist())
+    if options.write:
+        write(facts, rows, constants)
+
+
+if __name__ == "__main__":
+    main()
