@@ -128,7 +128,7 @@ def counted(number: int) -> Iterator[Cost]:
 
 def print_store(store: Location) -> None:
     rows: list[list[str]] = []
-    for case in Store(store).cases():
+    for case in Store(store).document()["cases"]:
         rows += reconstructions(store, case) + comparisons(store, case)
     head = ["case", "what", "how many", "each", f"{ALL_PAIRS} of them, two cores"]
     for row in (head, ["---"] * len(head), *rows):
@@ -151,7 +151,7 @@ def on_paper(options: argparse.Namespace, made_each: Cost, store: Store, cases: 
     tasks = session_pairs * math.ceil(fingers / blocks.database) * math.ceil(fingers / blocks.query)
     sides = min(fingers, blocks.database) + min(fingers, blocks.query)
     chunk = cost_of_a_chunk(store)
-    facts = [fact for case in store.cases() for fact in timings(store.folder, case, "ridge")]
+    facts = [fact for case in store.document()["cases"] for fact in timings(store.folder, case, "ridge")]
     ridge_s = sum(fact["processor_s"] for fact in facts) / max(sum(fact["pairs"] for fact in facts), 1)
     compare_h, reconstruct_h = cases * compared * ridge_s / 3600, made * made_each.cpu_s / 3600
     chunks_read = cases * tasks * sides / CHUNK
@@ -186,7 +186,7 @@ def on_paper(options: argparse.Namespace, made_each: Cost, store: Store, cases: 
 
 def cost_of_a_chunk(store: Store) -> Cost:
     """What a worker reads of a chunk to compare its captures, if it kept nothing: requests, and bytes for ten."""
-    files = store.files("features", store.cases()[0])
+    files = store.files("features", next(iter(store.document()["cases"])))
     drop_cached()
     with counted(len(files)) as cost:
         for file in files:

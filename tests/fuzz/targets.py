@@ -781,7 +781,7 @@ def _batch(folder: Path, files: Files) -> object:
     store = Store(folder / "store")
     return _any(
         opened,
-        store.cases,
+        store.document,
         lambda: store.captures("ea"),
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
