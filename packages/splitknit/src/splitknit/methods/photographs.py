@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, 
 from splitknit.integration.knit import place
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
-from splitknit.photometric.frames import SPOILT_DEG, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, LightFit, doubts_of_lights, fit_lights, spoils
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
 from splitknit.steps import shared, step
@@ -182,6 +181,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             said.append(begin + TILTED.format(100 * float(np.std(np.log(gains)))))
             doubt = doubt if doubt is not None and doubt[1] else None
         facts |= {(name if band.name == "white" else f"{name}_{band.name}"): value for name, value in found.items()}
+        if doubt is not None and doubt[0].endswith(HOLLOW):
+            said.append(HOLLOW)
+            doubt = None
         if doubt is not None:
             doubts[band.name] = doubt
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
@@ -213,7 +215,15 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
-    return fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
+    fit = fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
+    if capture.material == "skin":
+        return fit
+    hollow = fit.frame == "left-down"  # its order is the right one too
+    return replace(
+        fit,
+        order=tuple(range(len(fit.order))) if hollow else fit.order,
+        strange=fit.strange if fit.turned_deg > NOTED_DEG else None,
+    )
 
 
 def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
@@ -320,7 +330,7 @@ def _doubt_of_lights(
     }
     if fit.brightness:
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
-    names = [Path(file).name for file in band.files]
+    names = band.image_names
     skin = capture.material == "skin"
     doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, names, capture.material)]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
@@ -336,10 +346,9 @@ def _doubt_of_lights(
 
 
 def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
-    name = names[fault.photograph] if names else f"photograph {fault.photograph + 1}"
     how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
     turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
+    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:

@@ -66,6 +66,11 @@ _FEWEST_OF_STRANGE = 6
 _UNEQUAL = 0.5
 """Brightness is at fault where less than this part of the residual is left once every photograph has its own: 0.96 and
 more under lights of known brightness, 0.25 where that is 10 to 20 % off."""
+HOLLOW = (
+    "the object comes out hollow; if it is a hill, its lights were measured with x pointing left and y down in the "
+    "image: then give `light_frame` left-down, or leave out the one that was given."
+)
+"""Photographs of a hollow are those of a hill whose lights are turned by 180 deg: both are possible of an object."""
 _ONE_LIGHT = 0.03
 """Photographs of a finger that differ by less than this are under one light: 0.13 and more under their own."""
 SPOILT_DEG, SPOILT_RESIDUAL = 3.0, 0.3
@@ -224,6 +229,8 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
             f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that it is of the same "
             "thing in the same place, under its own light, or capture it again.",
         )
+    if material == "opaque" and fit.frame == "left-down":
+        return (HOLLOW,)
     left = f"{100 * fit.residual:.0f} % of the light"
     moved = [k for k, light in enumerate(fit.order) if light != k]
     if moved:
