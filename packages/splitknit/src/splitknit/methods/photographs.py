@@ -62,6 +62,9 @@ _FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
 _EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
 looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
+_EXPLAINED = 0.7
+"""Unequal lights leave less than this part of the light unexplained once their brightness is free: 0.66 and less where
+they differ by 6 %, 0.77 and more of equal ones, glossy or not (rendered)."""
 _WEAK_COLOUR = 0.1
 """A colour in which a light has less than this part of the mean tells little of it."""
 
@@ -274,7 +277,7 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
     before, after = (light_left(each[0], lights * one[:, None], inside, levels) for one in (equal, gains))
     spread = float(np.std(np.log(gains)))
     sure = after < _WELL_EXPLAINED or (spread > _SURELY_UNEQUAL and len(lights) > 5)
-    if spread < _EQUAL or after > 0.85 * before:
+    if spread < _EQUAL or after > _EXPLAINED * before:
         return band, {}, []
     shown = "; ".join(f"{name} {gain:.2f}" for name, gain in zip(band.image_names, gains / gains.mean(), strict=True))
     if not sure:
