@@ -63,11 +63,10 @@ def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
 def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
     """Lower the ridges, break them, roughen them and let scales come off.
 
-    At severity 1 ridges have shrunk by a quarter (sessions of a population: by 12 % at the dry end), 0.5 fissures a
-    square millimetre run across them (0.5 to 1.6 mm long, 25 to 70 um deep), the skin is rough by 5 um, and scales
-    (one to four plates) stand 8 um above a third of the ridges. These are our choices; what they rest on: dry skin's
-    horny layer comes off in clumps with air below, which reflect white light diffusely (Velthuizen et al. 2008), and
-    skin is rougher the drier it is (Dabrowska et al. 2016).
+    Our choices, at severity 1: ridges have shrunk by a quarter, 0.5 fissures a square millimetre run across them (0.5
+    to 1.6 mm long, 25 to 70 um deep), the skin is rough by 5 um, scales stand 8 um above a third of the ridges. Sources:
+    dry skin's horny layer comes off in clumps with air below (Velthuizen et al. 2008), and drier skin is rougher
+    (Dabrowska et al. 2016).
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
     smooth = cv2.GaussianBlur(displacement, (0, 0), 0.32 / pitch)
@@ -162,10 +161,9 @@ class _Water:
 def _water_of(severity: float) -> _Water:
     """From sweat in the valleys' corners to a hand that comes out of water.
 
-    The radius grows from 0.05 mm (a tenth of a ridge period: only sharp corners are rounded) to 2 mm (valleys are full
-    but for a micrometre or two; water's capillary length is 2.7 mm); above one half a film closes over the ridges, up
-    to 15 um; from one half on no dry patch is left. A film of 20 um levels out over a ridge period in 0.1 ms and over
-    5 mm in seconds, so a closed one shows no ridges.
+    The radius grows from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary length
+    is 2.7 mm); above one half a film closes over the ridges, up to 15 um, and no dry patch is left. A film of 20 um
+    levels out over 5 mm in seconds, so a closed one shows no ridges.
     """
     closed = max(0.0, 2.0 * severity - 1.0)
     return _Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))

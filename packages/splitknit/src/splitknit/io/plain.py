@@ -723,8 +723,7 @@ def _as_integers(
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")
     below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0
-    negative = f"{100 * below:.0f} % of the photographs' values are negative: more than the light without lamps was"
-    require(below < _NEGATIVE, f"{negative} subtracted.")
+    require(below < _NEGATIVE, f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them.")
     require(0.0 <= black < top, f"the background must lie between 0 and {top:g}, but it is {black:g}.")
     if not floats and len(groups) == len(stack):
         return stack, ambient, black

@@ -20,7 +20,7 @@ from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, 
 from splitknit.integration.knit import place
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
-from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
 from splitknit.steps import shared, step
@@ -63,8 +63,7 @@ _EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
 looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
 _EXPLAINED = 0.7
-"""Unequal lights leave less than this part of the light unexplained once their brightness is free: 0.66 and less where
-they differ by 6 %, 0.77 and more of equal ones, glossy or not (rendered)."""
+"""Unequal lights leave less than this part of the residual: 0.66 where they differ by 6 %, equal ones 0.77 and more."""
 _WEAK_COLOUR = 0.1
 """A colour in which a light has less than this part of the mean tells little of it."""
 
@@ -168,7 +167,8 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     if steady.material == "opaque":
         with suppress(BadInput):  # refused below
             fit = _fit(steady, white, finger)
-        if fit is None or fit.order == tuple(range(len(fit.order))) or fit.residual_in_order >= _FITS_IN_ORDER:
+        own = fit is None or fit.frame == TURNED or fit.order == tuple(range(len(fit.order)))
+        if fit is None or own or fit.residual_in_order >= _FITS_IN_ORDER:
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
@@ -218,15 +218,7 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
-    fit = fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
-    if capture.material == "skin":
-        return fit
-    hollow = fit.frame == "left-down"  # its order is the right one too
-    return replace(
-        fit,
-        order=tuple(range(len(fit.order))) if hollow else fit.order,
-        strange=fit.strange if fit.turned_deg > NOTED_DEG else None,
-    )
+    return fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
 
 
 def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
@@ -285,16 +277,13 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
         return band, {}, [doubt.format(100 * spread) + "; give `lights` their brightness as a fourth number."]
     of_colours = np.stack(found[1:], axis=1)
     weak = _WEAK_COLOUR * each[1:][:, :, inside].mean() > each[1:][:, :, inside].mean(axis=2).T
+    shown_gains = [round(float(one), 3) for one in gains / gains.mean()]
+    facts: dict[str, Any] = {"light_brightness": shown_gains, "light_brightness_by": "estimated"}
     if len(channels) == 3 and not weak.any():
         of_colours *= np.exp(np.log(gains).mean() - np.log(of_colours).mean(axis=0))
+        facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
     else:
         of_colours = np.repeat(gains[:, None], len(channels), axis=1)
-    facts = {
-        "light_brightness": [round(float(one), 3) for one in gains / gains.mean()],
-        "light_brightness_by": "estimated",
-    }
-    if len(channels) == 3 and not weak.any():
-        facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
     note = f"the lights differ in brightness, which was estimated with the surface and taken out: {shown}."
     return replace(band, transmission=of_colours), facts, [note]
 
