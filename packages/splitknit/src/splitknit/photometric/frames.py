@@ -88,8 +88,8 @@ _PIXELS = 20_000
 def _frame_of(turn: NDArray[np.float64] | None) -> str:
     """The frame of :data:`FRAMES` in which the lights must have been measured, by :func:`_fit_turn` of the normals.
 
-    Only the right one, and that turned by 180 deg, give slopes without curl (R. T. Frankot and R. Chellappa, IEEE Trans.
-    PAMI 10, 1988); of the two, the right one is convex (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
+    Only the right one, and that turned by 180 deg, give slopes without curl (R. T. Frankot and R. Chellappa, IEEE
+    Trans. PAMI 10, 1988); of the two, the right one is convex (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
     bas-relief ambiguity", IJCV 35, 1999). ``right-up`` where nothing speaks against it.
     """
     if turn is None:
