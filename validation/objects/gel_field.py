@@ -5,7 +5,8 @@
 Folders of photographs under each light, ``scan.yaml`` with the balls' outlines among them, and their calibration. After
 levelling three things are compared: the field in a ring around each ball (1.75 to 2.1 radii), the tops of the balls
 (spheres of the known radius within 0.4 of it), and the rise from ring to top on four paths of slopes, from left, right,
-below and above, which share no pixel. Writes tables/gel_field.json.
+below and above, which share no pixel. Tops of a bent field are alike where balls are close, and a polynomial through
+the others predicts each. Writes tables/gel_field.json.
 """
 
 from __future__ import annotations
@@ -52,6 +53,21 @@ def off_plane(values: Array, centres: Array) -> Array:
     return rest
 
 
+def left_out(values: Array, centres: Array, order: int) -> float:
+    """Rms of each value less the polynomial of the place through all others, um."""
+    x, y = (2.0 * (centres - centres.mean(axis=0)) / np.ptp(centres, axis=0)).T
+    terms = np.column_stack([x ** (n - j) * y**j for n in range(order + 1) for j in range(n + 1)])
+    hat = np.einsum("ni,im->nm", terms, np.linalg.pinv(terms))
+    return round(float(np.std((values - hat @ values) / (1.0 - np.diag(hat)))), 1)
+
+
+def apart_um(values: Array, centres: Array, pitch: float, low: float, high: float) -> float:
+    """Rms difference, over the root of two, of values whose balls are `low` to `high` mm apart."""
+    off = pitch * np.hypot(*(centres[:, None] - centres).transpose(2, 0, 1))
+    pairs = (values[:, None] - values)[(off > low) & (off < high)]
+    return round(float(np.sqrt(np.mean(pairs**2) / 2.0)), 1)
+
+
 def measured(pressed: Path, flat: Path, calibration: Path) -> dict[str, object]:
     """Heights around and on the balls."""
     job = ReadPhotographsJob(pressed, shading=calibration, flat=flat)
@@ -72,11 +88,15 @@ def measured(pressed: Path, flat: Path, calibration: Path) -> dict[str, object]:
         tops.append(np.linalg.lstsq(place, height[cap] - sphere, rcond=None)[0][0])
         paths.append(rises(slopes, round(x), round(y), round(2 * RADIUS_MM / pitch), pitch))
     rise, each = np.array(tops) - np.array(rings), np.array(paths)
+    plain = off_plane(np.array(tops), centres)
     whole = np.isfinite(each).all(axis=1)
     return {
         "balls": len(centres),
         "ring_scatter_um": scatter(off_plane(np.array(rings), centres)),
-        "top_scatter_um": scatter(off_plane(np.array(tops), centres)),
+        "top_scatter_um": scatter(plain),
+        "tops_1_mm_apart_um": apart_um(plain, centres, pitch, 0.5, 1.2),
+        "tops_4_to_6_mm_apart_um": apart_um(plain, centres, pitch, 4.0, 6.0),
+        "tops_left_out_um_by_order": {n: left_out(np.array(tops), centres, n) for n in (1, 2, 3, 4)},
         "rise_scatter_um": scatter(rise),
         "rise_range_um": [round(float(one)) for one in (rise.min(), rise.max())],
         "balls_with_four_paths": int(whole.sum()),

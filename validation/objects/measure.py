@@ -15,11 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from render import PX_PER_MM, Rendered, rendered, spoilt
+from render import PX_PER_MM, SHAPES, Rendered, rendered, spoilt
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.photometric.checks import faulty_photographs
+from splitknit.photometric.frames import HOLLOW
 
 TABLES = Path(__file__).with_name("tables")
 FIRST = 200
@@ -80,15 +80,17 @@ def faults() -> dict[str, object]:
 
 
 def sound() -> dict[str, object]:
-    """False alarms on good sets of eight photographs; those of the second fifty seeds were never looked at before."""
-    alarms = {}
+    """Notes on good sets of eight photographs: none is due but on a dish, that it comes out hollow."""
+    alarms, hollow = {}, []
     seeds = (*range(FIRST, FIRST + 50), *range(2 * FIRST, 2 * FIRST + 50))
     for seed in seeds:
-        one = rendered(seed)
-        found = faulty_photographs(one.images.astype(np.float32) / 65535, one.lights, one.mask, 0.985)
-        if found:
-            alarms[str(seed)] = [f"{fault.photograph} {fault.kind}" for fault in found]
-    return {"sets": len(seeds), "with_alarm": len(alarms), "alarms": alarms}
+        said = list(errors(rendered(seed))[2].warnings)
+        if SHAPES[seed % len(SHAPES)] == "dish":
+            hollow += [seed] if HOLLOW in said else []
+            said = [text for text in said if text != HOLLOW]
+        if said:
+            alarms[str(seed)] = said
+    return {"sets": len(seeds), "with_alarm": len(alarms), "alarms": alarms, "dishes_named_hollow": len(hollow)}
 
 
 def brightness() -> dict[str, object]:

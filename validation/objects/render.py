@@ -116,7 +116,7 @@ def rendered(
 
 def _lit(height: Array, inside: NDArray[np.bool_], unit: Array, pitch: float) -> Array:
     """Where no part of the object stands before the light: a march of shifted copies."""
-    heights = np.where(inside, height, -1e3)
+    heights = np.where(inside, height, -1e3).astype(np.float32)  # OpenCV 4.13 shifts float64 the other way
     shadow = np.zeros(height.shape, bool)
     across = np.hypot(unit[0], unit[1])
     rise = unit[2] / across * pitch

@@ -6,6 +6,7 @@ import pytest
 import splitknit
 from rough_dome import scene, spoilt
 from splitknit.errors import BadInput
+from splitknit.photometric.frames import HOLLOW
 
 KINDS = {
     "uint8": lambda stack: np.rint(stack * 255).astype(np.uint8),
@@ -49,6 +50,7 @@ def test_arrays_of_every_kind(kind, sound):
         ({"images": np.zeros((8, 100, 100), dtype=np.int64)}, "uint8, uint16 or floats"),
         ({"images": np.full((8, 100, 100), np.nan)}, "NaN"),
         ({"images": np.zeros((8, 100, 100))}, "black"),
+        ({"images": np.linspace(-0.2, 1.0, 80_000).reshape(8, 100, 100)}, "negative"),
         ({"lights": np.ones((3, 3))}, "differ in number"),
         ({"lights": "no lights"}, "numbers"),
         ({"mask": np.ones((4, 4), dtype=bool)}, "mask must have the shape"),
@@ -99,3 +101,17 @@ def test_lights_of_eight_colours(sound):
     images = stack[..., None] * colours[:, None, None, :]
     for given in (None, colours):
         assert turned(splitknit.reconstruct_images(images, lights, mask, 10.0, given), sound) < 0.5
+
+
+def test_a_hollow_is_noted_and_not_spoilt(sound):
+    stack, lights, mask = photographs()
+    assert HOLLOW not in sound.warnings
+    result = splitknit.reconstruct_images(stack, lights * [-1, -1, 1], mask, 10.0)
+    assert HOLLOW in result.warnings and "spoilt" not in result.facts
+
+
+def test_a_photograph_of_something_else_is_named_by_its_index(sound):
+    stack, lights, mask = photographs()
+    stack[5] = stack[5, ::-1, ::-1]
+    result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
+    assert any(warning.startswith("image 5 ") for warning in result.warnings)

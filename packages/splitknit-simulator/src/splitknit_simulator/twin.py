@@ -257,8 +257,7 @@ def _photograph_moving(
 
     Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first band. The truth is
     that of this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where each shot shows
-    the finger. The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure
-    show the finger at one place.
+    the finger. A band's ambient frame goes with its first shot; coloured LEDs of one exposure with one place.
     """
     drawn = _drawn(seed, pattern, settings, impression, finger)
     rig = drawn.rig

@@ -232,10 +232,9 @@ def _blocks(mask: BoolArray, binning: int) -> BoolArray:
 def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
-    An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they give
-    little of the slope towards it. Minimises  sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across
-    the shape's normal. `stack`: (C, L, h, w) images over the light that enters; `light`: on the smooth surface;
-    `smooth_mm`: (h, w); `prior`: variance of the images' relative error over that of the slopes; zero holds nothing.
+    An LED and its image in a mirror give little of the slope towards the mirror. Minimises
+    sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across the shape's normal. `stack`: (C, L, h, w)
+    images over the light that enters; `prior`: variance of the images' relative error over that of the slopes.
     """
     channels, count = stack.shape[:2]
     slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))

@@ -163,10 +163,9 @@ def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
 def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     """Move the second finger, rigidly, so that heights and relief agree best.
 
-    Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
-    multiple range images", Image and Vision Computing 10(3), 1992) and on the relief's differences (B. Lucas and
-    T. Kanade, IJCAI 1981), each divided by its spread, large ones weighted down. What lies beside the other finger, or
-    where the ridges are more than a quarter of a period apart, stays wrong: `found` must be close.
+    Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, Image and Vision Computing 10(3),
+    1992) and on the relief's differences (B. Lucas and T. Kanade, IJCAI 1981), each divided by its spread, large ones
+    weighted down. Where ridges are more than a quarter of a period apart, it stays wrong: `found` must be close.
     """
     step = max(1, round(_FIT_MM / a.pitch_mm))
     x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))

@@ -63,11 +63,9 @@ def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
 def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
     """Lower the ridges, break them, roughen them and let scales come off.
 
-    At severity 1 ridges have shrunk by a quarter (sessions of a population: by 12 % at the dry end), 0.5 fissures a
-    square millimetre run across them (0.5 to 1.6 mm long, 25 to 70 um deep), the skin is rough by 5 um, and scales
-    (one to four plates) stand 8 um above a third of the ridges. These are our choices; what they rest on: dry skin's
-    horny layer comes off in clumps with air below, which reflect white light diffusely (Velthuizen et al. 2008), and
-    skin is rougher the drier it is (Dabrowska et al. 2016).
+    Ours, at severity 1: ridges have shrunk by a quarter, 0.5 fissures a square millimetre run across them (0.5 to
+    1.6 mm long, 25 to 70 um deep), skin is rough by 5 um, scales stand 8 um above a third of the ridges. Sources: the
+    horny layer comes off in clumps (Velthuizen et al. 2008), and drier skin is rougher (Dabrowska et al. 2016).
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
     smooth = cv2.GaussianBlur(displacement, (0, 0), 0.32 / pitch)
@@ -162,10 +160,9 @@ class _Water:
 def _water_of(severity: float) -> _Water:
     """From sweat in the valleys' corners to a hand that comes out of water.
 
-    The radius grows from 0.05 mm (a tenth of a ridge period: only sharp corners are rounded) to 2 mm (valleys are full
-    but for a micrometre or two; water's capillary length is 2.7 mm); above one half a film closes over the ridges, up
-    to 15 um; from one half on no dry patch is left. A film of 20 um levels out over a ridge period in 0.1 ms and over
-    5 mm in seconds, so a closed one shows no ridges.
+    The radius grows from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary length
+    is 2.7 mm); above one half a film closes over the ridges, up to 15 um, and no dry patch is left. A film of 20 um
+    levels out over 5 mm in seconds, so a closed one shows no ridges.
     """
     closed = max(0.0, 2.0 * severity - 1.0)
     return _Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))
@@ -175,11 +172,10 @@ def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.ra
     """(H, W) displacement of the water's surface, mm; equal to `displacement` where there is no water.
 
     Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
-    ball of that radius, here by the paraboloid that osculates it, which acts along rows and columns one after the
-    other. The body's own curvature (a radius of 8 mm) is left out. Source: Orchard 1962, On surface levelling in
-    viscous liquids and gels (time 3 eta l^4 / (16 pi^4 gamma h^3)). de Gennes, Brochard-Wyart and Quere 2004,
-    Capillarity and Wetting Phenomena, section 1.1.3 (Laplace pressure) and 2.2 (capillary length). van den Boomgaard et
-    al. 1996, Quadratic structuring functions in mathematical morphology.
+    ball of that radius, here by the paraboloid that osculates it, along rows and columns in turn. The body's own
+    curvature (a radius of 8 mm) is left out. Sources: Orchard 1962, On surface levelling in viscous liquids and gels;
+    de Gennes, Brochard-Wyart and Quere 2004, Capillarity and Wetting Phenomena, sections 1.1.3 and 2.2; van den
+    Boomgaard et al. 1996, Quadratic structuring functions in mathematical morphology.
     """
     filled = _closed(displacement, pitch_mm, water.meniscus_mm)
     if water.levelled_mm > 0.0:

@@ -197,10 +197,13 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: 
         image = without_mirrors(image, camera, mirrors, binning)
     try:
         outline = finger_mask(image, camera.px_per_mm / binning, settings)
-    except NoFinger as error:
-        words = str(error) if capture.material == "skin" else str(error).replace("no finger", "no object")
-        if not camera.scale_known:
-            raise NoFinger(words) from error
+    except BadInput as error:
+        words = str(error)
+        if capture.material == "opaque":
+            words = words.replace("no finger", "no object").replace("the finger", "the object")
+            words = words.replace("its tip and both sides are", "all of it is")
+        if not camera.scale_known or not isinstance(error, NoFinger):
+            raise type(error)(words) from error
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
         shown = f"{camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
         raise BadInput(words.replace(" or give", f" and the scale, by whose {shown}, or give")) from error

@@ -57,6 +57,8 @@ _LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
 """Size of one photograph, and of all, above which a note is given."""
 _FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
 """Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
+_NEGATIVE = 0.02
+"""Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
 _BRIGHTEST = 0.9
 """What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
 
@@ -720,6 +722,8 @@ def _as_integers(
     require(ambient is None or (ambient.dtype.kind == "f") == floats, mixed)
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")
+    below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0
+    require(below < _NEGATIVE, f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them.")
     require(0.0 <= black < top, f"the background must lie between 0 and {top:g}, but it is {black:g}.")
     if not floats and len(groups) == len(stack):
         return stack, ambient, black

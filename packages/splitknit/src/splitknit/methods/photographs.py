@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, 
 from splitknit.integration.knit import place
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
-from splitknit.photometric.frames import SPOILT_DEG, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
 from splitknit.steps import shared, step
@@ -63,6 +62,8 @@ _FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
 _EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
 looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
+_EXPLAINED = 0.7
+"""Unequal lights leave less than this part of the residual: 0.66 where they differ by 6 %, equal ones 0.77 and more."""
 _WEAK_COLOUR = 0.1
 """A colour in which a light has less than this part of the mean tells little of it."""
 
@@ -166,7 +167,8 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     if steady.material == "opaque":
         with suppress(BadInput):  # refused below
             fit = _fit(steady, white, finger)
-        if fit is None or fit.order == tuple(range(len(fit.order))) or fit.residual_in_order >= _FITS_IN_ORDER:
+        own = fit is None or fit.frame == TURNED or fit.order == tuple(range(len(fit.order)))
+        if fit is None or own or fit.residual_in_order >= _FITS_IN_ORDER:
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
@@ -182,6 +184,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             said.append(begin + TILTED.format(100 * float(np.std(np.log(gains)))))
             doubt = doubt if doubt is not None and doubt[1] else None
         facts |= {(name if band.name == "white" else f"{name}_{band.name}"): value for name, value in found.items()}
+        if doubt is not None and doubt[0].endswith(HOLLOW):
+            said.append(HOLLOW)
+            doubt = None
         if doubt is not None:
             doubts[band.name] = doubt
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
@@ -264,7 +269,7 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
     before, after = (light_left(each[0], lights * one[:, None], inside, levels) for one in (equal, gains))
     spread = float(np.std(np.log(gains)))
     sure = after < _WELL_EXPLAINED or (spread > _SURELY_UNEQUAL and len(lights) > 5)
-    if spread < _EQUAL or after > 0.85 * before:
+    if spread < _EQUAL or after > _EXPLAINED * before:
         return band, {}, []
     shown = "; ".join(f"{name} {gain:.2f}" for name, gain in zip(band.image_names, gains / gains.mean(), strict=True))
     if not sure:
@@ -272,16 +277,13 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
         return band, {}, [doubt.format(100 * spread) + "; give `lights` their brightness as a fourth number."]
     of_colours = np.stack(found[1:], axis=1)
     weak = _WEAK_COLOUR * each[1:][:, :, inside].mean() > each[1:][:, :, inside].mean(axis=2).T
+    shown_gains = [round(float(one), 3) for one in gains / gains.mean()]
+    facts: dict[str, Any] = {"light_brightness": shown_gains, "light_brightness_by": "estimated"}
     if len(channels) == 3 and not weak.any():
         of_colours *= np.exp(np.log(gains).mean() - np.log(of_colours).mean(axis=0))
+        facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
     else:
         of_colours = np.repeat(gains[:, None], len(channels), axis=1)
-    facts = {
-        "light_brightness": [round(float(one), 3) for one in gains / gains.mean()],
-        "light_brightness_by": "estimated",
-    }
-    if len(channels) == 3 and not weak.any():
-        facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
     note = f"the lights differ in brightness, which was estimated with the surface and taken out: {shown}."
     return replace(band, transmission=of_colours), facts, [note]
 
@@ -320,7 +322,7 @@ def _doubt_of_lights(
     }
     if fit.brightness:
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
-    names = [Path(file).name for file in band.files]
+    names = band.image_names
     skin = capture.material == "skin"
     doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, names, capture.material)]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
@@ -336,10 +338,9 @@ def _doubt_of_lights(
 
 
 def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
-    name = names[fault.photograph] if names else f"photograph {fault.photograph + 1}"
     how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
     turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
+    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:

@@ -66,6 +66,14 @@ _FEWEST_OF_STRANGE = 6
 _UNEQUAL = 0.5
 """Brightness is at fault where less than this part of the residual is left once every photograph has its own: 0.96 and
 more under lights of known brightness, 0.25 where that is 10 to 20 % off."""
+_TURNS_DEG = 0.5
+"""A strange photograph of an object is named where it turns the surface by more."""
+TURNED = "left-down"
+HOLLOW = (
+    "the object comes out hollow; if it is a hill, its lights were measured with x pointing left and y down in the "
+    "image: then give `light_frame` left-down, or leave out the one that was given."
+)
+"""Photographs of a hollow are those of a hill whose lights are turned by 180 deg: both are possible of an object."""
 _ONE_LIGHT = 0.03
 """Photographs of a finger that differ by less than this are under one light: 0.13 and more under their own."""
 SPOILT_DEG, SPOILT_RESIDUAL = 3.0, 0.3
@@ -80,13 +88,9 @@ _PIXELS = 20_000
 def _frame_of(turn: NDArray[np.float64] | None) -> str:
     """The frame of :data:`FRAMES` in which the lights must have been measured, by :func:`_fit_turn` of the normals.
 
-    Lights in another frame give normals in that frame. Of the eight frames whose axes run along the image's, only the
-    right one, and that turned by 180 deg, give slopes without curl; of the two, the right one is convex: its slopes
-    fall towards the outline, which the mask must show. ``right-up`` where nothing speaks against it.
-
-    Sources: integrability, R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
-    algorithms", IEEE Trans. PAMI 10 (1988); the remaining ambiguity of concave and convex, P. N. Belhumeur, D. J.
-    Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
+    Only the right one, and that turned by 180 deg, give slopes without curl (R. T. Frankot and R. Chellappa, IEEE
+    Trans. PAMI 10, 1988); of the two, the right one is convex (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
+    bas-relief ambiguity", IJCV 35, 1999). ``right-up`` where nothing speaks against it.
     """
     if turn is None:
         return "right-up"
@@ -208,9 +212,7 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
     """
     names = names or [f"photograph {k + 1}" for k in range(len(fit.order))]
     if material == "skin" and fit.variety < _ONE_LIGHT:
-        return (
-            f"the photographs {names[0]} to {names[-1]} are all under one light: check that each LED is lit alone.",
-        )
+        return (f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone.",)
     turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
     if fit.brightness:
         most = int(np.argmax(np.abs(np.log(fit.brightness))))
@@ -219,26 +221,25 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
             f"the lights are not as bright as is stated of them: they seem to differ by {spread:.0f} % (most that of "
             f"{names[most]}, {fit.brightness[most]:.2f} of the mean), and {turned}; calibrate their brightness.",
         )
-    if fit.strange is not None:
+    if fit.strange is not None and (material == "skin" or fit.turned_deg > _TURNS_DEG):
         return (
             f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that it is of the same "
             "thing in the same place, under its own light, or capture it again.",
         )
+    if material == "opaque" and fit.frame == TURNED:
+        return (HOLLOW,)
     left = f"{100 * fit.residual:.0f} % of the light"
     moved = [k for k, light in enumerate(fit.order) if light != k]
     if moved:
         words = _order_words(fit.order, names)
         if fit.frame != "right-up":
             return (f"{_frame_words(fit.frame).rstrip('.')}; or their order is another: {words}.",)
+        others = "the photographs seem to be under other lights than those they are given"
         if fit.residual_in_order < _LESS * fit.residual:
-            return (
-                f"the photographs seem to be under other lights than those they are given: {left} does not fit them, "
-                f"{100 * fit.residual_in_order:.0f} % would in another order, and {turned}: {words}.",
-            )
-        return (
-            "the photographs seem to be under other lights than those they are given, shifted or reversed along the "
-            f"ring: only in another order do one convex surface's slopes follow from them; {words}.",
-        )
+            better = f"{100 * fit.residual_in_order:.0f} % would in another order"
+            return (f"{others}: {left} does not fit them, {better}, and {turned}: {words}.",)
+        only = "only in another order do one convex surface's slopes follow from them"
+        return (f"{others}, shifted or reversed along the ring: {only}; {words}.",)
     if fit.frame != "right-up":
         return (_frame_words(fit.frame),)
     if fit.residual < HIGH_RESIDUAL:
@@ -340,7 +341,6 @@ def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
     """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every frame."""
     within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
-
     sigma = 0.12 * max(cover.shape)
     mean = np.maximum(_blurred(cover, sigma), np.float32(1e-6))
     coarse = sum(float(((_blurred(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
