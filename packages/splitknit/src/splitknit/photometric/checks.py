@@ -105,6 +105,7 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
     own = light.astype(np.float64)
     gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
+    products = (lights[:, :, None] * lights[:, None]).reshape(-1, 9)
     for _ in range(12):
         lit = _lit(light, lights * gains[:, None], ceilings)
         lit &= lit.sum(axis=0) >= LEAST
@@ -113,16 +114,15 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
         over = own / gains[:, None]
         over /= np.maximum(over.mean(axis=0), 1e-12)
         weights = lit.astype(np.float64)
-        for turn in range(2):
-            moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
-            lean = (weights * over)[:, None] * lights[:, :, None]  # (L, 3, n)
-            if turn == 0:
-                g = np.linalg.solve(moments, lean.sum(axis=0).T[..., None])[..., 0]
-                rest = over - np.einsum("ki,ni->kn", lights, g)
-                weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
-        inverse = np.linalg.inv(moments)
-        power = np.diag((weights * over**2).sum(axis=1))
-        left = power - np.einsum("kin,nij,ljn->kl", lean, inverse, lean, optimize=True)
+        inverse = _inverse(products.T @ weights)
+        lean = lights.T @ (weights * over)
+        rest = over - lights @ (inverse * lean).sum(axis=1)
+        weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
+        inverse, light_in = _inverse(products.T @ weights), weights * over
+        left = np.diag((light_in * over).sum(axis=1))
+        power = left.copy()
+        for i, j in np.ndindex(3, 3):
+            left -= np.outer(lights[:, i], lights[:, j]) * ((light_in * inverse[i, j]) @ light_in.T)
         root = 1.0 / np.sqrt(np.diag(power))
         vector = np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root
         step = np.clip(np.abs(vector) / np.abs(vector).max(), 1e-3, None)
@@ -131,6 +131,16 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
         if float(np.ptp(np.log(step))) < 1e-4:
             break
     return np.asarray(gains)
+
+
+def _inverse(moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses (3, 3, n) of symmetric matrices (9, n), by their cofactors."""
+    xx, xy, xz, _, yy, yz, _, _, zz = moments
+    xx, yy, zz = xx + 1e-9, yy + 1e-9, zz + 1e-9
+    first, second, third = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    rest = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    rows = [first, second, third, second, rest[0], rest[1], third, rest[1], rest[2]]
+    return np.stack(rows).reshape(3, 3, -1) / (xx * first + xy * second + xz * third)
 
 
 def faulty_photographs(
