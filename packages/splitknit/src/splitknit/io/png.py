@@ -33,8 +33,7 @@ DECODED_BYTES = 400_000_000
 """Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
 DEFLATE_RATIO = 1032
 """Deflate makes no more of a byte (zlib, technical details): a longer image cannot be in the file."""
-_PLAIN, _PEEKED_ROWS = frozenset((0, 2)), 8
-"""Row filters *none* and *up* (section 9.2), and rows by which a file is judged before all of it is inflated."""
+_PLAIN = frozenset((0, 2))  # row filters none and up, section 9.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,25 +176,22 @@ def _decode(header: _PngHeader, image_data: list[memoryview], name: str, out: ND
 
 
 def _decode_plain(header: _PngHeader, image_data: list[memoryview], out: NDArray[Any]) -> bool:
-    """Decode rows that hold at most their difference to the row above, as those that :func:`write_image` writes, in
-    0.6 of libpng's time. Returns whether that was done: where anything is unusual or unsound, libpng decides.
-    """
-    row = out[0].nbytes + 1
-    packed = b"".join(chunk[8:-4] for chunk in image_data)
+    """Decode rows that are at most differences to the row above, as :func:`write_image` writes them, in 0.6 of libpng's
+    time; return whether that was done: libpng decides where anything is unusual or unsound."""
+    packed, row = b"".join(chunk[8:-4] for chunk in image_data), out[0].nbytes + 1
     with suppress(zlib.error, codecs().DeflateError):
-        first = zlib.decompressobj().decompress(packed, _PEEKED_ROWS * row)
+        first = zlib.decompressobj().decompress(packed, 8 * row)  # a few rows show whether to inflate all
         if header.interlaced or header.depth < 8 or not _PLAIN.issuperset(first[::row]):
             return False
-        crc, lines = codecs().deflate_crc32, np.empty((header.rows, row), dtype=np.uint8)
-        sound = all(crc(chunk[4:-4]) == int.from_bytes(chunk[-4:], "big") for chunk in image_data)
-        size = len(codecs().deflate_decode(packed, out=lines.reshape(-1)))
+        lines = np.empty((header.rows, row), dtype=np.uint8)
+        whole = len(codecs().deflate_decode(packed, out=lines.reshape(-1))) == lines.size
         ends = codecs().deflate_adler32(lines) == int.from_bytes(packed[-4:], "big")  # nothing follows
-        filters = lines[:, 0].tolist()
-        if not (sound and ends and size == lines.size and _PLAIN.issuperset(filters)):
+        sound = all(codecs().deflate_crc32(one[4:-4]) == int.from_bytes(one[-4:], "big") for one in image_data)
+        if not (whole and ends and sound and _PLAIN.issuperset(filters := lines[:, 0].tolist())):
             return False
         above = np.zeros(row - 1, dtype=np.uint8)
-        for kind, line, values in zip(filters, lines[:, 1:], out.reshape(len(out), -1).view(np.uint8), strict=True):
-            above = np.add(above, line, out=values) if kind else np.positive(line, out=values)
+        for up, line, values in zip(filters, lines[:, 1:], out.reshape(len(out), -1).view(np.uint8), strict=True):
+            above = np.add(above, line, out=values) if up else np.positive(line, out=values)
         if header.depth == 16 and sys.byteorder == "little":
             out.byteswap(inplace=True)
         return True

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, check_lights, check_mask, check_stack
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.equations import (
+    PAIRS,
     back_substitute,
     factorise,
     moment_matrix,
@@ -105,7 +106,7 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
     own = light.astype(np.float64)
     gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
-    products = (lights[:, :, None] * lights[:, None]).reshape(-1, 9)
+    products, unit = np.stack([lights[:, i] * lights[:, j] for i, j in PAIRS]), np.ones(light.shape[1])
     for _ in range(12):
         lit = _lit(light, lights * gains[:, None], ceilings)
         lit &= lit.sum(axis=0) >= LEAST
@@ -114,15 +115,12 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
         over = own / gains[:, None]
         over /= np.maximum(over.mean(axis=0), 1e-12)
         weights = lit.astype(np.float64)
-        inverse = _inverse(products.T @ weights)
-        lean = lights.T @ (weights * over)
-        rest = over - lights @ (inverse * lean).sum(axis=1)
+        rest = over - lights @ back_substitute(factorise(products @ weights), lights.T @ (weights * over))
         weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
-        inverse, light_in = _inverse(products.T @ weights), weights * over
-        left = np.diag((light_in * over).sum(axis=1))
-        power = left.copy()
-        for i, j in np.ndindex(3, 3):
-            left -= np.outer(lights[:, i], lights[:, j]) * ((light_in * inverse[i, j]) @ light_in.T)
+        factors, weighted = factorise(products @ weights), weights * over
+        power = np.diag((weighted * over).sum(axis=1))
+        pulls = (back_substitute(factors, vector[:, None] * unit) for vector in lights)
+        left = power - np.stack([(weighted * (lights @ pull)) @ one for pull, one in zip(pulls, weighted, strict=True)])
         root = 1.0 / np.sqrt(np.diag(power))
         vector = np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root
         step = np.clip(np.abs(vector) / np.abs(vector).max(), 1e-3, None)
@@ -131,16 +129,6 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
         if float(np.ptp(np.log(step))) < 1e-4:
             break
     return np.asarray(gains)
-
-
-def _inverse(moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverses (3, 3, n) of symmetric matrices (9, n), by their cofactors."""
-    xx, xy, xz, _, yy, yz, _, _, zz = moments
-    xx, yy, zz = xx + 1e-9, yy + 1e-9, zz + 1e-9
-    first, second, third = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    rest = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    rows = [first, second, third, second, rest[0], rest[1], third, rest[1], rest[2]]
-    return np.stack(rows).reshape(3, 3, -1) / (xx * first + xy * second + xz * third)
 
 
 def faulty_photographs(
@@ -187,10 +175,14 @@ def faulty_photographs(
             kept.remove(k)
     while len(kept) > max(least, LEAST):
         fault = scaled.looked_at(kept).worst()
-        if fault is None or not _determined(vectors, [k for k in kept if k != fault.photograph]):
+        if fault is None:
+            break
+        kept.remove(fault.photograph)
+        try:
+            check_lights(vectors[kept])
+        except BadInput:  # without it they determine no normal
             break
         faults.append(fault)
-        kept.remove(fault.photograph)
         gains = light_gains(images[kept], vectors[kept], inside, levels[kept])
         scaled.lights[kept] = vectors[kept] * gains[:, None]
     return tuple(faults)
@@ -203,14 +195,6 @@ def _checked(
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
     return images, check_lights(lights, len(images)), inside, levels
-
-
-def _determined(lights: NDArray[np.float64], kept: list[int]) -> bool:
-    try:
-        check_lights(lights[kept])
-    except BadInput:
-        return False
-    return True
 
 
 def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) -> BoolArray:
