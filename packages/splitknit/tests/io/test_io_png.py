@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.images import decode_image, image_size, read_image, write_image
+from splitknit.io import png
+from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
 from splitknit.io.png import SIGNATURE, decode_png
 
 
@@ -121,6 +122,37 @@ def test_every_flipped_byte_is_found(capfd: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(BadInput):
             decode_image(bytes(damaged), "x")
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(9, 11), (1, 1), (9, 11, 3)])
+def test_files_of_our_own_are_checked_as_others_and_decoded_alike(
+    shape: tuple[int, ...], dtype: type, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = smooth(shape, dtype)
+    data = encode_image(image, ".png")
+    header, (_, packed) = png.png_header(data, "x"), png._walk(data, "x")
+    quick = np.empty((*image.shape[:2], header.channels), dtype)
+    assert png._decode_plain(header, packed, quick)
+    more = [memoryview(chunk(b"IDAT", b"".join(one[8:-4] for one in packed) + b"more"))]
+    assert not png._decode_plain(header, more, quick)
+    np.testing.assert_array_equal(quick.reshape(image.shape), image)
+    for position in range(len(data)):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x40
+        with pytest.raises(BadInput):
+            decode_image(bytes(damaged), "x")
+        with pytest.raises(BadInput):
+            decode_image(data[:position], "x")
+    monkeypatch.setattr(png, "_decode_plain", lambda *_: False)
+    np.testing.assert_array_equal(decode_image(data, "x").reshape(image.shape), image)
+    assert capfd.readouterr().err == ""
+
+
+def test_another_filter_after_many_rows_is_decoded() -> None:
+    rows = [b"\2\1\1\1"] * 20 + [b"\1\5\1\1"]
+    decoded = decode_png(make((3, 21, 8, 0, 0, 0, 0), b"".join(rows)), "x")[..., 0]
+    np.testing.assert_array_equal(decoded, [*([k, k, k] for k in range(1, 21)), [5, 6, 7]])
 
 
 @pytest.mark.parametrize("lines", [b"\0\1\2\3" * 3, b"\0\1\2\3" * 5, b"\7\1\2\3" * 4])

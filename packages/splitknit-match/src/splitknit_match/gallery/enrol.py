@@ -161,7 +161,9 @@ def enroll_files(
         new = []
         taken = {one.entry.session: one.entry.source_sha256 for one in earlier}
         for one in made:
-            chosen = session or _session(taken, one.source_sha256)
+            after = 1 + max((int(number) for number in taken if number.isascii() and number.isdigit()), default=0)
+            same = (number for number, source in taken.items() if source == one.source_sha256)  # the very same source
+            chosen = session or next(same, str(after))
             taken[chosen] = one.source_sha256
             new.append(new_capture(one, name, finger, chosen, settings))
         sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching)
@@ -236,12 +238,6 @@ def content_of(gallery: Gallery, *, created: bool) -> GalleryContent:
         failures=sum(one.template_bytes == 0 for one in rows),
         settings_sha256=gallery.settings_sha256,
     )
-
-
-def _session(taken: dict[str, str], source_sha256: str) -> str:
-    """Session of the very same source, else the number after the last."""
-    after = str(1 + max((int(session) for session in taken if session.isascii() and session.isdigit()), default=0))
-    return next((session for session, source in taken.items() if source == source_sha256), after)
 
 
 _THUMBNAIL_PPI = 250.0

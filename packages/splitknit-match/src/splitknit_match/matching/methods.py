@@ -201,7 +201,8 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
     else:
         first, second = read(0), read(1)
     if method == "auto":
-        method = _usual_method(first, second)
+        one, other = first.template, second.template
+        method = "minutiae" if one is None or other is None else "fusion" if can_fuse(one, other) else "ridge"
     require(
         own is None or own.method == method,
         f"'{job.decision}' is for the method {'' if own is None else own.method}, but {method} compares these.",
@@ -245,12 +246,6 @@ def _check_template_file(template: Path, *inputs: Any) -> None:
 def _written(template: Path, side: Side) -> TemplateFile:
     write_template(template, side.payload, VERSION)
     return TemplateFile(str(template), template.stat().st_size)
-
-
-def _usual_method(a: Side, b: Side) -> str:
-    if a.template is None or b.template is None:
-        return "minutiae"
-    return "fusion" if can_fuse(a.template, b.template) else "ridge"
 
 
 def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:

@@ -18,6 +18,7 @@ from splitknit import (
     MM_PER_INCH,
     BoolArray,
     FloatArray,
+    bin_mean,
     bounding_box,
     check_mask,
     gaussian_mean,
@@ -327,9 +328,7 @@ def resample(
     values = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)
     factor = max(1, int(step / 1.9))
     if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
-        height, width = (n // factor for n in inside.shape)
-        cut = slice(0, height * factor), slice(0, width * factor)
-        weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
+        weight, values = (bin_mean(image, factor) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         fraction = gaussian_mean(weight, sigma)
@@ -341,10 +340,6 @@ def resample(
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))
     )
     return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)
-
-
-def _shrunk(image: FloatArray, size: tuple[int, int]) -> FloatArray:
-    return np.asarray(cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def _read(image: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:

@@ -147,7 +147,7 @@ def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
     height, width = (int(n // factor) for n in image.shape[-2:])
     trimmed = image[..., : ceil(height * factor), : ceil(width * factor)]
     flat = trimmed.reshape(-1, *trimmed.shape[-2:])
-    small = [block_means(plane, (height, width), factor) for plane in np.ascontiguousarray(flat)]
+    small = [block_means(plane, (height, width), factor) for plane in flat]
     return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)
 
 

@@ -76,7 +76,7 @@ def _packed(array: np.ndarray[Any, Any]) -> tuple[bytes, tuple[bytes, ...]]:
     packed = codecs().deflate_encode(body, level=1, raw=True)
     stored = b"\0" + struct.pack("<HH", len(first), len(first) ^ 0xFFFF)
     sizes = len(stored) + len(first) + len(packed), len(first) + len(body)
-    crc = zlib.crc32(body.data, zlib.crc32(first))
+    crc = codecs().deflate_crc32(body, zlib.crc32(first))
     return struct.pack("<HHHHHIII", 20, 0, _DEFLATE, *_DATE, crc, *sizes), (stored, first, packed)
 
 
@@ -144,7 +144,7 @@ def _unpacked(stored: bytes, info: zipfile.ZipInfo, damaged: str) -> np.ndarray[
     if info.compress_type == _DEFLATE:
         content = np.empty(info.file_size, np.uint8)
         require(len(codecs().deflate_decode(stored, raw=True, out=content)) == len(content), damaged)
-    require(len(content) == info.file_size and zlib.crc32(content.data) == info.CRC, damaged)
+    require(len(content) == info.file_size and codecs().deflate_crc32(content) == info.CRC, damaged)
     dtype, shape, order, start = _header(io.BytesIO(content[: _LONGEST_HEADER + 12].tobytes()), damaged)
     require(len(content) - start == dtype.itemsize * math.prod(shape), damaged)
     return content[start:].view(dtype).reshape(shape, order=order)

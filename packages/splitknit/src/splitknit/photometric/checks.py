@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, check_lights, check_mask, check_stack
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.equations import (
+    PAIRS,
     back_substitute,
     factorise,
     moment_matrix,
@@ -105,6 +106,7 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
     own = light.astype(np.float64)
     gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
+    products, unit = np.stack([lights[:, i] * lights[:, j] for i, j in PAIRS]), np.ones(light.shape[1])
     for _ in range(12):
         lit = _lit(light, lights * gains[:, None], ceilings)
         lit &= lit.sum(axis=0) >= LEAST
@@ -113,16 +115,12 @@ def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray)
         over = own / gains[:, None]
         over /= np.maximum(over.mean(axis=0), 1e-12)
         weights = lit.astype(np.float64)
-        for turn in range(2):
-            moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
-            lean = (weights * over)[:, None] * lights[:, :, None]  # (L, 3, n)
-            if turn == 0:
-                g = np.linalg.solve(moments, lean.sum(axis=0).T[..., None])[..., 0]
-                rest = over - np.einsum("ki,ni->kn", lights, g)
-                weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
-        inverse = np.linalg.inv(moments)
-        power = np.diag((weights * over**2).sum(axis=1))
-        left = power - np.einsum("kin,nij,ljn->kl", lean, inverse, lean, optimize=True)
+        rest = over - lights @ back_substitute(factorise(products @ weights), lights.T @ (weights * over))
+        weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
+        factors, weighted = factorise(products @ weights), weights * over
+        power = np.diag((weighted * over).sum(axis=1))
+        pulls = (back_substitute(factors, vector[:, None] * unit) for vector in lights)
+        left = power - np.stack([(weighted * (lights @ pull)) @ one for pull, one in zip(pulls, weighted, strict=True)])
         root = 1.0 / np.sqrt(np.diag(power))
         vector = np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root
         step = np.clip(np.abs(vector) / np.abs(vector).max(), 1e-3, None)
@@ -177,10 +175,14 @@ def faulty_photographs(
             kept.remove(k)
     while len(kept) > max(least, LEAST):
         fault = scaled.looked_at(kept).worst()
-        if fault is None or not _determined(vectors, [k for k in kept if k != fault.photograph]):
+        if fault is None:
+            break
+        kept.remove(fault.photograph)
+        try:
+            check_lights(vectors[kept])
+        except BadInput:  # without it they determine no normal
             break
         faults.append(fault)
-        kept.remove(fault.photograph)
         gains = light_gains(images[kept], vectors[kept], inside, levels[kept])
         scaled.lights[kept] = vectors[kept] * gains[:, None]
     return tuple(faults)
@@ -193,14 +195,6 @@ def _checked(
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
     return images, check_lights(lights, len(images)), inside, levels
-
-
-def _determined(lights: NDArray[np.float64], kept: list[int]) -> bool:
-    try:
-        check_lights(lights[kept])
-    except BadInput:
-        return False
-    return True
 
 
 def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) -> BoolArray:

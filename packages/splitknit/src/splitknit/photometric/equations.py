@@ -7,6 +7,7 @@ elimination. Arrays hold pixels along their last axis. Everything is elementwise
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ def _add_up(terms: FloatArray, total: FloatArray) -> None:
         total += term
 
 
-def factorise(moments: FloatArray) -> FloatArray:
+def factorise(moments: NDArray[Any]) -> NDArray[Any]:
     """M = U^T D U from its upper triangle (6, n), z first: [1/d_z, 1/d_y, 1/d_x, u_zy, u_zx, u_yx], (6, n).
 
     Lights cluster about z, so that its pivot is large. Pivots are kept above `RIDGE` times the trace: what too few
