@@ -156,8 +156,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         wide = enlarged_mask(wider & (usable | ~kept), full, binning)
         mask = enlarged_mask(usable, full, binning) & wide
     notes = [upright.note] if upright.note else []
-    if skin:
-        notes += _check_width(kept if given else usable, small_px, given)
+    odd = _check_width(kept if given else usable, small_px, given) if skin else ()
     if cut and not crease.found:
         notes.append(crease.verdict)
     large = _scaled(upright, binning)
@@ -171,7 +170,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
     alone = not skin or given or capture.rig.mirrors
-    doubts = {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
+    doubts = {"width": (words, False) for words in odd}
+    doubts |= {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
     window = bounding_box(wide, round(0.5 * px_per_mm))
     return Finger(mask, wide, window, large, facts, quality, (*notes, *warnings), doubts)
 

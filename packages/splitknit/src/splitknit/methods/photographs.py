@@ -38,6 +38,8 @@ JPEG = (
     "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
     "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
 )
+JPEG_COARSE = 14.0
+"""Pixels a millimetre below which JPEG spoils the ridges."""
 _JPEG_STEP = 0.1
 """Grey levels by which steps between JPEG's blocks of 8 pixels surely exceed others, across and down together: 0
 without JPEG; 0.06 to 0.5 at quality 95, 0.5 to 0.8 at 90, 1.5 at 75."""
@@ -141,9 +143,13 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    if capture.material == "skin" and "jpeg" in finger.facts:
-        warnings = (JPEG, *warnings)
-    doubts = [finger.doubts[name] for name in ("view", *(band.name for band in bands)) if name in finger.doubts]
+    jpeg = capture.material == "skin" and "jpeg" in finger.facts
+    coarse = jpeg and capture.rig.camera.px_per_mm < JPEG_COARSE
+    warnings = (JPEG, *warnings) if jpeg and not coarse else warnings
+    doubts = [(JPEG, False)] if coarse else []
+    doubts += [
+        finger.doubts[name] for name in ("view", "width", *(band.name for band in bands)) if name in finger.doubts
+    ]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
     spoilt = tuple(words for words, _ in doubts)
