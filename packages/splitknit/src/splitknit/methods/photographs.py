@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -326,9 +325,8 @@ def _doubt_of_lights(
     }
     if fit.brightness:
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
-    names = [Path(file).name for file in band.files]
     skin = capture.material == "skin"
-    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, names, capture.material)]
+    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
         every = max(1, max(capture.shape) // FRAME_SIDE)
         stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
@@ -336,13 +334,13 @@ def _doubt_of_lights(
         faults = faulty_photographs(stack, vectors, inside, saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        doubts = [(_unlike_words(one, names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+        names = band.image_names
+        doubts = [(_unlike_words(one, names[one.photograph]), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
     begin = "" if band.name == "white" else f"{band.name} band: "
     return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
 
 
-def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
-    name = names[fault.photograph] if names else f"photograph {fault.photograph + 1}"
+def _unlike_words(fault: PhotographFault, name: str) -> str:
     how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
     turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
     return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
