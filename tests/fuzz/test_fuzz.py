@@ -9,6 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.fuzz.kills import NOT_STOPPED, VERBS
+
+from splitknit.registry import GROUP, registered
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANTED: dict[str, Callable[[Path, bytes], object]] = {
@@ -39,6 +42,12 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *words], cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False
     )
+
+
+def test_every_verb_that_writes_is_stopped_at_drawn_moments() -> None:
+    verbs, words = set(registered(GROUP)), list(VERBS.values())
+    stopped = {verb for verb in verbs if any(one.startswith(f"{verb} ") for one in words)}
+    assert verbs - stopped == set(NOT_STOPPED)
 
 
 @pytest.mark.slow

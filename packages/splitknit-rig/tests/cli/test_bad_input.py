@@ -279,6 +279,23 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("factor", "preset", "words"),
+    [(2.0, "metric", "all lengths are 0.5"), (0.5, "ea", "the finger's width is 3")],
+)
+def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured) -> None:
+    folder, out = tmp_path / "capture", tmp_path / "out"
+    assert main(f"simulate --out {folder} --seed 3 --scale 0.12".split()) == 0
+    capsys.readouterr()
+    edit(folder / "rig.json", lambda rig: rig["camera"].update(px_per_mm=factor * rig["camera"]["px_per_mm"]))
+    command = ["reconstruct", str(folder), "--out", str(out), "--preset", preset]
+    assert main(command) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("The surface is spoilt: ") and words in first
+    shutil.rmtree(out)
+    refused([*command, "--strict"], capsys, (words, "--strict"))
+
+
 def test_lights_of_other_brightness_are_refused_or_estimated(
     twin_folder: Path, tmp_path: Path, capsys: Captured
 ) -> None:

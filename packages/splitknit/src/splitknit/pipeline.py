@@ -86,9 +86,12 @@ def reconstruct(
         result = placed(photographs, surface, chosen.top_mm)
     odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
     first = photographs.finger.facts.get("spoilt", 0)  # what spoils the surface
-    seen_in, rest = photographs.warnings[:first], photographs.warnings[first:]
-    warnings = (*seen_in, *notes, *doubts, *rest, *surface.warnings, *odd)
-    result = replace(result, preset=name, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds))
+    spoilt, rest = (*photographs.warnings[:first], *odd), photographs.warnings[first:]
+    facts = {**result.facts, "spoilt": len(spoilt)} if spoilt else result.facts
+    warnings = (*spoilt, *notes, *doubts, *rest, *surface.warnings)
+    result = replace(
+        result, preset=name, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds), facts=facts
+    )
     return result if result.scale_known else _of_unknown_scale(result)
 
 

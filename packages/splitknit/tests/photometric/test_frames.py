@@ -124,7 +124,7 @@ def test_a_wrong_order_is_found_and_no_frame_advised(egg, name, uneven):
     if uneven or name in {"two exchanged", "shuffled"}:
         assert fit.residual > 1.3 * fit.residual_in_order
         assert "`light_frame`" not in words
-    assert {"two exchanged": "exchange the lights of photograph 3 and photograph 4"}.get(name, "order") in words
+    assert {"two exchanged": "exchange the lights of image 2 and image 3"}.get(name, "order") in words
 
 
 @pytest.mark.parametrize("uneven", [False, True])

@@ -156,8 +156,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         wide = enlarged_mask(wider & (usable | ~kept), full, binning)
         mask = enlarged_mask(usable, full, binning) & wide
     notes = [upright.note] if upright.note else []
-    if skin:
-        notes += _check_width(kept if given else usable, small_px, given)
+    odd = _check_width(kept if given else usable, small_px, given) if skin else ()
     if cut and not crease.found:
         notes.append(crease.verdict)
     large = _scaled(upright, binning)
@@ -171,7 +170,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
     alone = not skin or given or capture.rig.mirrors
-    doubts = {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
+    doubts = {"width": (odd[0], False)} if odd else {}
+    doubts |= {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
     window = bounding_box(wide, round(0.5 * px_per_mm))
     return Finger(mask, wide, window, large, facts, quality, (*notes, *warnings), doubts)
 
@@ -223,7 +223,9 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, .
         narrow = f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are needed"
         remedy = "mark the whole finger, or check the rig's px_per_mm."
     require(width_mm >= least, f"{narrow}; {remedy}")
-    return FINGER_WIDTH.notes(width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), or the mask")
+    return FINGER_WIDTH.notes(
+        width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), on which all lengths rest, or the mask"
+    )
 
 
 def _quality(

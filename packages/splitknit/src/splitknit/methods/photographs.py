@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,8 @@ JPEG = (
     "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
     "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
 )
+JPEG_COARSE = 14.0
+"""Pixels a millimetre below which JPEG spoils the ridges."""
 _JPEG_STEP = 0.1
 """Grey levels by which steps between JPEG's blocks of 8 pixels surely exceed others, across and down together: 0
 without JPEG; 0.06 to 0.5 at quality 95, 0.5 to 0.8 at 90, 1.5 at 75."""
@@ -142,9 +144,13 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    if capture.material == "skin" and "jpeg" in finger.facts:
-        warnings = (JPEG, *warnings)
-    doubts = [finger.doubts[name] for name in ("view", *(band.name for band in bands)) if name in finger.doubts]
+    jpeg = capture.material == "skin" and "jpeg" in finger.facts
+    coarse = jpeg and capture.rig.camera.px_per_mm < JPEG_COARSE
+    warnings = (JPEG, *warnings) if jpeg and not coarse else warnings
+    doubts = [(JPEG, False)] if coarse else []
+    doubts += [
+        finger.doubts[name] for name in ("view", "width", *(band.name for band in bands)) if name in finger.doubts
+    ]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
     spoilt = tuple(words for words, _ in doubts)
@@ -322,9 +328,8 @@ def _doubt_of_lights(
     }
     if fit.brightness:
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
-    names = band.image_names
     skin = capture.material == "skin"
-    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, names, capture.material)]
+    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
         every = max(1, max(capture.shape) // FRAME_SIDE)
         stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
@@ -332,15 +337,16 @@ def _doubt_of_lights(
         faults = faulty_photographs(stack, vectors, inside, saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        doubts = [(_unlike_words(one, names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+        names = band.image_names
+        doubts = [(_unlike_words(one, names[one.photograph]), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
     begin = "" if band.name == "white" else f"{band.name} band: "
     return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
 
 
-def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
+def _unlike_words(fault: PhotographFault, name: str) -> str:
     how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
     turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
+    return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:

@@ -208,9 +208,9 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
     """Warnings of photographs that do not fit their lights or each other, or fit in another order or frame; one at
     most.
 
-    `names` are the photographs', by default their numbers from 1.
+    `names` are the photographs', by default ``image 0`` and so on.
     """
-    names = names or [f"photograph {k + 1}" for k in range(len(fit.order))]
+    names = names or [f"image {k}" for k in range(len(fit.order))]
     if material == "skin" and fit.variety < _ONE_LIGHT:
         return (f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone.",)
     turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
@@ -267,7 +267,7 @@ def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
     count, moved = len(order), [k for k, light in enumerate(order) if light != k]
     if len(moved) == 2:
         return f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
-    numbers = "give the lights in the order " + " ".join(str(light + 1) for light in order)
+    numbers = "give the lights, counted from 1, in the order " + " ".join(str(light + 1) for light in order)
     if list(order) == list(range(count))[::-1]:
         return f"{numbers} (reversed)"
     step = order[0]
