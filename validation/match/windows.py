@@ -3,6 +3,7 @@
     python validation/match/windows.py --compare 24000        # adds comparisons to the cache, in a fixed order
     python validation/match/windows.py                        # fits, rates and tables from what was compared
     python validation/match/windows.py --write                # and writes what the matcher ships
+    python validation/match/windows.py --overlap              # of genuine touches, by the alignment of the whole prints
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
 where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
@@ -39,6 +40,8 @@ SETS = (*REAL, KNOWN)
 SIZES_MM = (4, 5, 6, 8, 10)
 SEED = 48
 WHOLE, TOUCHES, PRINTS = 0, 1, 2
+SURE = 2.53
+"""Score of whole prints at a false match rate of 1 in 10,000."""
 RATED_MM2, EXCLUDED_MM2 = 6.0, 40.0
 """Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see ``by_overlap``)."""
 FIRST, SECOND = 5600, 2800
@@ -197,6 +200,40 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     return np.array([fusion._score(*row) for row in rows[:, 6:].tolist()])
 
 
+def box(image: Image, mm: int) -> NDArray[np.float64]:
+    """(4, 2) corners (column, row) of the middle window."""
+    part = next(one for one in windows([image], 0) if one[1] == mm and one[2] == "middle")[3]
+    found = cv2.matchTemplate(image, part, cv2.TM_SQDIFF)
+    row, column = np.unravel_index(found.argmin(), found.shape)
+    side = np.array(part.shape[::-1])
+    return np.array([column, row]) + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * side
+
+
+def overlaps(job: Job) -> None:
+    """How much of genuine touches overlaps, mm2, where the whole prints' alignment is sure."""
+    px, found = 500 / 25.4, {mm: [] for mm in (4, 5, 6, 8)}
+    for name in SETS:
+        images, owner, impression = prints(name, job)
+        sides = {n: Prepared(made(images[n], "template", job)) for n in range(len(owner)) if impression[n] < 4}
+        for i, j in itertools.combinations(sides, 2):
+            if owner[i] != owner[j]:
+                continue
+            whole = fused_match(sides[i], sides[j])
+            if whole.similarity < SURE:
+                continue
+            turn = np.deg2rad(whole.ridge.rotation_deg)
+            turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+            middles = [(np.array(images[n].shape[::-1]) - 1) / 2 for n in (i, j)]
+            moved = middles[1] + np.array([whole.ridge.right_mm, -whole.ridge.up_mm]) * px
+            for mm, areas in found.items():
+                a = (box(images[i], mm) - middles[0]) @ turned.T + moved
+                both = cv2.intersectConvexConvex(a.astype(np.float32), box(images[j], mm).astype(np.float32))[0]
+                areas.append(both / px**2)
+    for mm, areas in found.items():
+        said = ", ".join(f"{100 * np.mean(np.array(areas) < limit):.0f} % below {limit}" for limit in (6, 10, 15))
+        print(f"{mm} mm: {len(areas)} genuine pairs overlap by {np.median(areas):.0f} mm2 (median), {said}")
+
+
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
     """Cost of log-likelihood ratios, in bits (Bruemmer and du Preez 2006)."""
     return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (2 * np.log(2))
@@ -310,10 +347,14 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--version", default="1", help="of what is made of a print")
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--overlap", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.compare is not None:
         compare(Job(options.cache, options.version), options.compare)
+    if options.overlap:
+        overlaps(Job(options.cache, options.version))
+        return
     rows = np.load(options.cache / "windows.npy")
     facts, _, constants = report(rows)
     print(json.dumps(facts, indent=1))

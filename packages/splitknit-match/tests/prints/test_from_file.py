@@ -143,6 +143,10 @@ def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
     one = read_one_finger(file)
     assert isinstance(one, PrintFile) and "were white and have been turned dark" in one.note
     np.testing.assert_array_equal(one.image, image)
+    window = spiral_print()[120:380, 90:290]
+    for shown in (window, 255 - window, 255 - np.pad(spiral_print(), 60, constant_values=255)):
+        file.write_bytes(saved(shown, "PNG", 500))
+        assert "if they are white, invert the picture" in read_one_finger(file).note
 
 
 def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> None:

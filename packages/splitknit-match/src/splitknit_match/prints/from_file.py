@@ -42,9 +42,10 @@ _PAGE_MM = 45.0
 """A larger picture is a page: it may hold several prints. A rolled print is 40 mm wide and high at most."""
 _PART_MM2 = 25.0
 """Area of ridges on a page that is taken for a print."""
-_BESIDE, _RIM = -0.25, -0.15
-"""Level beside a print, and at its rim, over that of its middle, in contrasts of its ridges: below both its ridges are
-white. None of 280 real prints is below both, inverted 200 are (validation/prints/any_print.py)."""
+_DARK, _WHITE = 0.15, -0.2
+"""Mean level beside a print, at its rim and at the picture's edge over that of its middle, in contrasts of its ridges,
+from which on ridges are dark, or white: of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)."""
+_DOUBT = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
 
 
 def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
@@ -242,8 +243,9 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     """
     side = max(2, round(8 * (item.resolution_ppi or PPI) / PPI))
     n, m = (size // side for size in item.image.shape)
+    in_doubt = dataclasses.replace(item, note=" ".join(filter(None, (item.note, _DOUBT))))
     if min(n, m) < 8:
-        return item
+        return in_doubt
     framed = frame(item.image)
     image = item.image[: n * side, : m * side].astype(np.float32)
     mean, square = (cv2.resize(one, (m, n), interpolation=cv2.INTER_AREA) for one in (image, image * image))
@@ -265,21 +267,16 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     outside = (cv2.dilate(whole, _disc(1)) == 0) & there
     beside, edge = outside & (cv2.dilate(whole, _disc(4)) > 0), cv2.dilate(whole, _disc(1)) == 0
     edge[1:-1, 1:-1] = False
-    if min(int(one.sum()) for one in (middle, rim, beside)) <= 8:
-        return item
+    known = [one for one in (beside, rim, edge) if int(one.sum()) > 8]
+    if not known or int(middle.sum()) <= 8:
+        return in_doubt
     contrast = 2.6 * float(np.median(deviation[middle])) + 1e-6
     level = float(np.median(mean[middle]))
-    around, faded = ((float(np.median(mean[one])) - level) / contrast for one in (beside, rim))
-    far = (float(np.median(mean[edge])) - level) / contrast if edge.any() else around
-    note = ""
-    if around < _BESIDE and faded < _RIM and far < _BESIDE:
-        item, note = (
-            dataclasses.replace(item, image=255 - item.image),
-            "its ridges were white and have been turned dark.",
-        )
-    elif max(around, faded, far) < -_RIM:
-        note = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
-    return dataclasses.replace(item, note=" ".join(filter(None, (item.note, note))))
+    levels = [(float(np.median(mean[one])) - level) / contrast for one in known]
+    if len(known) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
+        note = " ".join(filter(None, (item.note, "its ridges were white and have been turned dark.")))
+        return dataclasses.replace(item, image=255 - item.image, note=note)
+    return item if np.mean(levels) > _DARK else in_doubt
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -10,30 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BadInput,
-    BoolArray,
-    Capture,
-    FloatArray,
-    Progress,
-    Reconstruction,
-    file_hash,
-    find_finger,
-    has_colour,
-    linear_channels,
-    naming,
-    no_progress,
-    photographs_hint,
-    preset_settings,
-    read_capture,
-    read_fields,
-    reconstruct,
-    require,
-    require_scale,
-    scale_of_ridges,
-    with_scale,
-    without_films,
-)
+from splitknit import BadInput, BoolArray, Capture, FloatArray, Progress, Reconstruction, naming, no_progress, require
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +68,8 @@ def read_source(
     `photo`, `surface`: whether these are needed; `px_per_mm`, `ridge_period_mm`: the scale, or the distance of the
     ridges that it follows from, where it is unknown.
     """
+    from splitknit import photographs_hint, read_capture, with_scale  # photographs of fingers need none of them
+
     progress("reading", 0.05)
     try:
         found, folder = path.exists(), path.is_dir()
@@ -115,6 +94,8 @@ def read_source(
 
 def source_of(result: Reconstruction) -> Source:
     """What prints need of a reconstruction in memory. Raises BadInput where its scale is unknown."""
+    from splitknit import require_scale
+
     require_scale(result)
     return Source(
         "result", result.mask, result.pitch_mm, result.input_from_upright, result.upright_size, result.height_mm,
@@ -124,6 +105,8 @@ def source_of(result: Reconstruction) -> Source:
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
+    from splitknit import file_hash, read_fields, scale_of_ridges
+
     names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
     needed = (*names, "normals") if ridge_period_mm is not None else names
     arrays = read_fields(path, needed, ("x_mm", "y_mm", "specular"), unscaled=unscaled)
@@ -144,6 +127,8 @@ def source_of_capture(
     capture: Capture, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
 ) -> Source:
     """What prints need of a capture, see :func:`read_source`."""
+    from splitknit import find_finger, preset_settings, reconstruct, require_scale
+
     require_scale(capture.rig.camera)
     light = _photograph(capture) if photo else None
     if surface:
@@ -161,6 +146,8 @@ def source_of_capture(
 
 def _photograph(capture: Capture) -> FloatArray:
     """(H, W) mean of the white images; of colours the blue one, which enters the skin least deeply."""
+    from splitknit import has_colour, linear_channels, without_films
+
     require("white" in capture.bands, "the capture has no band 'white', in which fingers are photographed.")
     band = without_films(capture).bands["white"]
     channel = "blue" if has_colour(band) else "grey"
