@@ -212,16 +212,11 @@ def _put(frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slic
 # What stands around the finger where there are mirrors: holders, glass, the tube behind it, dust.
 
 
-_PLASTIC_ALBEDO = 0.04
-"""Albedo of holders and tube: black print."""
-_GLASS_ALBEDO = 0.12
-"""Albedo of the mirrors' ground upper edge."""
-_TUBE_MM = 52.0
-"""Inner radius of the tube around the finger."""
-_STRAY_SHARE = 0.1
-"""Light that comes to the tube by way of other things, against that of a white card under the LED."""
-_LID_SHARE = 0.2
-"""Light from what hangs above the finger, which a second mirror shows, against that from the tube."""
+_PLASTIC_ALBEDO = 0.04  # albedo of holders and tube: black print
+_GLASS_ALBEDO = 0.12  # albedo of the mirrors' ground upper edge
+_TUBE_MM = 52.0  # inner radius of the tube around the finger
+_STRAY_SHARE = 0.1  # light that comes to the tube by way of other things, against that of a white card under the LED
+_LID_SHARE = 0.2  # light from what hangs above the finger, which a second mirror shows, against that from the tube
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,8 +26,7 @@ Array = NDArray[np.float64]
 
 _INSERTION_MM = (28.7, 30.3)
 """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
-_FADE_MM = 3.0
-"""Width over which the ridges fade."""
+_FADE_MM = 3.0  # width over which the ridges fade
 
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
 """How much further than the master print the skin's map reaches, to either side and beyond the tip."""

@@ -134,8 +134,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     return [Light(led), *(Light(image, _Gate(np.asarray(corners))) for image, corners in reflected)]
 
 
-_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
-"""Turns about any axis and shifts along any axis beyond this are cut off to it."""
+_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0  # turns about any axis and shifts along any axis beyond this are cut off to it
 
 
 def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tuple[Mirror, ...]:
@@ -158,8 +157,7 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # What a camera sees in a mirror: the surface of the reflected finger.
 
-BEYOND_MM = 3.0
-"""How far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline."""
+BEYOND_MM = 3.0  # how far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline
 PROXIMAL_MM = 32.0
 """What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
 _FINE = 8

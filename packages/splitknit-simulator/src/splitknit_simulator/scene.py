@@ -47,12 +47,9 @@ from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, Ski
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
 
-BACKGROUND_MM = 10.0
-"""Distance of the background below the finger plane."""
-_DUST_ALBEDO = 0.3
-"""Largest albedo of a speck; they lie between a tenth of it and all of it."""
-_SHADED_ROWS = 0.25
-"""Fraction of the frame, from its last row, that the hand's shadow covers."""
+BACKGROUND_MM = 10.0  # distance of the background below the finger plane
+_DUST_ALBEDO = 0.3  # largest albedo of a speck; they lie between a tenth of it and all of it
+_SHADED_ROWS = 0.25  # fraction of the frame, from its last row, that the hand's shadow covers
 
 
 @dataclass(frozen=True, slots=True)

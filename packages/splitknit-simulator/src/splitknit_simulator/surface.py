@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit import BoolArray, Camera, FloatArray, require
 
-WATER = 1.333
-"""Refractive index of water (Hale and Querry 1973)."""
+WATER = 1.333  # refractive index of water (Hale and Querry 1973)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

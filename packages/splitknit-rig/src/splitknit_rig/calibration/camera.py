@@ -12,18 +12,15 @@ import numpy as np
 from splitknit import Array, BadInput, FloatArray, require
 from splitknit_rig.calibration.targets import Board
 
-TERMS = ("k1", "k2", "p1", "p2", "k3")
-"""Coefficients of the distortion, in OpenCV's order."""
+TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order
 _STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
 """Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
 _UNDETERMINED = (
     "the photographs do not determine the camera (no camera fits them, as when all boards lie parallel to the sensor); "
     "tilt the board by 20 to 40 deg to several sides, and let it fill the picture."
 )
-_LONGEST = 40.0
-"""Focal lengths above this many image sides are the sign of a fit that ran away."""
-_SIGNIFICANCE = 4.0
-"""A term is kept where it differs from nothing by more than this many standard deviations."""
+_LONGEST = 40.0  # focal lengths above this many image sides are the sign of a fit that ran away
+_SIGNIFICANCE = 4.0  # a term is kept where it differs from nothing by more than this many standard deviations
 _PRINCIPAL_LIMIT = 0.05
 """The principal point is held in the image's middle where its standard deviation exceeds this part of the image."""
 _GROSS_ASPECT = 0.015
@@ -182,24 +179,17 @@ _HOLDING = {
 }
 
 
-_MIN_VIEWS = 5
-"""Views that must remain."""
+_MIN_VIEWS = 5  # views that must remain
 _OUTLIER_RATIO = 1.6
 """A view is rejected if its error exceeds the median by this factor ..."""
 _OUTLIER_SPREAD = 5.0
 """... and by this many times the robust spread of all errors."""
-_SAME_PX = 0.3
-"""Views whose corners differ by less than this (rms) are one view, photographed twice."""
-_MAX_FOCAL_ERROR = 0.01
-"""Relative standard deviation of the focal length from which views are refused."""
-_FOCAL_WARNED = 0.003
-"""The same, from which there is a warning."""
-_MAX_ASPECT = 0.02
-"""Difference of fx / fy from one that is refused: sensors have square pixels."""
-_MIN_VARIETY_DEG = 10.0
-"""Views should hold boards whose normals differ by more than this."""
-_MIN_COVERAGE = 0.5
-"""Part of the picture that the corners of all views together should span."""
+_SAME_PX = 0.3  # views whose corners differ by less than this (rms) are one view, photographed twice
+_MAX_FOCAL_ERROR = 0.01  # relative standard deviation of the focal length from which views are refused
+_FOCAL_WARNED = 0.003  # the same, from which there is a warning
+_MAX_ASPECT = 0.02  # difference of fx / fy from one that is refused: sensors have square pixels
+_MIN_VARIETY_DEG = 10.0  # views should hold boards whose normals differ by more than this
+_MIN_COVERAGE = 0.5  # part of the picture that the corners of all views together should span
 
 
 @dataclass(frozen=True, slots=True, eq=False)

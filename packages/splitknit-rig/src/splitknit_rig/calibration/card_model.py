@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from splitknit import Array, Camera, Led, plane_points, require, shading_at
 
-UNIT_MM2 = 1e4
-"""An LED of intensity one gives the irradiance one at 100 mm."""
+UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +97,8 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
-_MIN_EXPONENT = 0.02
-"""Least exponent of a beam: below it an aim has no meaning."""
-_MAX_TILT = 0.7
-"""Largest tilt of an aim from the direction to the origin: 35 deg."""
+_MIN_EXPONENT = 0.02  # least exponent of a beam: below it an aim has no meaning
+_MAX_TILT = 0.7  # largest tilt of an aim from the direction to the origin: 35 deg
 
 
 @dataclass(frozen=True, slots=True)

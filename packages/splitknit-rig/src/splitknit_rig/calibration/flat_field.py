@@ -152,14 +152,10 @@ _ENOUGH_PERCENT = 0.05
 """The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
 _ENOUGH_FRACTION = 0.05
 """... or by no more than this fraction of it."""
-_MIN_FIELD = 0.3
-"""A cell that is darker than this fraction of the model's brightness does not show the card."""
-_MAX_EMPTY = 0.005
-"""Fraction of the cells that may be so."""
-MAX_DUST = 0.05
-"""Largest fraction of dust; beyond it the card is not uniform."""
-DUST_PERCENT = 2.0
-"""A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
+_MIN_FIELD = 0.3  # a cell that is darker than this fraction of the model's brightness does not show the card
+_MAX_EMPTY = 0.005  # fraction of the cells that may be so
+MAX_DUST = 0.05  # largest fraction of dust; beyond it the card is not uniform
+DUST_PERCENT = 2.0  # a cell that departs further under all LEDs is counted as dust and left out of the residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -141,8 +141,7 @@ def _number(text: str, where: str, column: str) -> float:
     return value
 
 
-SHADOW_MM = 0.2
-"""A tip nearer to its nail than this shows no shadow."""
+SHADOW_MM = 0.2  # a tip nearer to its nail than this shows no shadow
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,7 @@ from splitknit_rig.calibration.nail import STRAY_MM, JointFit, NailSettings, by_
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
 OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"
-_TRUSTED = (OK, UNCHECKED)
-"""Verdicts of LEDs that are used without a word from the user."""
+_TRUSTED = (OK, UNCHECKED)  # verdicts of LEDs that are used without a word from the user
 LedName = tuple[str, int]
 """Band, and number in it."""
 
@@ -45,10 +44,8 @@ class LightLimits(Checked):
 
 _COPY_MM = 0.4
 """Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
-_MOVE_MM = 1.0
-"""Nail positions that are nearer than this are one position."""
-_SAME_NAIL_MM = 1.0
-"""The nail's pixel may differ so much between the rows of one position."""
+_MOVE_MM = 1.0  # nail positions that are nearer than this are one position
+_SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
 
 
 @dataclass(frozen=True, slots=True)

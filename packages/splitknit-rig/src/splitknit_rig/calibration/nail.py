@@ -31,16 +31,11 @@ from scipy.stats import chi2
 from splitknit import Array, Camera, Checked, Limits, pixels_of, plane_points, require
 from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
 
-_NAIL_HEIGHT_SD_MM = 1.0
-"""Standard deviation of the known height."""
-_CIRCLE_SD_MM = 1.0
-"""Standard deviation of the circle's centre (each way), radius and height from the drawing's values."""
-_FREE_SD_MM = 30.0
-"""Takes the place of all deviations of LEDs and circle where the nail's height is known."""
-_OUTLIER = 4.0
-"""A tip this many standard deviations from its place is named, and has lost most of its weight."""
-STRAY_MM = 10.0
-"""An LED further than this off the fitted circle is refused."""
+_NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
+_CIRCLE_SD_MM = 1.0  # standard deviation of the circle's centre (each way), radius and height from the drawing's values
+_FREE_SD_MM = 30.0  # takes the place of all deviations of LEDs and circle where the nail's height is known
+_OUTLIER = 4.0  # a tip this many standard deviations from its place is named, and has lost most of its weight
+STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +121,7 @@ def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArra
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
 
 
-HIGHEST = 0.6
-"""A nail is taken to be lower than this part of the LEDs' height."""
+HIGHEST = 0.6  # a nail is taken to be lower than this part of the LEDs' height
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,14 +51,10 @@ from splitknit_rig.calibration.sensor import noise_model, noise_samples
 _CLIPPED = 0.985
 _LEVELS_PX = (8.0, 4.0, 2.0)
 """Standard deviations of the blur under which both images of the card are brought onto each other."""
-_MIN_LIKENESS = 0.5
-"""Correlation of their details; a card without print has none."""
-_ACROSS = 60
-"""Cells along the longer side of the card's picture."""
-_STEADY = 0.003
-"""Relative deviation of an LED's light from one photograph to the next."""
-_NEIGHBOUR_MM = 1.0
-"""How far apart on the ball LEDs beside each other are mirrored."""
+_MIN_LIKENESS = 0.5  # correlation of their details; a card without print has none
+_ACROSS = 60  # cells along the longer side of the card's picture
+_STEADY = 0.003  # relative deviation of an LED's light from one photograph to the next
+_NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
 _MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
 
 

@@ -17,20 +17,14 @@ import numpy as np
 
 from splitknit import Array, PixelArray, require
 
-_DEGREE = 5
-"""Degree of the polynomial."""
-_LIMIT_PERCENT = 1.0
-"""Values are linear if they depart from a line by no more than this many per cent of full scale."""
+_DEGREE = 5  # degree of the polynomial
+_LIMIT_PERCENT = 1.0  # values are linear if they depart from a line by no more than this many per cent of full scale
 _INCONSISTENT_PERCENT = 1.0
 """Residuals (median over images of their rms) that no response explains: the scene moved or the light changed."""
-_CLIP = 0.98
-"""Values from here on (of full scale) are left out."""
-MIN_EXPOSURES = 4
-"""Different exposure times that are needed."""
-_MIN_RATIO = 3.0
-"""Longest over shortest exposure."""
-_MIN_RANGE = 0.3
-"""Part of the full scale that the values must span."""
+_CLIP = 0.98  # values from here on (of full scale) are left out
+MIN_EXPOSURES = 4  # different exposure times that are needed
+_MIN_RATIO = 3.0  # longest over shortest exposure
+_MIN_RANGE = 0.3  # part of the full scale that the values must span
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,8 +24,7 @@ from splitknit import Array, BoolArray, FloatArray, check_stack, require
 _RING = 2.0 * np.pi * np.arange(8) / 8
 _LIGHT = np.concatenate([np.zeros((1, 2)), 0.75 * np.stack([np.cos(_RING), np.sin(_RING)], axis=1)])
 """(9, 2) points that stand for equal parts of a disc of radius one and have its spread."""
-_EDGE_PX = 0.5
-"""Softness of an edge by pixels and lens, as a standard deviation."""
+_EDGE_PX = 0.5  # softness of an edge by pixels and lens, as a standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,18 +132,12 @@ def _thin(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 _STRETCH = 1.12
 """A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly matters."""
-_NAIL_LEVEL = 0.45
-"""The nail is darker than this part of the ground around it under every LED."""
-_SHADOW_LEVEL = 0.5
-"""A shadow is darker than this part of the same place under the other LEDs."""
-_MIN_NAIL_MM2 = 0.3
-"""Area of the nail that is seen."""
-_MIN_SHADOW_MM = 0.7
-"""A shadow must reach this far beyond the nail."""
-_BORDER_MM = 0.3
-"""A shadow that comes nearer to the picture's border leaves it."""
-_MAX_PIXELS = 500
-"""Pixels about one shadow's outline that the fit takes, evenly spread."""
+_NAIL_LEVEL = 0.45  # the nail is darker than this part of the ground around it under every LED
+_SHADOW_LEVEL = 0.5  # a shadow is darker than this part of the same place under the other LEDs
+_MIN_NAIL_MM2 = 0.3  # area of the nail that is seen
+_MIN_SHADOW_MM = 0.7  # a shadow must reach this far beyond the nail
+_BORDER_MM = 0.3  # a shadow that comes nearer to the picture's border leaves it
+_MAX_PIXELS = 500  # pixels about one shadow's outline that the fit takes, evenly spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,12 +61,9 @@ class Board:
         return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
 
 
-_SEARCH_PX = 1200
-"""Longer side of the image in which the board is sought; corners are then refined in the full image."""
-_WINDOW = 0.3
-"""Half the window in which a corner is refined, as a part of the shortest side of a square in the image."""
-_WINDOW_PX = (3, 40)
-"""Smallest and largest half window."""
+_SEARCH_PX = 1200  # longer side of the image in which the board is sought; corners are then refined in the full image
+_WINDOW = 0.3  # half the window in which a corner is refined, as a part of the shortest side of a square in the image
+_WINDOW_PX = (3, 40)  # smallest and largest half window
 _SMOOTH_PX = 1.5
 """Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw corners to its middle."""
 _CONTRAST = 0.4
@@ -191,18 +188,12 @@ def _contrast(image: FloatArray, grid: Array) -> Array:
     return np.asarray(steps.min(axis=0))
 
 
-_STARTS = 8
-"""Dots from which a grid is tried."""
-_MIN_DOT_PX = 4.0
-"""Smallest diameter."""
-_MAX_DOT = 0.2
-"""Largest diameter, as a part of the picture's shorter side."""
-_MIN_ROUNDNESS = 0.75
-"""Shortest over longest axis, at least: dots seen at 40 deg have 0.77."""
-_MIN_FILL = 0.85
-"""Area over that of the ellipse with the same moments, and its inverse."""
-_MAX_MISS = 0.25
-"""How far from its expected place, in spacings, a dot of the grid may lie."""
+_STARTS = 8  # dots from which a grid is tried
+_MIN_DOT_PX = 4.0  # smallest diameter
+_MAX_DOT = 0.2  # largest diameter, as a part of the picture's shorter side
+_MIN_ROUNDNESS = 0.75  # shortest over longest axis, at least: dots seen at 40 deg have 0.77
+_MIN_FILL = 0.85  # area over that of the ellipse with the same moments, and its inverse
+_MAX_MISS = 0.25  # how far from its expected place, in spacings, a dot of the grid may lie
 
 
 def _find_dots(pixels: Any) -> Array:

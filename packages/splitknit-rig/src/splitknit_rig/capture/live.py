@@ -38,12 +38,10 @@ from splitknit import (
 from splitknit_rig.capture.streams import open_uvc
 
 T = TypeVar("T")
-FILM_FPS = 10.0
-"""At which a folder of photographs is played."""
+FILM_FPS = 10.0  # at which a folder of photographs is played
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _FASTEST_FPS = 120.0
-_UNSEEN_S = 5.0
-"""After so long without anybody looking nothing is measured."""
+_UNSEEN_S = 5.0  # after so long without anybody looking nothing is measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,16 +238,13 @@ class Live(Generic[T]):
 
 Slopes = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From images (3, H, W), light over the flat one, to dz/dx and dz/dy (2, H, W), y up, and their deviation (H, W)."""
-_DARK = 0.004
-"""Linear light below which a flat photograph counts as unlit: one step of 8 bits."""
+_DARK = 0.004  # linear light below which a flat photograph counts as unlit: one step of 8 bits
 _GRAIN_PX = 2.0
 """Standard deviation of the blur of a flat frame: its noise, and a coat's grain and dust, which move with the gel."""
 _EDGE = 0.04
 """Width of the strip along the frame's border whose median height is zero, as a fraction of the frame's sides."""
-_SLOW_MM = 0.5
-"""Standard deviation of the mean that is no relief in a result."""
-_SAME_SHAPE = 0.01
-"""By which the ratio of a frame's sides may differ from the calibration's."""
+_SLOW_MM = 0.5  # standard deviation of the mean that is no relief in a result
+_SAME_SHAPE = 0.01  # by which the ratio of a frame's sides may differ from the calibration's
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,9 @@ import numpy as np
 from splitknit import BadInput, Query, Reply, json_reply, require, srgb_code, static_file, static_files
 from splitknit_rig.capture.live import Live, LiveFrame
 
-_PATIENCE_S = 2.0
-"""A request for a newer frame is answered after so long at the latest, without one."""
+_PATIENCE_S = 2.0  # a request for a newer frame is answered after so long at the latest, without one
 _JPEG_QUALITY = 85
-_MARKED = (255, 0, 200)
-"""Colour over markers, RGB."""
+_MARKED = (255, 0, 200)  # colour over markers, RGB
 
 
 class LiveService:

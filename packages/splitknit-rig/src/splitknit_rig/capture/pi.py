@@ -142,8 +142,7 @@ class PiLightBank(GuardedLights):
             self._lines.pop(0).close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
 
 
-_TURN_S = 0.4
-"""Twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)."""
+_TURN_S = 0.4  # twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)
 
 
 class PiAnalyser(Closing):
@@ -170,14 +169,10 @@ class PiAnalyser(Closing):
         self._servo.close()
 
 
-_WHITE_GAINS = (1.11, 2.13)
-"""Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
-_NIR_GAINS = (1.0, 1.0)
-"""The same under NIR, where the colour filters are transparent."""
-_LONGEST_S = 0.2
-"""Longest exposure time that the camera is asked for, 0.001 to 5 s."""
-_MAX_FRAMES = 30
-"""Frames that are thrown away, at most, while waiting for a good one."""
+_WHITE_GAINS = (1.11, 2.13)  # gains of red and blue that make a white card white under the white LEDs (5000 K)
+_NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are transparent
+_LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
+_MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
 UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 

@@ -27,14 +27,10 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput, Closing, ExposureRange, Frame, PixelArray, decode_table, importing, require
 
-_MAX_FRAMES = 30
-"""Frames that are thrown away, at most, while waiting for a good one."""
-_BLIND_FRAMES = 5
-"""Frames of a blind stream that are thrown away: four that wait in buffers and the one in the sensor."""
-_LATE_FRAMES = 4
-"""And further ones after a new exposure."""
-_PREVIEW_COLUMNS = 800
-"""Width of a preview, about."""
+_MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
+_BLIND_FRAMES = 5  # frames of a blind stream that are thrown away: four that wait in buffers and the one in the sensor
+_LATE_FRAMES = 4  # and further ones after a new exposure
+_PREVIEW_COLUMNS = 800  # width of a preview, about
 _LONGEST_S = 0.2
 
 

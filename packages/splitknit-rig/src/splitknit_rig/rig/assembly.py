@@ -15,8 +15,7 @@ from splitknit import FloatArray, Progress, importing, no_progress
 from splitknit_rig.rig.dimension_checks import check_dimensions
 from splitknit_rig.rig.dimensions import RigDimensions
 
-STACK = ("base", "cylinder", "frame", "box", "lid")
-"""The rig with the camera above, from below upwards."""
+STACK = ("base", "cylinder", "frame", "box", "lid")  # the rig with the camera above, from below upwards
 STACK_BELOW = ("window_base", "cylinder", "frame", "box", "lid")
 """With the camera below this stack is turned over: the lid is the foot."""
 
@@ -123,11 +122,9 @@ def build_parts(dimensions: RigDimensions, progress: Progress = no_progress) -> 
 
 Triangles = FloatArray
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
-TOLERANCE_MM = 0.01
-"""Between a curved face and its triangles: far below what a printer holds."""
+TOLERANCE_MM = 0.01  # between a curved face and its triangles: far below what a printer holds
 TOLERANCE_RAD = 0.2
-_TIMESTAMP = "2000-01-01T00:00:00"
-"""In the header of every STEP file, so that the same rig gives the same bytes."""
+_TIMESTAMP = "2000-01-01T00:00:00"  # in the header of every STEP file, so that the same rig gives the same bytes
 
 
 def triangles_of(part: RigPart) -> Triangles:

@@ -23,8 +23,7 @@ E24 = (
     3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2, 9.1,
 )  # fmt: skip
 """Preferred numbers of IEC 60063 for 5 %; every maker has them at 1 % too."""
-RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)
-"""Powers that leaded resistors are sold for."""
+RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)  # powers that leaded resistors are sold for
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +89,12 @@ def _rating_for(power_w: float) -> float:
     return next(one for one in RATINGS_W if power_w <= _MAX_HEAT * one)
 
 
-MIN_HEADROOM_V = 0.5
-"""Voltage that a current sink's transistor must keep to be one."""
+MIN_HEADROOM_V = 0.5  # voltage that a current sink's transistor must keep to be one
 FORCED_GAIN = 20.0
 """A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
-_MAX_HEAT = 0.6
-"""Fraction of its rating that a part may turn into heat when its LED stays on for ever."""
-_MIN_CURRENT = 0.7
-"""Smallest current in the worst corner, over the wanted one."""
-_PULL_DOWN_OHM = 100_000.0
-"""From every line to ground: LEDs are off while no Pi is connected or none has been started."""
+_MAX_HEAT = 0.6  # fraction of its rating that a part may turn into heat when its LED stays on for ever
+_MIN_CURRENT = 0.7  # smallest current in the worst corner, over the wanted one
+_PULL_DOWN_OHM = 100_000.0  # from every line to ground: LEDs are off while no Pi is connected or none has been started
 
 
 @dataclass(frozen=True, slots=True)

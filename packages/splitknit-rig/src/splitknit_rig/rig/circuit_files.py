@@ -33,16 +33,14 @@ from splitknit_rig.rig.safety import check_hazards, rig_hazards
 from splitknit_simulator import side_lights
 
 _BOARD = Path(__file__).with_name("board")
-_TEXTS = ("circuit.net", "schematic.svg", "wiring.svg", "board.kicad_pcb")
-"""The board's files that show values."""
+_TEXTS = ("circuit.net", "schematic.svg", "wiring.svg", "board.kicad_pcb")  # the board's files that show values
 FILES = (*_TEXTS[:3], "parts.csv", "board.kicad_pcb", "gerber.zip", "circuit.json", "rig.json")
 _ALWAYS = FILES[-2:]
 """Files of a circuit that the board cannot carry."""
 _LAYOUT = {"size_mm": [90.0, 70.0], "holes_mm": [[3.0, 3.0], [87.0, 3.0], [3.0, 67.0], [87.0, 67.0]], "vias": 9}
 _SUPPLY = ("J1", "J2", "F1", "D90", "C1", "C2")
 _ROLES = ("base", "emitter", "series", "pull_down")
-_MAX_RATING_W = 0.6
-"""Largest rating of the resistors that the board has places for."""
+_MAX_RATING_W = 0.6  # largest rating of the resistors that the board has places for
 _LINK = ("0R wire", "a piece of wire", "a leg cut off a resistor", "a resistor of 0 ohms", "in place of a resistor")
 _FUSE_AT_50_DEG = 0.7
 """Fraction of its current at 20 degrees that a resettable fuse still carries in a box of 50 degrees."""

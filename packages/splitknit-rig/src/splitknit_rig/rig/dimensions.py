@@ -137,8 +137,7 @@ SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 SCREWS_B_DEG = (0.0, 90.0, 180.0, 280.0)
 """Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for the others."""
 _HALF = math.sqrt(0.5)
-_GROOVE_IN_FLOOR_MM = 0.4
-"""The groove's bottom lies this much below the base's upper face."""
+_GROOVE_IN_FLOOR_MM = 0.4  # the groove's bottom lies this much below the base's upper face
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -411,8 +410,7 @@ class SideLamp:
     """Radius of the collar that meets the cylinder."""
 
 
-SIDE_FILM_AT_MM = 4.0
-"""From a side light to its film: in front of the dome."""
+SIDE_FILM_AT_MM = 4.0  # from a side light to its film: in front of the dome
 
 
 def side_lamp(d: RigDimensions) -> SideLamp:

@@ -118,18 +118,13 @@ def side_film_deg(light_mm: Sequence[float]) -> float:
 
 # Where films are mounted: a ring of windows below the LEDs, and before the lens a plate on which the analyser turns.
 
-FILM_MM = 0.8
-"""Depth of the pockets that films lie in."""
+FILM_MM = 0.8  # depth of the pockets that films lie in
 LEVER_MM = 14.0
 """From the analyser's axis to the hole in its lever; the servo's horn is as long, so that both turn by one angle."""
-LINK_MM = 28.0
-"""From the analyser's axis to the servo's, along -x: the length of the wire between lever and horn."""
-PLATE_MM = 2.4
-"""Thickness of the analyser's plate."""
-FLANGE_MM = 2.0
-"""Thickness of the analyser's flange and lever, above the plate."""
-POST_MM = 3.5
-"""Radius of the posts that screws through the frame's floor hold."""
+LINK_MM = 28.0  # from the analyser's axis to the servo's, along -x: the length of the wire between lever and horn
+PLATE_MM = 2.4  # thickness of the analyser's plate
+FLANGE_MM = 2.0  # thickness of the analyser's flange and lever, above the plate
+POST_MM = 3.5  # radius of the posts that screws through the frame's floor hold
 _PLATE_POSTS_DEG, _PLATE_POSTS_MM = (90.0, 215.0, 325.0), 21.5
 ROD_Y_MM = 0.85 * LEVER_MM
 """Place of the rod of an analyser that is turned by hand: half way between both ends of its turn."""

@@ -71,10 +71,8 @@ from splitknit_simulator import (
     unit,
 )
 
-FIRST_SEED = 400
-"""Seeds of the fingers."""
-MAX_SLANT_DEG = 60.0
-"""The print is where the shape is flatter than this (``docs/explain/conventions.md``)."""
+FIRST_SEED = 400  # seeds of the fingers
+MAX_SLANT_DEG = 60.0  # the print is where the shape is flatter than this (``docs/explain/conventions.md``)
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 OBJECTIVES = {
     "rms": "surface_rms_mm", "ridges": "ridge_rms_um", "normals": "normals_mean_deg", "slopes": "slope_deviation"
@@ -135,8 +133,7 @@ class Study(Checked):
         return figures
 
 
-SLANTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
-"""Bounds of the bands of slant."""
+SLANTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)  # bounds of the bands of slant
 _FACET_MM, _FACET_ROUGHNESS = 1 / 37.85, 0.3
 """Side of the facet, a pixel of half the full resolution, and its GGX alpha."""
 

@@ -32,10 +32,8 @@ Shape = Any
 """A solid of build123d."""
 _Points = Sequence[tuple[float, float]]
 _Point = Sequence[float] | Array
-_LEVER_HALF_MM = 2.2
-"""Half the width of the analyser's lever."""
-_PEG_MM = 2.2
-"""Radius of the pegs that stop it."""
+_LEVER_HALF_MM = 2.2  # half the width of the analyser's lever
+_PEG_MM = 2.2  # radius of the pegs that stop it
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
 

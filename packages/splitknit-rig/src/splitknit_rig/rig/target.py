@@ -17,18 +17,12 @@ PRODUCER = b"/Producer (splitknit)"
 _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
 RULER_MM = 100.0
-_RULER_BELOW_MM = 10.0
-"""From its line to the boards: strokes and numbers."""
-DOT_MM = 1.5
-"""Diameter of a dot of the disc."""
-_DISC_RADIUS_MM = 45.0
-"""Where the disc is cut out."""
-_CARD_MARGIN_MM = 4.0
-"""White paper around a board, within the line along which it is cut out."""
-_PAGE_MARGIN_MM = 12.0
-"""Which printers leave free."""
-_DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM)
-"""Centre of the disc on the sheet."""
+_RULER_BELOW_MM = 10.0  # from its line to the boards: strokes and numbers
+DOT_MM = 1.5  # diameter of a dot of the disc
+_DISC_RADIUS_MM = 45.0  # where the disc is cut out
+_CARD_MARGIN_MM = 4.0  # white paper around a board, within the line along which it is cut out
+_PAGE_MARGIN_MM = 12.0  # which printers leave free
+_DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM)  # centre of the disc on the sheet
 
 
 @dataclass(frozen=True, slots=True)

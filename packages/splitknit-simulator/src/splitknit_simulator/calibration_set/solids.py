@@ -374,8 +374,7 @@ def _cut(sight: SightLines, window: Window) -> SightLines:
 
 # LEDs in a mirror: where lines of sight go after it, and whether they end on an LED's bright face.
 
-FINER = 12
-"""A pixel near a mirrored LED's rim is this many samples wide."""
+FINER = 12  # a pixel near a mirrored LED's rim is this many samples wide
 
 
 def unit(vectors: Array) -> Array:

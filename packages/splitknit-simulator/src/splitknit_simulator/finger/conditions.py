@@ -22,10 +22,8 @@ from splitknit_simulator.surface import Coat, Film, SimulatedSurface
 
 Array = NDArray[np.float64]
 
-KERATIN = 1.55
-"""Refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)."""
-MAX_PLATES = 4
-"""Horny plates with air between them in the thickest scale."""
+KERATIN = 1.55  # refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)
+MAX_PLATES = 4  # horny plates with air between them in the thickest scale
 
 
 # Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the skin.
@@ -246,8 +244,7 @@ def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap)
 
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-_WATER_ROUGHNESS = 0.05
-"""GGX alpha of a water surface at rest on skin: smooth but for what floats on it."""
+_WATER_ROUGHNESS = 0.05  # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
 _MOIST_ROUGHNESS = 0.18
 """Roughness of hydrated skin between drops of water, as in a population's moist sessions (Dabrowska et al. 2016:
 smoother)."""
@@ -255,8 +252,7 @@ _DRY_ROUGHNESS, _SCAR_ROUGHNESS = 0.5, 0.15
 _SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
 """A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment (Tseng et al. 2012
 measured that they differ; how far is our choice)."""
-_TOP_MM = 0.006
-"""The skin is sought from 8 um above the body on: nothing may stand higher."""
+_TOP_MM = 0.006  # the skin is sought from 8 um above the body on: nothing may stand higher
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from splitknit_simulator.finger.master_print import MasterPrint
 
 Array = NDArray[np.float64]
 
-SAMPLES_PER_SMOOTH = 4
-"""Grid points per length of smoothing: a cubic spline of them misses less than a thousandth."""
+SAMPLES_PER_SMOOTH = 4  # grid points per length of smoothing: a cubic spline of them misses less than a thousandth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -103,12 +103,9 @@ PROXIMAL_WIDENING = 0.14
 """How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
 FAN_WIDENING = 0.8
 """How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far as they can."""
-_ROUGHNESS = 0.06
-"""Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
-_PORE_SPACING_MM = 0.65
-"""Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
-_PORE_DIAMETER_MM = 0.13
-"""Mean full width at half depth of a pore."""
+_ROUGHNESS = 0.06  # standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude
+_PORE_SPACING_MM = 0.65  # mean distance of the pores along a ridge (9 to 18 a centimetre)
+_PORE_DIAMETER_MM = 0.13  # mean full width at half depth of a pore
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,12 +333,9 @@ def master_of_print(
     return MasterPrint("print", seed, laid, flat, u_mm, v_mm, settings.period_mm, (), (), np.zeros((0, 3)))
 
 
-_PAD_MM = 13.5
-"""Height of the middle of a pressed pad above the first crease."""
-_NOISE_MM = 0.05
-"""Standard deviation of the Gaussian mean that takes a scanner's noise from a print."""
-_FAINTEST = 0.02
-"""Contrast of ridges, relative to white, below which an image shows none."""
+_PAD_MM = 13.5  # height of the middle of a pressed pad above the first crease
+_NOISE_MM = 0.05  # standard deviation of the Gaussian mean that takes a scanner's noise from a print
+_FAINTEST = 0.02  # contrast of ridges, relative to white, below which an image shows none
 
 
 def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:

@@ -24,10 +24,8 @@ from splitknit_simulator.surface import SimulatedSurface
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-STEP_MM = 0.25
-"""Distance between the points of a line."""
-TOGETHER = 3.0
-"""Exponent of the norm that joins grooves: deeper than each where they cross, less than their sum."""
+STEP_MM = 0.25  # distance between the points of a line
+TOGETHER = 3.0  # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
 
 
 # Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a map.
@@ -225,18 +223,12 @@ def _draw_shape(
     return replace(shape, top_mm=top)
 
 
-_PERIOD_VARIATION = 0.06
-"""Relative standard deviation of the ridge period within a palm, over distances of about 5 mm."""
-_TURN_PER_MM = 0.02
-"""Standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis."""
-_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)
-"""Depth of the principal lines and of the finer ones."""
-_DARKENING = (0.05, 0.25)
-"""Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
-_MOTTLING = (0.01, 0.06)
-"""Standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm."""
-FLATTENED_MM = 0.12
-"""Ridges flatten inside grooves of about this depth."""
+_PERIOD_VARIATION = 0.06  # relative standard deviation of the ridge period within a palm, over distances of about 5 mm
+_TURN_PER_MM = 0.02  # standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
+_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)  # depth of the principal lines and of the finer ones
+_DARKENING = (0.05, 0.25)  # loss of diffuse reflectance at the bottom of a line of 0.2 mm
+_MOTTLING = (0.01, 0.06)  # standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm
+FLATTENED_MM = 0.12  # ridges flatten inside grooves of about this depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

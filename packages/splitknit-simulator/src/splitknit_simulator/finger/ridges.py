@@ -161,8 +161,7 @@ def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Poi
     return float(u_mm[column]), float(v_mm[row])
 
 
-_STIFFNESS = 0.02
-"""Holds the logarithm of a ridge period small, against its fit to the divergence of the ridges."""
+_STIFFNESS = 0.02  # holds the logarithm of a ridge period small, against its fit to the divergence of the ridges
 
 
 def fan_log_period(angle_rad: Array, pitch_mm: float) -> Array:
@@ -214,12 +213,9 @@ def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_
 
 # Ridges grown from noise: repeated filtering along a field of directions and periods.
 
-_BANDWIDTH = 0.2
-"""Standard deviation of a ring filter over its frequency."""
-_SPACING = 1.16
-"""Ratio between the frequencies of neighbouring ring filters, at most."""
-_REACH = 1.1
-"""Standard deviation of the smoothing along ridges, in periods."""
+_BANDWIDTH = 0.2  # standard deviation of a ring filter over its frequency
+_SPACING = 1.16  # ratio between the frequencies of neighbouring ring filters, at most
+_REACH = 1.1  # standard deviation of the smoothing along ridges, in periods
 
 
 def grow_ridges(noise: Array32, angle_rad: Array, period_px: Array, *, iterations: int = 5) -> Array32:

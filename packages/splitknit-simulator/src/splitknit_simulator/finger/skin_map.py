@@ -87,8 +87,7 @@ class SkinMap:
         return np.asarray(ndimage.map_coordinates(self.pigment, places, order=1, mode="mirror"), dtype=np.float32)
 
 
-_UNDULATION_MM = 1.6
-"""Standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`."""
+_UNDULATION_MM = 1.6  # standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`
 
 
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:

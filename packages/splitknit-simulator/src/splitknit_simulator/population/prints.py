@@ -14,8 +14,7 @@ from splitknit_simulator.finger.finger import SimulatedFinger
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.twin import master_of_print_file
 
-FRACTION = 1 / 3
-"""Fraction of the fingers with ridges of a real print, where there are prints enough."""
+FRACTION = 1 / 3  # fraction of the fingers with ridges of a real print, where there are prints enough
 _SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 
 

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from splitknit import BoolArray, Cloud, FloatArray, require
 from splitknit_simulator.scanners.views import View, cloud_of, on_planes
 
-_NOISE_PX = 7
-"""Side of the square over which the residuals of the sinusoids are averaged."""
+_NOISE_PX = 7  # side of the square over which the residuals of the sinusoids are averaged
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,12 +38,9 @@ from splitknit_simulator.training.trainer import (
 )
 from splitknit_simulator.training.trainer import Sample as Stored
 
-FIELDS = 32
-"""Fields that a network sees, the first of a sample."""
-LAST_RATE = 0.02
-"""Learning rate at the end of a training, relative to its maximum."""
-_TRIES = 2000
-"""Patches that are drawn before a training is given up for want of skin."""
+FIELDS = 32  # fields that a network sees, the first of a sample
+LAST_RATE = 0.02  # learning rate at the end of a training, relative to its maximum
+_TRIES = 2000  # patches that are drawn before a training is given up for want of skin
 
 Sample = NDArray[np.floating[Any]]
 """(channels, h, w), any float type."""

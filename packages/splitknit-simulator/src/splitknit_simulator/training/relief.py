@@ -43,12 +43,9 @@ SYMMETRY = Symmetry(
     third_harmonics=(*RELIEF_SYMMETRY.third_harmonics, (38, 39)),
 )
 """Symmetry of a sample."""
-JUDGED_PX = 512
-"""Side of the middle part of a finger on which the network is evaluated."""
-UNIT_UM = 1000.0 * float(RELIEF_MM)
-"""Unit of the network's relief, micrometres."""
-VARIANCE_LIMITS = (-6.0, 4.0)
-"""Limits of the logarithm of the relief's variance, in the network's unit."""
+JUDGED_PX = 512  # side of the middle part of a finger on which the network is evaluated
+UNIT_UM = 1000.0 * float(RELIEF_MM)  # unit of the network's relief, micrometres
+VARIANCE_LIMITS = (-6.0, 4.0)  # limits of the logarithm of the relief's variance, in the network's unit
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,28 +66,21 @@ from splitknit_simulator.training.scenes import (
 )
 from splitknit_simulator.training.trainer import HELD_OUT_FROM
 
-RELIEF = 32
-"""Number of the relief in a sample, in the network's unit."""
+RELIEF = 32  # number of the relief in a sample, in the network's unit
 GLARE = slice(33, 40)
 """The glare in a sample, in the network's unit: its mean over the light's azimuth a, cos a, sin a, ..., sin 3a."""
-WEIGHT = 40
-"""Number of the weight in a sample, in [0, 1]."""
+WEIGHT = 40  # number of the weight in a sample, in [0, 1]
 CHANNELS = 41
-_MAX_RELIEF = np.float32(10.0)
-"""Relief beyond this many units (0.2 mm) is none."""
+_MAX_RELIEF = np.float32(10.0)  # relief beyond this many units (0.2 mm) is none
 _MAX_GLARE = np.float32(3.0)
 """Glare above this many times the green level is cut off: it hides the skin whatever more there is of it."""
-TRIM_PX = 60
-"""Rim of a piece that is rendered but not kept: light from beyond the piece is missing there."""
-_MIN_SKIN = 0.35
-"""Pieces with a smaller fraction of skin are not rendered."""
-_MIN_WEIGHT = 0.2
-"""Pieces with a smaller mean weight are not kept."""
+TRIM_PX = 60  # rim of a piece that is rendered but not kept: light from beyond the piece is missing there
+_MIN_SKIN = 0.35  # pieces with a smaller fraction of skin are not rendered
+_MIN_WEIGHT = 0.2  # pieces with a smaller mean weight are not kept
 _BRIGHTEST = 0.72
 _EXPOSURE = (0.55, 1.05)
 """Times :data:`_BRIGHTEST`, the brightest diffuse light of a piece over the sensor's full scale."""
-_BLUR_PX = (0.3, 1.2)
-"""Standard deviation of the defocus of a fraction of the pieces."""
+_BLUR_PX = (0.3, 1.2)  # standard deviation of the defocus of a fraction of the pieces
 _BLURRED = 0.25
 _SHIFT_MM = 0.5
 _TILT = 0.06

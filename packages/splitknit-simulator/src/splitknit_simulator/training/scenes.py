@@ -288,8 +288,7 @@ def photograph_scene(scene: TrainingScene) -> tuple[Capture, Mapping[str, NDArra
     return photograph(surface, scene.rig, skin, photo_seed, settings=settings)
 
 
-TRUTH_FRACTION = 0.999
-"""Blocks of pixels of which a smaller fraction lies on the finger have no truth."""
+TRUTH_FRACTION = 0.999  # blocks of pixels of which a smaller fraction lies on the finger have no truth
 
 
 class TruthOnGrid:

@@ -44,16 +44,12 @@ _FULL_PX_PER_MM = 75.7
 _FINGER_PITCH_UM = 20.0
 CHANNELS = 8
 """Channels of a stored photograph: image red, green, blue; direct red, green, blue; enhanced image, enhanced direct."""
-PATCH_PX = 72
-"""Side of a patch (the thesis)."""
-_MIN_SKIN = 0.25
-"""Patches with a smaller fraction of skin are discarded (the thesis: those that are all black)."""
-_MAX_SHIFT_PX = 8
-"""Random translation of a patch, each way."""
+PATCH_PX = 72  # side of a patch (the thesis)
+_MIN_SKIN = 0.25  # patches with a smaller fraction of skin are discarded (the thesis: those that are all black)
+_MAX_SHIFT_PX = 8  # random translation of a patch, each way
 _TURNED = 0.5
 """Fraction of the patches that are turned by any angle, which smooths their noise; the others by quarter turns."""
-_ENHANCED = 0.5
-"""Fraction of the patches that are given as grey, CLAHE-enhanced images, as by the thesis's presets."""
+_ENHANCED = 0.5  # fraction of the patches that are given as grey, CLAHE-enhanced images, as by the thesis's presets
 _WIDE_SKIN = SkinRanges(scattering_factor=(0.5, 2.0), glare=(0.0, 1.5), roughness=(0.12, 0.45))
 
 

@@ -27,23 +27,15 @@ NETWORK = NetworkKind(
 )
 FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("slope", "wide")
-SLOPES = slice(32, 34)
-"""The residual slopes along x and y (up), in the network's unit."""
-WEIGHT = 34
-"""Number of the weight in a sample, in [0, 1]."""
+SLOPES = slice(32, 34)  # the residual slopes along x and y (up), in the network's unit
+WEIGHT = 34  # number of the weight in a sample, in [0, 1]
 CHANNELS = 35
-SYMMETRY = replace(SHAPE_SYMMETRY, vectors=(*SHAPE_SYMMETRY.vectors, (32, 33)))
-"""Symmetry of a sample."""
-OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
-"""Fields that are zero without near-infrared images."""
-JUDGED_WIDE_PX = 17
-"""Side of the squares over which slopes are averaged: wide errors become the shape's."""
-UNIT = float(SHAPE_SLOPE)
-"""Unit of the network's slopes."""
-_WIDE_PX = 8
-"""Side of the blocks over which the loss also compares mean slopes: wide errors become the shape's."""
-_MIN_TRUST = 0.05
-"""Blocks with little weight count for less than that weight."""
+SYMMETRY = replace(SHAPE_SYMMETRY, vectors=(*SHAPE_SYMMETRY.vectors, (32, 33)))  # symmetry of a sample
+OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)  # fields that are zero without near-infrared images
+JUDGED_WIDE_PX = 17  # side of the squares over which slopes are averaged: wide errors become the shape's
+UNIT = float(SHAPE_SLOPE)  # unit of the network's slopes
+_WIDE_PX = 8  # side of the blocks over which the loss also compares mean slopes: wide errors become the shape's
+_MIN_TRUST = 0.05  # blocks with little weight count for less than that weight
 
 
 @dataclass(frozen=True, slots=True)

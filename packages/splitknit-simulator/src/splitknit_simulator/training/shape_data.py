@@ -48,10 +48,8 @@ from splitknit_simulator.training.scenes import (
 )
 from splitknit_simulator.training.trainer import HELD_OUT_FROM
 
-_MAX_MISSING = 3.0
-"""Slopes that are missing beyond this are cut off."""
-_SEEN_SLOPES = slice(20, 22)
-"""The shape's own slopes among the fields, over two."""
+_MAX_MISSING = 3.0  # slopes that are missing beyond this are cut off
+_SEEN_SLOPES = slice(20, 22)  # the shape's own slopes among the fields, over two
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,14 +54,10 @@ if TYPE_CHECKING:
 
 Chart = Callable[[Sequence[float], Mapping[str, Sequence[float]], str, str], bytes]
 """Draws a learning curve as SVG: x, lines by name, labels of x and y."""
-HELD_OUT_FROM = 1_000_000
-"""Fingers and palms from this number on are never trained on."""
-FREE = ("threads", "device", "precision")
-"""Settings that may change when a training is resumed: where it runs."""
-_MAX_BYTES = 2_000_000_000
-"""A checkpoint has three times the network's bytes."""
-_DATA_PART = 0.4
-"""Fraction of the progress bar for the data."""
+HELD_OUT_FROM = 1_000_000  # fingers and palms from this number on are never trained on
+FREE = ("threads", "device", "precision")  # settings that may change when a training is resumed: where it runs
+_MAX_BYTES = 2_000_000_000  # a checkpoint has three times the network's bytes
+_DATA_PART = 0.4  # fraction of the progress bar for the data
 _MAX_DIFFERENCE = 0.02
 """Largest difference of the exported network, of the output's range: its weights are stored in half precision."""
 
