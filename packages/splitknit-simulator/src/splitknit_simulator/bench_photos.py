@@ -258,10 +258,8 @@ class BlackBallScene(SphereScene):
     chrome: bool = True
     reflectance: float | None = 0.01
     ground: float = 0.025
-    extinction: float = 1000.0
-    """Extinction of both films together; each is twice as good."""
-    angle_deg: tuple[float, ...] = ()
-    """Angle of each LED's polariser, from the image's columns towards up."""
+    extinction: float = 1000.0  # extinction of both films together; each is twice as good
+    angle_deg: tuple[float, ...] = ()  # angle of each LED's polariser, from the image's columns towards up
     analyser_deg: float = 0.0
 
     def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float) -> Array:

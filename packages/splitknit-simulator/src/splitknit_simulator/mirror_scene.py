@@ -224,8 +224,7 @@ class _Plate:
     """A flat piece of plastic or glass in the picture."""
 
     coverage: Coverage
-    middle: Array
-    """(3,) mm, where it truly is."""
+    middle: Array  # (3,) mm, where it truly is
     normal: Array
     albedo: float
 
@@ -238,18 +237,13 @@ class _Plate:
 class _Frame:
     """Everything of one mirror but the finger."""
 
-    holder: tuple[_Plate, ...]
-    """Behind and beside the face, in front of the background."""
-    lip: tuple[_Plate, ...]
-    """In front of the face."""
+    holder: tuple[_Plate, ...]  # behind and beside the face, in front of the background
+    lip: tuple[_Plate, ...]  # in front of the face
+    # what the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is
     reflected_lip: tuple[_Plate, ...]
-    """What the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is."""
-    opposite: tuple[Coverage, ...]
-    """Where it shows the other mirrors."""
-    wall: _Plate
-    """The tube on the far side of the finger."""
-    dust: FloatArray
-    """(H, W) albedo of the specks on the face."""
+    opposite: tuple[Coverage, ...]  # where it shows the other mirrors
+    wall: _Plate  # the tube on the far side of the finger
+    dust: FloatArray  # (H, W) albedo of the specks on the face
 
 
 def _mirror_frame(

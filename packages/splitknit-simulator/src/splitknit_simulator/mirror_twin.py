@@ -66,8 +66,7 @@ class Drawn:
     pose: FingerPose
     rig: Rig
     skin: SkinOptics
-    photo_seed: np.random.SeedSequence
-    """Seed of background and noise."""
+    photo_seed: np.random.SeedSequence  # seed of background and noise
 
 
 def photograph_between_mirrors(

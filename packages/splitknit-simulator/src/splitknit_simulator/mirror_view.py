@@ -32,10 +32,8 @@ Numbers = NDArray[np.floating]
 class _Reflection:
     """Reflection in a plane: x -> matrix x + offset, its own inverse."""
 
-    matrix: Array
-    """(3, 3)."""
-    offset: Array
-    """(3,) mm."""
+    matrix: Array  # (3, 3)
+    offset: Array  # (3,) mm
 
     @classmethod
     def of(cls, mirror: Mirror) -> _Reflection:
@@ -69,8 +67,7 @@ class _Reflection:
 class _Gate:
     """The outline through which light must pass: the face of a mirror, convex."""
 
-    corners: Array
-    """(N, 3)."""
+    corners: Array  # (N, 3)
 
     def reflected(self, reflection: _Reflection) -> _Gate:
         """The same outline behind a mirror."""
@@ -167,23 +164,20 @@ _FINE = 8
 class Coverage:
     """How much of each pixel something flat covers."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame; empty where it lies outside."""
-    fraction: FloatArray
-    """(h, w) inside the window, 0 to 1."""
+    window: tuple[slice, slice]  # rows and columns of the frame; empty where it lies outside
+    fraction: FloatArray  # (h, w) inside the window, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReflectedView:
     """One mirror and what the camera sees in it."""
 
-    mirror: Mirror
-    """As it truly is."""
+    mirror: Mirror  # as it truly is
     reflection: _Reflection
+    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there were no
+    # mirror
     surface: SimulatedSurface
-    """The reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror."""
-    coverage: Coverage
-    """The face in the picture."""
+    coverage: Coverage  # the face in the picture
 
     @property
     def mask(self) -> BoolArray:

@@ -295,12 +295,9 @@ class _Shot:
     """The finger at one place under one exposure's LEDs."""
 
     scene: Scene
-    light: BandLight
-    """Light of every LED of the exposure."""
-    leds: tuple[int, ...]
-    """Their numbers in the rig."""
-    smear: FloatArray
-    """Kernel of the blur within the exposure."""
+    light: BandLight  # light of every LED of the exposure
+    leds: tuple[int, ...]  # their numbers in the rig
+    smear: FloatArray  # kernel of the blur within the exposure
 
     @property
     def members(self) -> list[Led]:

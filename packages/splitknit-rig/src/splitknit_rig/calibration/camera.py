@@ -31,30 +31,23 @@ _GROSS_ASPECT = 0.015
 class _LensFit:
     """A camera matrix with distortion, and where the board stood in each view."""
 
-    matrix: Array
-    """(3, 3) in pixels."""
-    distortion: tuple[float, ...]
-    """k1, k2, p1, p2, k3."""
+    matrix: Array  # (3, 3) in pixels
+    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
+    # standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted
     deviations: dict[str, float]
-    """Standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted."""
-    rms_px: float
-    """Root of the mean squared distance between corners and their prediction."""
-    view_rms_px: Array
-    """(V,) the same for each view."""
+    rms_px: float  # root of the mean squared distance between corners and their prediction
+    view_rms_px: Array  # (V,) the same for each view
+    # (V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera
     normals: Array
-    """(V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera."""
-    fitted: tuple[str, ...]
-    """What was fitted beside the focal length."""
-    fixed: Mapping[str, str] = field(default_factory=dict)
-    """What was held, and why."""
+    fitted: tuple[str, ...]  # what was fitted beside the focal length
+    fixed: Mapping[str, str] = field(default_factory=dict)  # what was held, and why
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Views:
     boards: list[FloatArray]
     corners: list[FloatArray]
-    size: tuple[int, int]
-    """Columns, rows of the images."""
+    size: tuple[int, int]  # columns, rows of the images
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
@@ -197,20 +190,13 @@ class CameraCalibration:
     """A calibrated camera, with what it rests on."""
 
     lens: _LensFit
-    image_size: tuple[int, int]
-    """Rows, columns."""
-    used: tuple[str, ...]
-    """Names of the views that were fitted; `lens.view_rms_px` is in their order."""
-    rejected: dict[str, float]
-    """Views with too large an error: that error in pixels, when it was rejected."""
-    repeated: dict[str, str]
-    """Views that show the same as another, and that other."""
-    tilts_deg: Array
-    """(V,) angle between each board and the sensor."""
-    variety_deg: float
-    """Largest angle between two boards."""
-    coverage: float
-    """Part of the picture that the corners span."""
+    image_size: tuple[int, int]  # rows, columns
+    used: tuple[str, ...]  # names of the views that were fitted; `lens.view_rms_px` is in their order
+    rejected: dict[str, float]  # views with too large an error: that error in pixels, when it was rejected
+    repeated: dict[str, str]  # views that show the same as another, and that other
+    tilts_deg: Array  # (V,) angle between each board and the sensor
+    variety_deg: float  # largest angle between two boards
+    coverage: float  # part of the picture that the corners span
     warnings: tuple[str, ...]
 
 

@@ -35,10 +35,8 @@ UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
 class CardPlane:
     """Where a card lies."""
 
-    height_mm: float = 0.0
-    """z of its surface on the camera's axis: its thickness, if it lies on the finger plane."""
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    """Parts along x and y of its turn against the finger plane, right-handed."""
+    height_mm: float = 0.0  # z of its surface on the camera's axis: its thickness, if it lies on the finger plane
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # parts along x and y of its turn against the finger plane, right-handed
 
     def __post_init__(self) -> None:
         require(abs(self.height_mm) <= 1000, f"the card's height must be in mm, but it is {self.height_mm:g}.")
@@ -106,12 +104,9 @@ class Order:
     """Which parameters are free."""
 
     name: str
-    lens: int = 0
-    """Coefficients of the lens's fall-off."""
-    beam: str = "none"
-    """Exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``."""
-    aims: bool = False
-    """Whether every LED has an axis of its own; all point to the origin otherwise."""
+    lens: int = 0  # coefficients of the lens's fall-off
+    beam: str = "none"  # exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``
+    aims: bool = False  # whether every LED has an axis of its own; all point to the origin otherwise
 
 
 LADDER = (
@@ -128,14 +123,10 @@ LADDER = (
 class Answer:
     """Parameters of the model, written out for every LED."""
 
-    brightness: Array
-    """(L,)."""
-    exponent: Array
-    """(L,)."""
-    tilt: Array
-    """(L, 2): u and v."""
-    lens: Array
-    """(2,)."""
+    brightness: Array  # (L,)
+    exponent: Array  # (L,)
+    tilt: Array  # (L, 2): u and v
+    lens: Array  # (2,)
 
 
 class CardModel:

@@ -31,8 +31,7 @@ class _CardFit:
 
     order: Order
     answer: Answer
-    normal: Array
-    """(P, P) weighted normal matrix, in units of the robust scale."""
+    normal: Array  # (P, P) weighted normal matrix, in units of the robust scale
 
 
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
@@ -56,8 +55,7 @@ class _Problem:
     model: CardModel
     order: Order
     logarithm: Array
-    weight: Array
-    """(N,)."""
+    weight: Array  # (N,)
     scale: float
 
     def cost(self, vector: Array) -> float:
@@ -162,28 +160,23 @@ DUST_PERCENT = 2.0  # a cell that departs further under all LEDs is counted as d
 class FlatField:
     """A rig's light as a white card shows it."""
 
-    camera: Camera
-    """With its fall-off."""
-    leds: tuple[Led, ...]
-    """With intensity (the mean is one), lobe_exponent and aim."""
+    camera: Camera  # with its fall-off
+    leds: tuple[Led, ...]  # with intensity (the mean is one), lobe_exponent and aim
+    # brightness of the card: the images are this times
+    # :func:`splitknit_rig.calibration.card_model.card_light`
     card_level: float
-    """Brightness of the card: the images are this times :func:`splitknit_rig.calibration.card_model.card_light`."""
     order: Order
+    # every model tried: name, number of parameters, rms of its residuals in per cent
     orders: tuple[tuple[str, int, float], ...]
-    """Every model tried: name, number of parameters, rms of its residuals in per cent."""
-    residual: Array
-    """(L, N) image over model, less one."""
-    dust: BoolArray
-    """(N,) cells that were left out."""
-    exponent_error: Array
-    """(L,) standard errors of the beams' exponents; NaN where they were not fitted."""
+    residual: Array  # (L, N) image over model, less one
+    dust: BoolArray  # (N,) cells that were left out
+    exponent_error: Array  # (L,) standard errors of the beams' exponents; NaN where they were not fitted
+    # rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs
     common_percent: float
-    """rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs."""
+    # brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card
     gloss_percent: float
-    """Brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card."""
     gloss_error: float
-    card: CardPlane = field(default_factory=CardPlane)
-    """Where it lay."""
+    card: CardPlane = field(default_factory=CardPlane)  # where it lay
 
     @property
     def rms_percent(self) -> Array:

@@ -309,8 +309,7 @@ class _Lying:
     middle_mm: Array
     radius_mm: float = 1.0
     eye: Array | None = None
-    away: Array | None = None
-    """See :mod:`splitknit_rig.calibration.sphere`."""
+    away: Array | None = None  # see :mod:`splitknit_rig.calibration.sphere`
     drawn: tuple[Led | None, ...] = ()
 
     @classmethod

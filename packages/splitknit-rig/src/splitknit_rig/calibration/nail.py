@@ -129,23 +129,15 @@ class JointFit:
     """All LEDs, and how well they are known."""
 
     leds: tuple[LedEstimate, ...]
-    interval_deg: Array
-    """(L,) the true direction lies within this angle with 95 % probability."""
-    interval_mm: Array
-    """(L,) the same of the position."""
+    interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
+    interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
-    nail_height_interval_mm: float
-    """Half width of its 95 % interval."""
-    residual_px: Array
-    """(N, 2) tips found minus expected, columns and rows, in the order of the rows."""
-    outliers: tuple[int, ...]
-    """Rows whose tip lies astray."""
-    strays: frozenset[tuple[str, int]]
-    """LEDs, band and number, off the circle."""
-    circle: Circle
-    """As fitted."""
-    rms_px: float
-    """Residual of the tips that are not outliers, each way."""
+    nail_height_interval_mm: float  # half width of its 95 % interval
+    residual_px: Array  # (N, 2) tips found minus expected, columns and rows, in the order of the rows
+    outliers: tuple[int, ...]  # rows whose tip lies astray
+    strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
+    circle: Circle  # as fitted
+    rms_px: float  # residual of the tips that are not outliers, each way
 
 
 def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:

@@ -16,16 +16,13 @@ from splitknit import Array, require
 class PlanePose:
     """A plane before a camera."""
 
-    height_mm: float
-    """From the camera's centre to the plane, along the optical axis."""
-    px_per_mm: float
-    """Where the axis meets the plane: focal length over height."""
-    normal: Array
-    """(3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera."""
-    rms_px: float
-    """Root of the mean squared distance between marks and their prediction."""
+    height_mm: float  # from the camera's centre to the plane, along the optical axis
+    px_per_mm: float  # where the axis meets the plane: focal length over height
+    normal: Array  # (3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera
+    rms_px: float  # root of the mean squared distance between marks and their prediction
+    # standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being
+    # exact
     deviations: dict[str, float]
-    """Standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being exact."""
 
     @property
     def tilt_deg(self) -> float:
@@ -52,10 +49,9 @@ class PlaneScale:
 
     px_per_mm: float
     rms_px: float
-    deviation: float
-    """Standard deviation of `px_per_mm` that the marks' scatter causes."""
+    deviation: float  # standard deviation of `px_per_mm` that the marks' scatter causes
+    # longest over shortest scale in the plane, less one: what a tilt, or a lens's perspective, would leave
     anisotropy: float
-    """Longest over shortest scale in the plane, less one: what a tilt, or a lens's perspective, would leave."""
 
 
 def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
@@ -154,22 +150,15 @@ class DepthOfField:
 
     focal_length_mm: float
     f_number: float
-    focus_mm: float
-    """Distance of the plane in focus."""
-    confusion_um: float
-    """Diameter, on the sensor, of the disc that still counts as a point."""
-    near_mm: float
-    """Nearest distance at which a point is no larger than that."""
-    far_mm: float
-    """Farthest; infinite beyond the hyperfocal distance."""
-    finger_depth_mm: float
-    """Depth of the finger that the camera sees."""
+    focus_mm: float  # distance of the plane in focus
+    confusion_um: float  # diameter, on the sensor, of the disc that still counts as a point
+    near_mm: float  # nearest distance at which a point is no larger than that
+    far_mm: float  # farthest; infinite beyond the hyperfocal distance
+    finger_depth_mm: float  # depth of the finger that the camera sees
+    # diameter, in pixels of the image, of a point's disc at half the finger's depth from the plane in focus
     blur_px: float
-    """Diameter, in pixels of the image, of a point's disc at half the finger's depth from the plane in focus."""
-    needed_f_number: float
-    """At which the finger's depth would just be sharp, focused in its middle."""
-    diffraction_px: float
-    """Diameter of the Airy disc at that f-number, in pixels of the image, for light of 550 nm."""
+    needed_f_number: float  # at which the finger's depth would just be sharp, focused in its middle
+    diffraction_px: float  # diameter of the Airy disc at that f-number, in pixels of the image, for light of 550 nm
 
     @property
     def depth_mm(self) -> float:

@@ -68,18 +68,14 @@ _MIN_LIGHT = 0.02  # an image whose median is below this fraction of full scale 
 class CardImages:
     """A white card under every LED of a rig, in the order of its LEDs."""
 
-    pixels: Array
-    """(N, 2) column and row of the cells' middles."""
-    light: Array
-    """(L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure."""
-    shape: tuple[int, int]
-    """Rows and columns of cells."""
+    pixels: Array  # (N, 2) column and row of the cells' middles
+    light: Array  # (L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure
+    shape: tuple[int, int]  # rows and columns of cells
+    # light with all LEDs off, by band, relative to the mean image; None where there is no such image
     ambient_percent: dict[str, float | None]
-    """Light with all LEDs off, by band, relative to the mean image; None where there is no such image."""
+    # whether the capture states how long it exposed, so that brightness can be compared with another day's
     exposures_given: bool
-    """Whether the capture states how long it exposed, so that brightness can be compared with another day's."""
-    brightest: Array
-    """(L,) 99th percentile of each image's values, as a part of full scale."""
+    brightest: Array  # (L,) 99th percentile of each image's values, as a part of full scale
 
 
 def led_name(leds: Sequence[Led], index: int) -> str:

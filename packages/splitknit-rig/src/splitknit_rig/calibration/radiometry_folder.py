@@ -150,8 +150,7 @@ class _CameraFacts:
 
     dark: Dark | None
     response: Response | None
-    noise: dict[str, NoiseModel]
-    """By the channel's name; only of linear images."""
+    noise: dict[str, NoiseModel]  # by the channel's name; only of linear images
     hashes: dict[str, str]
 
 
@@ -295,8 +294,7 @@ class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
-    exposures: tuple[tuple[Path, float], ...] = ()
-    """Images of the series, and time times gain of each."""
+    exposures: tuple[tuple[Path, float], ...] = ()  # images of the series, and time times gain of each
     document: Path | None = None
 
 

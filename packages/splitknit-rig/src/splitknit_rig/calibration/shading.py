@@ -70,18 +70,14 @@ class ShadingFit:
     """A calibration with what its report shows."""
 
     shading: Shading
-    balls: Array
-    """(N, 4) press, column, row of the centre, radius of the outline, all in pixels."""
-    used: BoolArray
-    """(N,) balls that were fitted; the others are damaged or cut."""
+    balls: Array  # (N, 4) press, column, row of the centre, radius of the outline, all in pixels
+    used: BoolArray  # (N,) balls that were fitted; the others are damaged or cut
+    # (N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not
+    # used
     cap_rms_um: Array
-    """(N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not used."""
-    cap_gain: Array
-    """(N,) height of each cap over the ball's, likewise."""
-    cap_errors: tuple[Array, ...]
-    """Errors for each used ball (n, 3): column, row, error of the height in um."""
-    error_by_slope: Array
-    """(B, 3) slope, mean error, rms error of a slope's part, of balls left out."""
+    cap_gain: Array  # (N,) height of each cap over the ball's, likewise
+    cap_errors: tuple[Array, ...]  # errors for each used ball (n, 3): column, row, error of the height in um
+    error_by_slope: Array  # (B, 3) slope, mean error, rms error of a slope's part, of balls left out
     notes: tuple[str, ...]
 
 
@@ -360,10 +356,8 @@ class _Data:
 class _Model:
     relative: bool
     degree: int
-    place: int
-    """Number of monomials of the place with which its coefficients vary; 1: they do not."""
-    weights: Array
-    """(place T, 2), place slowest."""
+    place: int  # number of monomials of the place with which its coefficients vary; 1: they do not
+    weights: Array  # (place T, 2), place slowest
 
     def rows(self, data: _Data, values: FloatArray, columns: Array, rows: Array) -> Array:
         """(n, place T) terms."""

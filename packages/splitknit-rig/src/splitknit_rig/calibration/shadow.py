@@ -29,17 +29,12 @@ _EDGE_PX = 0.5  # softness of an edge by pixels and lens, as a standard deviatio
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    tip: Array
-    """(2,) column and row: where the light's middle throws the middle of the nail's tip."""
-    tip_radius: float
-    """Radius of the blunt tip's shadow."""
-    penumbra: float
-    """Radius of the light's image about the tip."""
-    base: Array
-    """(2,) middle of the cone's base."""
+    tip: Array  # (2,) column and row: where the light's middle throws the middle of the nail's tip
+    tip_radius: float  # radius of the blunt tip's shadow
+    penumbra: float  # radius of the light's image about the tip
+    base: Array  # (2,) middle of the cone's base
     base_radius: float
-    depth: float
-    """How much of the light is missing in the full shadow."""
+    depth: float  # how much of the light is missing in the full shadow
 
     def darkness(self, places: Array) -> Array:
         """Fraction of the light that is missing at places (N, 2), column and row."""
@@ -144,12 +139,9 @@ _MAX_PIXELS = 500  # pixels about one shadow's outline that the fit takes, evenl
 class NailView:
     """What the images of one nail position and one band show; pixels are columns and rows."""
 
-    nail_px: Array
-    """(2,) the nail's tip."""
-    tips_px: Array
-    """(L, 2) the shadows' tips; NaN where a shadow leaves the picture."""
-    nail: BoolArray
-    """(H, W)."""
+    nail_px: Array  # (2,) the nail's tip
+    tips_px: Array  # (L, 2) the shadows' tips; NaN where a shadow leaves the picture
+    nail: BoolArray  # (H, W)
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:

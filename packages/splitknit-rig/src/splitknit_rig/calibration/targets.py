@@ -20,12 +20,9 @@ _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 class Board:
     """A printed checkerboard."""
 
-    columns: int
-    """Inner corners along one side: one less than squares."""
-    rows: int
-    """Inner corners along the other side."""
-    square_mm: float
-    """Side of a square, as measured on the print."""
+    columns: int  # inner corners along one side: one less than squares
+    rows: int  # inner corners along the other side
+    square_mm: float  # side of a square, as measured on the print
 
     def __post_init__(self) -> None:
         require(

@@ -50,12 +50,10 @@ class Exposure:
 
     exposure_s: float
     gain: float
-    brightest: int
-    """LED under which the finger is brightest."""
-    level: float
-    """Fraction of full scale that the finger reaches under it."""
+    brightest: int  # LED under which the finger is brightest
+    level: float  # fraction of full scale that the finger reaches under it
+    # LED to the finger's median level (fraction of full scale) that the previews promise
     expected: Mapping[int, float] = field(default_factory=dict)
-    """LED to the finger's median level (fraction of full scale) that the previews promise."""
 
     def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
         """With what the previews promise: `lit` is LED to the finger's level in the survey, less the ambient light."""
@@ -160,10 +158,9 @@ _MOST = 400  # live measurements at most
 class Focus:
     """One measurement."""
 
+    # standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off
     sharpness: float
-    """Standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off."""
-    snr: float
-    """Variance of the detail over that of the noise."""
+    snr: float  # variance of the detail over that of the noise
 
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
@@ -208,8 +205,7 @@ class FocusWatch:
 
     best: float = 0.0
     measured: int = 0
-    ended: bool = False
-    """Whether it is enough."""
+    ended: bool = False  # whether it is enough
     _idle: int = 0
 
     def add(self, focus: Focus) -> bool:

@@ -49,14 +49,10 @@ class FrameSource:
     """Where frames come from."""
 
     name: str
-    frames: Iterator[PixelArray]
-    """(H, W, 3) as stored, red, green, blue; without end."""
-    encoding: str
-    """``linear`` or ``srgb``."""
-    period_s: float = 0.0
-    """Between frames; 0 where the camera sets the pace."""
-    close: Callable[[], None] = field(default=lambda: None)
-    """Gives the camera back."""
+    frames: Iterator[PixelArray]  # (H, W, 3) as stored, red, green, blue; without end
+    encoding: str  # ``linear`` or ``srgb``
+    period_s: float = 0.0  # between frames; 0 where the camera sets the pace
+    close: Callable[[], None] = field(default=lambda: None)  # gives the camera back
 
 
 def open_frames(
@@ -132,14 +128,11 @@ def linear_colours(pixels: PixelArray, encoding: str) -> FloatArray:
 class LiveFrame(Generic[T]):
     """A frame and what was measured of it."""
 
-    number: int
-    """Number of the frame, from 1."""
+    number: int  # number of the frame, from 1
     pixels: PixelArray
     measured: T
-    dropped: int
-    """Frames that came since the one measured before, and were not."""
-    per_second: float
-    """Frames measured, of late."""
+    dropped: int  # frames that came since the one measured before, and were not
+    per_second: float  # frames measured, of late
 
 
 class Live(Generic[T]):
@@ -251,19 +244,13 @@ _SAME_SHAPE = 0.01  # by which the ratio of a frame's sides may differ from the 
 class LiveHeights:
     """What was measured of a frame."""
 
-    height_um: FloatArray
-    """(H, W), towards the camera; zero is the median along the frame's edge."""
-    gradient: FloatArray
-    """(2, H, W): dz/dx, dz/dy, y up."""
-    deviation: FloatArray
-    """(H, W): of a slope."""
-    markers: BoolArray
-    """(H, W): pixels that markers cover, bridged."""
-    albedo: FloatArray
-    """(H, W): mean of the colours' light over the flat frame's."""
+    height_um: FloatArray  # (H, W), towards the camera; zero is the median along the frame's edge
+    gradient: FloatArray  # (2, H, W): dz/dx, dz/dy, y up
+    deviation: FloatArray  # (H, W): of a slope
+    markers: BoolArray  # (H, W): pixels that markers cover, bridged
+    albedo: FloatArray  # (H, W): mean of the colours' light over the flat frame's
     pitch_mm: float
-    times_ms: dict[str, float]
-    """What each stage took."""
+    times_ms: dict[str, float]  # what each stage took
 
     def result(self) -> Reconstruction:
         """The same as a result that :meth:`splitknit.model.Reconstruction.save` writes; its mask leaves out markers."""

@@ -40,33 +40,23 @@ from splitknit_rig.capture.streams import BAYER, StreamCamera, developed, open_g
 class _Sensor:
     """One camera module: what its sensor can, how its raw values lie, how noisy it is."""
 
-    module: str
-    """As it is sold."""
-    size: tuple[int, int]
-    """Rows, columns."""
-    image_size: tuple[int, int]
-    """What is used of them by default."""
+    module: str  # as it is sold
+    size: tuple[int, int]  # rows, columns
+    image_size: tuple[int, int]  # what is used of them by default
     pixel_um: float
     bits: int
-    black: int
-    """Stored value of no light, of 2 ** bits - 1."""
+    black: int  # stored value of no light, of 2 ** bits - 1
     mono: bool
-    line_s: float
-    """Time in which the sensor reads one row at full resolution: exposures are whole numbers of it."""
-    frame_s: float
-    """Shortest time from frame to frame."""
-    global_shutter: bool
-    """All rows are exposed at once; else one after the other."""
-    max_gain: float
-    """Largest analogue gain."""
+    line_s: float  # time in which the sensor reads one row at full resolution: exposures are whole numbers of it
+    frame_s: float  # shortest time from frame to frame
+    global_shutter: bool  # all rows are exposed at once; else one after the other
+    max_gain: float  # largest analogue gain
+    # largest step between two gains near a gain g: the first, plus the second times g, plus the third times g
+    # * g
     gain_step: tuple[float, float, float]
-    """Largest step between two gains near a gain g: the first, plus the second times g, plus the third times g * g."""
-    tuning: str
-    """Libcamera's tuning of it, by file name; what would bend light is left out of it."""
-    full_well_e: float
-    """Electrons of a pixel at full scale and gain 1."""
-    read_noise_e: float
-    """Standard deviation of reading out, electrons."""
+    tuning: str  # libcamera's tuning of it, by file name; what would bend light is left out of it
+    full_well_e: float  # electrons of a pixel at full scale and gain 1
+    read_noise_e: float  # standard deviation of reading out, electrons
 
     @property
     def readout_s(self) -> float:

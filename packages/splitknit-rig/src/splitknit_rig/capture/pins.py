@@ -66,10 +66,8 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
 class RigFilms:
     """Linear films before the white LEDs and, as the analyser, before the camera."""
 
-    kind: str
-    """``servo``, ``hand`` (what turns the analyser), or ``neighbours`` (the crossed series has its own LEDs)."""
-    crossed: tuple[int, ...]
-    """The rig's LEDs of the crossed series, in the order of the parallel one."""
+    kind: str  # ``servo``, ``hand`` (what turns the analyser), or ``neighbours`` (the crossed series has its own LEDs)
+    crossed: tuple[int, ...]  # the rig's LEDs of the crossed series, in the order of the parallel one
     servo: int = SERVO_PIN
     pulses_ms: tuple[float, float] = PULSES_MS
 

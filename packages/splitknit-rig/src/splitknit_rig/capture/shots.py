@@ -65,14 +65,10 @@ class CheckSettings(Checked):
 class Look:
     """What the checks keep of a shot: small copies."""
 
-    grey: FloatArray
-    """(h, w) light at the working scale, 1 = full scale."""
-    details: FloatArray
-    """(h, w) its ridges: band-passed relative brightness, zero beside the finger."""
-    level: float
-    """Median of the finger (or another percentile), 1 = full scale."""
-    saturated: float
-    """Fraction of the finger at full scale."""
+    grey: FloatArray  # (h, w) light at the working scale, 1 = full scale
+    details: FloatArray  # (h, w) its ridges: band-passed relative brightness, zero beside the finger
+    level: float  # median of the finger (or another percentile), 1 = full scale
+    saturated: float  # fraction of the finger at full scale
 
 
 class Examiner:
@@ -143,21 +139,16 @@ class Examiner:
 class Shot:
     """Facts about one photograph that was kept."""
 
-    name: str
-    """Like ``white 3`` or ``white ambient``."""
+    name: str  # like ``white 3`` or ``white ambient``
     led: int | None
-    level: float
-    """Median of the finger, fraction of full scale."""
-    saturated: float
-    """Fraction of the finger at full scale."""
+    level: float  # median of the finger, fraction of full scale
+    saturated: float  # fraction of the finger at full scale
+    # against the shot before; None for the first, for ambient frames, and where the two show different things
     moved_mm: float | None
-    """Against the shot before; None for the first, for ambient frames, and where the two show different things."""
-    at_s: float
-    """When its exposure ended, by the camera's clock."""
+    at_s: float  # when its exposure ended, by the camera's clock
     exposure_s: float
     gain: float
-    discarded: int
-    """Frames that the camera threw away before it."""
+    discarded: int  # frames that the camera threw away before it
     retries: int
 
 

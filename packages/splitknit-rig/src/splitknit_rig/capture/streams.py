@@ -38,14 +38,10 @@ _LONGEST_S = 0.2
 class _Grab:
     """One frame of a stream and what is known of it."""
 
-    pixels: PixelArray
-    """(H, W, C) integers, C = 1 or 3, linear."""
-    arrived_s: float
-    """When the program had it, on the clock of the stream."""
-    began_s: float | None = None
-    """When its exposure began, at the earliest; None: not known."""
-    exposure_s: float | None = None
-    """As the camera reports it; None: not reported."""
+    pixels: PixelArray  # (H, W, C) integers, C = 1 or 3, linear
+    arrived_s: float  # when the program had it, on the clock of the stream
+    began_s: float | None = None  # when its exposure began, at the earliest; None: not known
+    exposure_s: float | None = None  # as the camera reports it; None: not reported
     gain: float | None = None
 
 

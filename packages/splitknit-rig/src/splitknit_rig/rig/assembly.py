@@ -27,13 +27,10 @@ class PartKind:
     name: str
     title: str
     quantity: int = 1
-    face_down: bool = False
-    """Printed with its upper face on the bed."""
+    face_down: bool = False  # printed with its upper face on the bed
     colour: str = "black"
-    needed: bool = True
-    """Part of the rig; else an alternative or an extra."""
-    remedy: str = ""
-    """What is on purpose, or what to do while printing."""
+    needed: bool = True  # part of the rig; else an alternative or an extra
+    remedy: str = ""  # what is on purpose, or what to do while printing
 
 
 KINDS: tuple[PartKind, ...] = (
@@ -94,10 +91,8 @@ class RigPart:
     """One part, drawn in its place in the rig's frame."""
 
     kind: PartKind
-    solid: Any
-    """A solid of build123d."""
-    places: tuple[Any, ...] = ()
-    """Where it is put in the rig, several times; empty: it is drawn in its place."""
+    solid: Any  # a solid of build123d
+    places: tuple[Any, ...] = ()  # where it is put in the rig, several times; empty: it is drawn in its place
 
 
 def require_build123d() -> None:

@@ -142,12 +142,9 @@ PLANCK_LIGHT = 1.98645e-25  # Planck's constant times the speed of light, J m
 class _Lamp:
     """One band's LED and how well the sensor sees it."""
 
-    efficiency: float
-    """Radiant flux over electrical power."""
-    wavelength_nm: float
-    """Mean, for the energy of a photon."""
-    quantum_efficiency: float
-    """Electrons of a green pixel per photon of this light, colour filter included."""
+    efficiency: float  # radiant flux over electrical power
+    wavelength_nm: float  # mean, for the energy of a photon
+    quantum_efficiency: float  # electrons of a green pixel per photon of this light, colour filter included
 
 
 LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
@@ -191,8 +188,7 @@ class PlannedExposure:
 
     time_s: float
     gain: float
-    level: float
-    """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+    level: float  # fraction of full scale of the brightest skin: the target where the shutter and the gain allow it
 
 
 def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
@@ -239,10 +235,8 @@ class Finding:
     name: str
     ok: bool
     value: float
-    words: str
-    """One sentence."""
-    hard: bool = True
-    """Whether a rig that fails is left out; otherwise it is only said."""
+    words: str  # one sentence
+    hard: bool = True  # whether a rig that fails is left out; otherwise it is only said
 
 
 @dataclass(frozen=True, slots=True, eq=False)

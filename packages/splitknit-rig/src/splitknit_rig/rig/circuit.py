@@ -120,12 +120,10 @@ class CircuitSettings(Checked):
 class Resistor:
     """One resistor of a stage."""
 
-    role: str
-    """``base``, ``emitter``, ``series`` or ``pull_down``."""
+    role: str  # ``base``, ``emitter``, ``series`` or ``pull_down``
     ohm: float
     rating_w: float
-    heat_w: float
-    """In the worst corner, LED on for ever."""
+    heat_w: float  # in the worst corner, LED on for ever
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,28 +133,21 @@ class Stage:
     band: str
     led: LedPart
     resistors: tuple[Resistor, ...]
-    current_a: tuple[float, float, float]
-    """Current of the LED: smallest, typical, largest."""
-    gpio_a: float
-    """Largest current of the GPIO line, LED supply connected."""
-    gpio_fault_a: float
-    """The same with the LED supply missing."""
-    transistor_w: float
-    """Largest dissipation."""
-    shorted_a: float
-    """Largest current of the LED with a transistor that is shorted from collector to emitter."""
+    current_a: tuple[float, float, float]  # current of the LED: smallest, typical, largest
+    gpio_a: float  # largest current of the GPIO line, LED supply connected
+    gpio_fault_a: float  # the same with the LED supply missing
+    transistor_w: float  # largest dissipation
+    shorted_a: float  # largest current of the LED with a transistor that is shorted from collector to emitter
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One LED's stage on the board."""
 
-    name: str
-    """Name of the LED, such as ``white 3``."""
+    name: str  # name of the LED, such as ``white 3``
     gpio: int
     stage: Stage
-    number: int
-    """From 1, in the order of the rig file."""
+    number: int  # from 1, in the order of the rig file
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +156,9 @@ class Circuit:
 
     settings: CircuitSettings
     channels: tuple[Channel, ...]
+    # current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens
     fuse_a: float
-    """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
-    misfit: str
-    """Why the LED board cannot carry this circuit; empty where it can."""
+    misfit: str  # why the LED board cannot carry this circuit; empty where it can
 
     @property
     def parts(self) -> int:

@@ -74,16 +74,12 @@ class LedHole:
 
     index: int
     band: str
-    light_mm: Array
-    """(3,) the LED's place in the rig file: the middle of its dome."""
-    back: Array
-    """(3,) unit vector along the hole, away from the finger."""
+    light_mm: Array  # (3,) the LED's place in the rig file: the middle of its dome
+    back: Array  # (3,) unit vector along the hole, away from the finger
     radius_mm: float
-    pocket_radius_mm: float
-    """Behind the shoulder, where the flange rests."""
+    pocket_radius_mm: float  # behind the shoulder, where the flange rests
     shoulder_mm: float
-    back_mm: float
-    """Where the pocket ends."""
+    back_mm: float  # where the pocket ends
 
     @property
     def tilt_deg(self) -> float:
@@ -146,28 +142,19 @@ class RigDimensions:
 
     settings: PartSettings
     camera_height_mm: float
-    field_mm: tuple[float, float]
-    """Width (x) and height (y) of the picture on the finger plane."""
+    field_mm: tuple[float, float]  # width (x) and height (y) of the picture on the finger plane
     holes: tuple[LedHole, ...]
-    sides: tuple[LedHole, ...]
-    """Side lights, each in a lamp of its own that is pushed through the cylinder's wall."""
-    bore_mm: float
-    """Inner radius of cylinder, frame and box."""
-    floor_z_mm: float
-    """Upper face of the base, the joint between base and cylinder."""
-    frame_z_mm: float
-    """Lower face of the frame, the joint between cylinder and frame."""
+    sides: tuple[LedHole, ...]  # side lights, each in a lamp of its own that is pushed through the cylinder's wall
+    bore_mm: float  # inner radius of cylinder, frame and box
+    floor_z_mm: float  # upper face of the base, the joint between base and cylinder
+    frame_z_mm: float  # lower face of the frame, the joint between cylinder and frame
     box_z_mm: float
     lid_z_mm: float
-    board_z_mm: float
-    """Front of the camera's board."""
-    stop_y_mm: float
-    """Where the fingertip stops."""
-    niche_y_mm: float
-    """Outer face of the niche's end wall, with the opening for the finger."""
+    board_z_mm: float  # front of the camera's board
+    stop_y_mm: float  # where the fingertip stops
+    niche_y_mm: float  # outer face of the niche's end wall, with the opening for the finger
     opening_radius_mm: float
-    nail_mm: float
-    """Height of the nail's tip over the finger plane."""
+    nail_mm: float  # height of the nail's tip over the finger plane
     films: RigFilms | None = None
 
     @property
@@ -394,20 +381,14 @@ def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
 class SideLamp:
     """Distances in mm along the LED's axis from the light towards the finger, and radii. All side lamps are alike."""
 
-    wall_mm: float
-    """To the cylinder's outer face."""
-    mouth_mm: float
-    """To the lamp's end, just inside the cylinder."""
+    wall_mm: float  # to the cylinder's outer face
+    mouth_mm: float  # to the lamp's end, just inside the cylinder
+    # of the opening there, which lights the last phalanx as far as the picture shows it, and its flanks
     mouth_radius_mm: float
-    """Of the opening there, which lights the last phalanx as far as the picture shows it, and its flanks."""
-    film_mm: float
-    """Side of the square piece of film."""
-    body_mm: float
-    """Radius around LED and film."""
-    plug_mm: float
-    """Radius in the cylinder's wall."""
-    collar_mm: float
-    """Radius of the collar that meets the cylinder."""
+    film_mm: float  # side of the square piece of film
+    body_mm: float  # radius around LED and film
+    plug_mm: float  # radius in the cylinder's wall
+    collar_mm: float  # radius of the collar that meets the cylinder
 
 
 SIDE_FILM_AT_MM = 4.0  # from a side light to its film: in front of the dome

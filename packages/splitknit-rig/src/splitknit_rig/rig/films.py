@@ -134,20 +134,16 @@ ROD_Y_MM = 0.85 * LEVER_MM
 class FilmMounts:
     """Places in the rig's frame, mm, with the analyser in its parallel position."""
 
-    kind: str
-    """See :class:`splitknit_rig.capture.pins.RigFilms`."""
+    kind: str  # see :class:`splitknit_rig.capture.pins.RigFilms`
+    # x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty
+    # without
     windows: tuple[tuple[float, float, str], ...]
-    """x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without."""
-    window_mm: float
-    """Radius of every window."""
-    ring_z_mm: float
-    """Upper face of the ring of windows."""
+    window_mm: float  # radius of every window
+    ring_z_mm: float  # upper face of the ring of windows
     ring_posts: tuple[tuple[float, float], ...]
-    plate_z_mm: float
-    """Upper face of the analyser's plate."""
+    plate_z_mm: float  # upper face of the analyser's plate
     plate_posts: tuple[tuple[float, float], ...]
-    aperture_mm: float
-    """Radius of the analyser's opening."""
+    aperture_mm: float  # radius of the analyser's opening
 
     @property
     def piece_mm(self) -> float:

@@ -73,11 +73,9 @@ def _luminous(nm: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Hazard:
-    band: str
-    """``white``, ``nir``, ``side`` or ``all`` LEDs."""
+    band: str  # ``white``, ``nir``, ``side`` or ``all`` LEDs
     name: str
-    clause: str
-    """Clause of IEC 62471:2006."""
+    clause: str  # clause of IEC 62471:2006
     value: float
     limit: float
     unit: str

@@ -30,11 +30,9 @@ Array = NDArray[np.float64]
 class SightLines(NamedTuple):
     """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
 
-    x: Array
-    """(h, w) mm, where the line meets z = 0."""
+    x: Array  # (h, w) mm, where the line meets z = 0
     y: Array
-    slope_x: Array
-    """(h, w) mm sideways per mm downwards; zero for parallel rays."""
+    slope_x: Array  # (h, w) mm sideways per mm downwards; zero for parallel rays
     slope_y: Array
 
 
@@ -52,10 +50,8 @@ def _sight(camera: Camera) -> SightLines:
 class PlaneFrame:
     """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
 
-    middle: Array
-    """(3,) mm."""
-    axes: Array
-    """(3, 3): the columns are u, v and n."""
+    middle: Array  # (3,) mm
+    axes: Array  # (3, 3): the columns are u, v and n
 
     def hit(self, sight: SightLines) -> tuple[Array, Array, Array]:
         """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
@@ -236,8 +232,7 @@ class GroundScene(ABC):
 class BaseScene(GroundScene):
     """The rig's base and what lies or stands on it."""
 
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    """Tilt of the base against the camera, about x, then y."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # tilt of the base against the camera, about x, then y
 
     @property
     def plane(self) -> PlaneFrame:

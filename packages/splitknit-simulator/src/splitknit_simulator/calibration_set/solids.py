@@ -33,10 +33,8 @@ Lines = tuple[Array, Array]
 class _SolidScene(BaseScene):
     """Something that stands on the base; its kinds define where it is seen and how bright it is."""
 
-    position_mm: tuple[float, float] = (0.0, 0.0)
-    """Where it stands on the base (x and y, before the base's tilt)."""
-    ground: float = 0.85
-    """Reflectance of the base."""
+    position_mm: tuple[float, float] = (0.0, 0.0)  # where it stands on the base (x and y, before the base's tilt)
+    ground: float = 0.85  # reflectance of the base
 
     @property
     @abstractmethod

@@ -33,12 +33,9 @@ MAX_PLATES = 4  # horny plates with air between them in the thickest scale
 class _Weathered:
     """Skin after what happened to it, on the master print's grid."""
 
-    displacement: Array
-    """(H, W) mm."""
-    fraction: Array
-    """(H, W) 0 to 1: how far a place is affected (in a scar; under a scale)."""
-    reflectance: Array | None = None
-    """(H, W) diffuse white reflectance of the scales."""
+    displacement: Array  # (H, W) mm
+    fraction: Array  # (H, W) 0 to 1: how far a place is affected (in a scar; under a scale)
+    reflectance: Array | None = None  # (H, W) diffuse white reflectance of the scales
 
 
 def _scale_reflectance(plates: Array) -> Array:
@@ -147,14 +144,10 @@ def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.
 class _Water:
     """How much water there is; everything follows from the severity."""
 
-    meniscus_mm: float
-    """Radius of curvature of the water's surface: the larger, the fuller the valleys."""
-    over_ridges_um: float
-    """Thickness of the film over the ridges' tops."""
-    levelled_mm: float
-    """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
-    fraction: float
-    """Fraction of the skin that is wet."""
+    meniscus_mm: float  # radius of curvature of the water's surface: the larger, the fuller the valleys
+    over_ridges_um: float  # thickness of the film over the ridges' tops
+    levelled_mm: float  # standard deviation over which the film has levelled out; 0 where none closes over the ridges
+    fraction: float  # fraction of the skin that is wet
 
 
 def _water_of(severity: float) -> _Water:

@@ -25,14 +25,10 @@ class Deformation:
     The shift is given where the skin arrives, so that a map of the ridges is pulled back without solving anything.
     """
 
-    u_mm: Array
-    """(W,) grid, rising."""
-    v_mm: Array
-    """(H,) grid, rising."""
-    shift_mm: Array
-    """(2, H, W) along u and v."""
-    stretch: float = 0.0
-    """Relative stretch of a swollen finger's skin."""
+    u_mm: Array  # (W,) grid, rising
+    v_mm: Array  # (H,) grid, rising
+    shift_mm: Array  # (2, H, W) along u and v
+    stretch: float = 0.0  # relative stretch of a swollen finger's skin
     _splines: tuple[RectBivariateSpline, RectBivariateSpline] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -92,8 +92,7 @@ class _Trait:
     spread: float
     low: float
     high: float
-    sided: bool = False
-    """Whether the left hand has it mirrored."""
+    sided: bool = False  # whether the left hand has it mirrored
 
 
 TRAITS: Mapping[str, _Trait] = {

@@ -147,22 +147,15 @@ class MasterPrint:
 
     pattern: str
     seed: int
-    ridge: Array32
-    """(H, W) skin height without pores: about 0 in valleys, below but near 1 on the flat tops of ridges."""
-    pores: Array32
-    """(H, W) 1 at the bottom of a pore, 0 on plain skin."""
-    u_mm: Array
-    """(W,) coordinate of the columns."""
-    v_mm: Array
-    """(H,) coordinate of the rows; falls with the row."""
-    period_mm: float
-    """This finger's mean ridge period around the core."""
-    cores_mm: tuple[tuple[float, float], ...]
-    """(u, v) of the cores."""
-    deltas_mm: tuple[tuple[float, float], ...]
-    """(u, v) of the deltas."""
+    ridge: Array32  # (H, W) skin height without pores: about 0 in valleys, below but near 1 on the flat tops of ridges
+    pores: Array32  # (H, W) 1 at the bottom of a pore, 0 on plain skin
+    u_mm: Array  # (W,) coordinate of the columns
+    v_mm: Array  # (H,) coordinate of the rows; falls with the row
+    period_mm: float  # this finger's mean ridge period around the core
+    cores_mm: tuple[tuple[float, float], ...]  # (u, v) of the cores
+    deltas_mm: tuple[tuple[float, float], ...]  # (u, v) of the deltas
+    # (N, 3) u_mm, v_mm and direction (rad, counter-clockwise from u) towards the side that has one more ridge
     minutiae: Array
-    """(N, 3) u_mm, v_mm and direction (rad, counter-clockwise from u) towards the side that has one more ridge."""
 
 
 def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None = None) -> MasterPrint:

@@ -49,18 +49,12 @@ class HandMotion(Checked):
 class _MotionPath:
     """Where the finger is in each of N shots, against the reference shot, whose values are zero."""
 
-    time_s: Array
-    """(N,)"""
-    shift_mm: Array
-    """(N, 2): x right, y up."""
-    speed_mm_per_s: Array
-    """(N, 2) of the tremor, at the middle of the exposure."""
-    yaw_rad: Array
-    """(N,)"""
-    roll_rad: Array
-    """(N,)"""
-    slip: Array
-    """(N, 2): fractions of two drawn fields of slip."""
+    time_s: Array  # (N,)
+    shift_mm: Array  # (N, 2): x right, y up
+    speed_mm_per_s: Array  # (N, 2) of the tremor, at the middle of the exposure
+    yaw_rad: Array  # (N,)
+    roll_rad: Array  # (N,)
+    slip: Array  # (N, 2): fractions of two drawn fields of slip
     reference: int
 
 

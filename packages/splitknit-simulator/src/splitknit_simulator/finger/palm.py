@@ -35,12 +35,9 @@ TOGETHER = 3.0  # exponent of the norm that joins grooves: deeper than each wher
 class _PalmLine:
     """One groove."""
 
-    points_mm: Array
-    """(N, 2) x and y along its bottom."""
-    depth_mm: Array
-    """(N,) depth; it fades out at the ends."""
-    width_mm: Array
-    """(N,) standard deviation of its profile."""
+    points_mm: Array  # (N, 2) x and y along its bottom
+    depth_mm: Array  # (N,) depth; it fades out at the ends
+    width_mm: Array  # (N,) standard deviation of its profile
 
 
 def _draw_lines(
@@ -171,16 +168,12 @@ def _dense(line: _PalmLine) -> tuple[Array, Array, Array, Array]:
 class _PalmShape:
     """Height of the sheet: a tilted quadric and round pads."""
 
-    tilt: tuple[float, float]
-    """Slopes along x and y in the middle."""
-    curvature_per_mm: tuple[float, float]
-    """Along the two principal axes; positive is domed."""
-    axis_rad: float
-    """Direction of the first principal axis, counter-clockwise from x."""
+    tilt: tuple[float, float]  # slopes along x and y in the middle
+    curvature_per_mm: tuple[float, float]  # along the two principal axes; positive is domed
+    axis_rad: float  # direction of the first principal axis, counter-clockwise from x
+    # x, y, height (negative is a hollow) and standard deviation of each, all in mm
     pads: tuple[tuple[float, float, float, float], ...]
-    """x, y, height (negative is a hollow) and standard deviation of each, all in mm."""
-    top_mm: float = 0.0
-    """Subtracted from the height."""
+    top_mm: float = 0.0  # subtracted from the height
 
     def on_grid(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
         """Height and its slopes along x and y, (H, W) on the axes `x_mm` (W,) and `y_mm` (H,)."""
@@ -236,24 +229,16 @@ class _Palm:
     """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the middle."""
 
     seed: int
-    period_mm: float
-    """Mean ridge period."""
-    ridge_depth_um: float
-    """Mean height of ridges over valleys."""
+    period_mm: float  # mean ridge period
+    ridge_depth_um: float  # mean height of ridges over valleys
     shape: _PalmShape
     lines: tuple[_PalmLine, ...]
-    x_mm: Array
-    """(W,) of the columns."""
-    y_mm: Array
-    """(H,) of the rows; falls with the row."""
-    angle_rad: Array32
-    """(H, W) direction of the ridges, counter-clockwise from x, defined up to pi."""
-    relief_mm: Array32
-    """(H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines."""
-    pigment: Array32
-    """(H, W) multiplier of the diffuse reflectance."""
-    triradius_mm: tuple[float, float] | None = None
-    """x and y of the triradius, where the patch has one."""
+    x_mm: Array  # (W,) of the columns
+    y_mm: Array  # (H,) of the rows; falls with the row
+    angle_rad: Array32  # (H, W) direction of the ridges, counter-clockwise from x, defined up to pi
+    relief_mm: Array32  # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
+    pigment: Array32  # (H, W) multiplier of the diffuse reflectance
+    triradius_mm: tuple[float, float] | None = None  # x and y of the triradius, where the patch has one
 
 
 def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:

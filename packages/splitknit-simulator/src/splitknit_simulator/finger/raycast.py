@@ -28,11 +28,10 @@ Triple = tuple[Array, Array, Array]
 class _Rays:
     """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
 
-    x: Array
-    """(N,) where they meet the finger plane."""
+    x: Array  # (N,) where they meet the finger plane
     y: Array
+    # (N,) each: how far they move along x and y per mm downwards; None: they are parallel to z
     slopes: tuple[Array, Array] | None = None
-    """(N,) each: how far they move along x and y per mm downwards; None: they are parallel to z."""
 
     def some(self, which: NDArray[np.intp] | BoolArray) -> _Rays:
         """The rays with these indices."""
@@ -158,10 +157,8 @@ _NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the i
 class Placement:
     """Where the finger's frame lies in the camera's: camera = rotation @ finger + shift."""
 
-    rotation: Array
-    """(3, 3)."""
-    shift: Array
-    """(3,) mm."""
+    rotation: Array  # (3, 3)
+    shift: Array  # (3,) mm
 
     def to_finger(self, x: Array, y: Array, z: Array) -> Triple:
         """Camera coordinates to the finger's frame."""
@@ -194,8 +191,7 @@ class CoarseHits(NamedTuple):
     step: int
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
-    seen: BoolArray
-    """(rows, columns)."""
+    seen: BoolArray  # (rows, columns)
 
 
 def coarse_hits(

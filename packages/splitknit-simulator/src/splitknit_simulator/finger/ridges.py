@@ -30,12 +30,9 @@ PATTERNS = ("arch", "tented_arch", "left_loop", "right_loop", "whorl", "twin_loo
 class OrientationField:
     """Ridge directions on a grid, and the singular points they turn about."""
 
-    angle_rad: Array
-    """(H, W) direction of the ridges, counter-clockwise from u, defined up to pi."""
-    cores_mm: tuple[Point, ...]
-    """(u, v) of the cores: the direction turns by +pi around each."""
-    deltas_mm: tuple[Point, ...]
-    """(u, v) of the deltas: the direction turns by -pi around each."""
+    angle_rad: Array  # (H, W) direction of the ridges, counter-clockwise from u, defined up to pi
+    cores_mm: tuple[Point, ...]  # (u, v) of the cores: the direction turns by +pi around each
+    deltas_mm: tuple[Point, ...]  # (u, v) of the deltas: the direction turns by -pi around each
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:

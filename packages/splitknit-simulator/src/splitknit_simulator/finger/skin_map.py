@@ -61,15 +61,13 @@ class SkinRelief(Checked):
 class SkinMap:
     """Displacement over the chart as a cubic spline, and pigment."""
 
+    # (H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops
     coefficients: Array
-    """(H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops."""
-    pigment: Array32
-    """(H, W) multiplier of the diffuse reflectance."""
+    pigment: Array32  # (H, W) multiplier of the diffuse reflectance
     u0_mm: float
     v0_mm: float
     pitch_mm: float
-    crease_lines: tuple[Array, ...]
-    """(N, 2) u, v along the main groove of every crease."""
+    crease_lines: tuple[Array, ...]  # (N, 2) u, v along the main groove of every crease
 
     def displacement(self, u: Array, v: Array) -> Array:
         """Displacement (mm, negative inwards) at chart points; the map continues by reflection."""

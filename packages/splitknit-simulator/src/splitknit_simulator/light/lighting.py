@@ -24,26 +24,20 @@ class Patch:
 
     window: tuple[slice, slice]
     mask: NDArray[np.bool_]
-    x: FloatArray
-    """(1, w) mm; (h, w) for a perspective camera."""
-    y: FloatArray
-    """(h, 1) mm; (h, w) for a perspective camera."""
+    x: FloatArray  # (1, w) mm; (h, w) for a perspective camera
+    y: FloatArray  # (h, 1) mm; (h, w) for a perspective camera
     z: FloatArray
     nx: FloatArray
     ny: FloatArray
     nz: FloatArray
+    # (h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)
     view: tuple[FloatArray, FloatArray, FloatArray] | None
-    """(h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)."""
-    nv: FloatArray
-    """Cosine between the normal and the direction to the camera."""
-    px_per_mm: float
-    """On the surface, at its mean distance."""
+    nv: FloatArray  # cosine between the normal and the direction to the camera
+    px_per_mm: float  # on the surface, at its mean distance
+    # (h, w) each: rise towards the camera of the skin without ridges along x and along y (up)
     slopes: tuple[FloatArray, FloatArray]
-    """(h, w) each: rise towards the camera of the skin without ridges along x and along y (up)."""
-    area: FloatArray
-    """(h, w) area of the skin's facets over that of the same skin without ridges."""
-    shadows: bool = False
-    """Whether lights that stand low cast shadows of it on itself: seen directly, not in a mirror."""
+    area: FloatArray  # (h, w) area of the skin's facets over that of the same skin without ridges
+    shadows: bool = False  # whether lights that stand low cast shadows of it on itself: seen directly, not in a mirror
 
     @property
     def pitch_mm(self) -> float:

@@ -51,12 +51,9 @@ class RenderSettings(Checked):
 class BandLight:
     """Radiance of the finger inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame."""
-    diffuse: FloatArray
-    """(L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)."""
-    glare: FloatArray
-    """(L, h, w) light that the surface alone reflects, the same in all channels."""
+    window: tuple[slice, slice]  # rows and columns of the frame
+    diffuse: FloatArray  # (L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)
+    glare: FloatArray  # (L, h, w) light that the surface alone reflects, the same in all channels
 
 
 def render_band(

@@ -157,18 +157,14 @@ Phases = Literal["all", "centred"]
 class Separated:
     """Light of one surface under one light, inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame."""
+    window: tuple[slice, slice]  # rows and columns of the frame
+    # (C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light
+    # included
     direct: FloatArray
-    """(C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light included."""
-    global_: FloatArray
-    """(C, h, w) white minus direct."""
-    glare: FloatArray
-    """(h, w) light that the surface alone reflects, the same in all channels."""
-    white: FloatArray
-    """(C, h, w) under full light."""
-    check_mm: float
-    """Side of the checks that `direct` is defined with."""
+    global_: FloatArray  # (C, h, w) white minus direct
+    glare: FloatArray  # (h, w) light that the surface alone reflects, the same in all channels
+    white: FloatArray  # (C, h, w) under full light
+    check_mm: float  # side of the checks that `direct` is defined with
 
 
 def separate_truth(

@@ -134,8 +134,7 @@ class OwnFinger:
     """One finger of a person."""
 
     name: str
-    finger: SimulatedFinger
-    """Shape at rest, print, relief."""
+    finger: SimulatedFinger  # shape at rest, print, relief
     optics: SkinOptics
     habit_roll_deg: float
 
@@ -144,12 +143,9 @@ class OwnFinger:
 class Person:
     """Somebody with ten fingers."""
 
-    number: int
-    """From 1."""
-    sex: str
-    """``man`` or ``woman``."""
-    fingers: Mapping[str, OwnFinger]
-    """By name, as in :data:`FINGERS`."""
+    number: int  # from 1
+    sex: str  # ``man`` or ``woman``
+    fingers: Mapping[str, OwnFinger]  # by name, as in :data:`FINGERS`
 
 
 def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> Person:

@@ -22,12 +22,9 @@ _SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 class RealPrint:
     """The print whose ridges a finger has."""
 
-    file: str
-    """Its name in the folder of prints."""
-    sha256: str
-    """Hash of the file."""
-    mirrored: bool = False
-    """Whether the finger is the one that would leave the mirror image."""
+    file: str  # its name in the folder of prints
+    sha256: str  # hash of the file
+    mirrored: bool = False  # whether the finger is the one that would leave the mirror image
 
     def sound(self) -> bool:
         """Whether this, read from a file, can be what was written."""

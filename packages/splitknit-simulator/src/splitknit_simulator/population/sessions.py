@@ -103,8 +103,7 @@ class _Impression:
     x_mm: float
     insertion_mm: float
     height_mm: float
-    partial: bool
-    """Whether it was laid down too short."""
+    partial: bool  # whether it was laid down too short
     swelling: float
     flattening: float
     deformation_mm: float
@@ -221,8 +220,7 @@ class _Shown:
 
     capture: Capture
     truth: dict[str, NDArray[Any]]
-    facts: dict[str, Any]
-    """Who, which finger and session, how it lay, how its skin was: plain numbers and words."""
+    facts: dict[str, Any]  # who, which finger and session, how it lay, how its skin was: plain numbers and words
 
 
 def population_capture(

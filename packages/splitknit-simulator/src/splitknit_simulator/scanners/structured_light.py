@@ -28,12 +28,9 @@ _NOISE_PX = 7  # side of the square over which the residuals of the sinusoids ar
 class Decoded:
     """Which row of the projector lights each pixel."""
 
-    row: FloatArray
-    """(H, W) in the projector's pixels; NaN where the fringes are too faint."""
-    sigma: FloatArray
-    """(H, W) its standard deviation, from the residuals of the sinusoids."""
-    modulation: FloatArray
-    """(F, H, W) amplitude of the fringes over the mean light."""
+    row: FloatArray  # (H, W) in the projector's pixels; NaN where the fringes are too faint
+    sigma: FloatArray  # (H, W) its standard deviation, from the residuals of the sinusoids
+    modulation: FloatArray  # (F, H, W) amplitude of the fringes over the mean light
 
 
 def fringes(row: NDArray[np.floating], period: float, step: int, steps: int) -> FloatArray:

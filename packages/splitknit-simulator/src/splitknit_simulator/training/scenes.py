@@ -149,8 +149,7 @@ class TrainingScene:
     finger: SimulatedFinger
     rig: Rig
     settings: TwinSettings
-    textured_by: SceneRanges | None = None
-    """Ranges of what varies over the skin; None: it is even."""
+    textured_by: SceneRanges | None = None  # ranges of what varies over the skin; None: it is even
 
     def facts(self, truth: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """What was drawn, for the file that goes with the finger; the skin is in the `truth` of its photographs."""

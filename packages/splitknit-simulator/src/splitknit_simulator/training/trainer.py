@@ -92,10 +92,8 @@ class Step(NamedTuple):
 
     batch: Any
     learning_rate: float
-    weight: float
-    """Weight of its loss in the mean over an entry of the learning curve."""
-    progress: float
-    """Fraction of the training, 0 to 1."""
+    weight: float  # weight of its loss in the mean over an entry of the learning curve
+    progress: float  # fraction of the training, 0 to 1
 
 
 class Trainer(ABC):
@@ -379,14 +377,10 @@ Entry = dict[str, float]
 class LearningCurve:
     """What is measured during a training, and drawn."""
 
-    stretch: int
-    """Epochs or iterations between two entries."""
-    judge: Callable[[], Entry]
-    """Figures of the network as it is on held-out data."""
-    lines: Mapping[str, Callable[[Entry], float]]
-    """Lines of the chart by their names: from an entry to a value."""
-    unit: str
-    """Unit of these values."""
+    stretch: int  # epochs or iterations between two entries
+    judge: Callable[[], Entry]  # figures of the network as it is on held-out data
+    lines: Mapping[str, Callable[[Entry], float]]  # lines of the chart by their names: from an entry to a value
+    unit: str  # unit of these values
 
 
 def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: LearningCurve) -> None:
@@ -422,8 +416,7 @@ class NetworkKind:
 
     name: str
     what: str
-    channels: tuple[int, int]
-    """Channels of input and output."""
+    channels: tuple[int, int]  # channels of input and output
 
 
 def packed(
