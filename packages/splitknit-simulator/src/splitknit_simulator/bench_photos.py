@@ -31,7 +31,6 @@ from splitknit import (
     write_rig,
 )
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BenchSettings,
     DarkScene,
     SightLines,
@@ -44,6 +43,7 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
 from splitknit_simulator.rigs import built_rig
+from splitknit_simulator.surface import Array
 
 MARKER = "rig_true.json"
 NAIL_MM = 13.0

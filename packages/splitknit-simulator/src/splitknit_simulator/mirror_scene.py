@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig, require
 from splitknit_simulator.light.lighting import (
@@ -39,9 +38,7 @@ from splitknit_simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 
 def _light_through(patch: Patch, lights: Sequence[Light], roughness: float) -> tuple[FloatArray, FloatArray]:

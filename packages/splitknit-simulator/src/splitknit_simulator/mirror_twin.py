@@ -20,9 +20,7 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, surface_truth, take_capture
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array
 
 _INSERTION_MM = (28.7, 30.3)
 """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""

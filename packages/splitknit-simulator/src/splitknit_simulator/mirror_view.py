@@ -22,9 +22,8 @@ from splitknit_simulator.finger.raycast import (
     rays_of,
 )
 from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit import BoolArray, Camera, FloatArray, require
 
+Array = NDArray[np.float64]
 WATER = 1.333  # refractive index of water (Hale and Querry 1973)
 
 

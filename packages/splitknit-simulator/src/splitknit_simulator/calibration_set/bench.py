@@ -14,7 +14,6 @@ from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit import Camera, Checked, FloatArray, Led, Limits, PixelArray, require
@@ -23,8 +22,7 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.lighting import irradiance
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array
 
 
 class SightLines(NamedTuple):

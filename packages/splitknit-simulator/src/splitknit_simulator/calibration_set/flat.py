@@ -10,7 +10,6 @@ import numpy as np
 
 from splitknit import BadInput, Camera, Checked, Limits, require
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BaseScene,
     GroundScene,
     PlaneFrame,
@@ -21,6 +20,7 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.camera.lens import px_per_mm_at
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

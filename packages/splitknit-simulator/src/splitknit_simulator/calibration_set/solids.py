@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from splitknit import Led, require
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BaseScene,
     SightLines,
     Window,
@@ -24,6 +23,7 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.light.lighting import UNIT, irradiance
+from splitknit_simulator.surface import Array
 
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""

@@ -18,9 +18,7 @@ from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit_simulator.surface import Coat, Film, SimulatedSurface
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface
 
 KERATIN = 1.55  # refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)
 MAX_PLATES = 4  # horny plates with air between them in the thickest scale

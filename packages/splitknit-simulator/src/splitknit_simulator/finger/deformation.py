@@ -12,8 +12,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from splitknit import require
 from splitknit_simulator.finger.master_print import MasterPrint
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array
 
 SAMPLES_PER_SMOOTH = 4  # grid points per length of smoothing: a cubic spline of them misses less than a thousandth
 

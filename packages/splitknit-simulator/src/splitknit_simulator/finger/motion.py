@@ -19,9 +19,7 @@ from splitknit_simulator.finger.deformation import Deformation, deformed, draw_d
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 _SHOT_S = 0.5  # time from shot to shot; the thesis takes 14 in 7 s
 EXPOSURE_S = 0.02  # time that a shot takes; tremor blurs it

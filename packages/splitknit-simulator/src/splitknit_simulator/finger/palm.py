@@ -16,13 +16,10 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit import Camera, Checked, Limits, check_fields, require
+from splitknit import Camera, Checked, FloatArray, Limits, check_fields, require
 from splitknit_simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
 from splitknit_simulator.finger.ridges import grow_ridges, smooth_noise
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 STEP_MM = 0.25  # distance between the points of a line
 TOGETHER = 3.0  # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
@@ -235,9 +232,11 @@ class _Palm:
     lines: tuple[_PalmLine, ...]
     x_mm: Array  # (W,) of the columns
     y_mm: Array  # (H,) of the rows; falls with the row
-    angle_rad: Array32  # (H, W) direction of the ridges, counter-clockwise from x, defined up to pi
-    relief_mm: Array32  # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
-    pigment: Array32  # (H, W) multiplier of the diffuse reflectance
+    angle_rad: FloatArray  # (H, W) direction of the ridges, counter-clockwise from x, defined up to pi
+    relief_mm: (
+        FloatArray  # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
+    )
+    pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
     triradius_mm: tuple[float, float] | None = None  # x and y of the triradius, where the patch has one
 
 
@@ -356,7 +355,7 @@ def _direction(
     return angle, (float(at[0]), float(at[1]))
 
 
-def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> Array32:
+def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> FloatArray:
     """(H, W) wave of the ridges on the coarse grid."""
     pitch = 2.0 * settings.pitch_mm
     logs = _PERIOD_VARIATION * np.clip(smooth_noise(rng, angle.shape, 4.0 / pitch), -2.5, 2.5)
@@ -364,11 +363,11 @@ def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, peri
     return grow_ridges(noise, angle, period_mm * np.exp(logs) / pitch)
 
 
-def _where(seen: NDArray[np.bool_], values: Array, beside: float) -> Array32:
+def _where(seen: NDArray[np.bool_], values: Array, beside: float) -> FloatArray:
     return np.where(seen, values, beside).astype(np.float32)
 
 
-def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> Array32:
+def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> FloatArray:
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.where(seen[..., None], normals, 0.0).astype(np.float32)

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit import Checked, Limits
+from splitknit import Checked, FloatArray, Limits
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +60,7 @@ class SkinMap:
 
     # (H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops
     coefficients: Array
-    pigment: Array32  # (H, W) multiplier of the diffuse reflectance
+    pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
     u0_mm: float
     v0_mm: float
     pitch_mm: float
@@ -79,7 +76,7 @@ class SkinMap:
         step = 1e-4
         return ((self.displacement(u + step, v) - here) / step, (self.displacement(u, v + step) - here) / step)
 
-    def pigment_at(self, u: Array, v: Array) -> Array32:
+    def pigment_at(self, u: Array, v: Array) -> FloatArray:
         """Pigment at chart points."""
         places = (self.v0_mm - v) / self.pitch_mm, (u - self.u0_mm) / self.pitch_mm
         return np.asarray(ndimage.map_coordinates(self.pigment, places, order=1, mode="mirror"), dtype=np.float32)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Checked, FloatArray, Led, Limits, Rig
 from splitknit_simulator.light.lighting import Patch, arriving
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
+from splitknit_simulator.surface import Array
 
-Array = NDArray[np.float64]
 Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 

@@ -22,10 +22,7 @@ from splitknit import Checked, FloatArray, Led, Limits, check_fields, require
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 # Patterns that a projector throws on the skin, and where they fall.
 
