@@ -98,22 +98,17 @@ class PiLightBank(GuardedLights):
     """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
 
     def __init__(
-        self,
-        pins: Sequence[int],
-        make_line: Callable[..., Any],
-        *,
-        settle_s: float = SETTLE_S,
-        sleep: Callable[[float], None] = time.sleep,
+        self, pins: Sequence[int], make_line: Callable[..., Any], *, sleep: Callable[[float], None] = time.sleep
     ) -> None:
         """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs, by `make_line`, as
-        ``gpiozero.DigitalOutputDevice``; `settle_s`: from the switch to full brightness.
+        ``gpiozero.DigitalOutputDevice``.
         """
         self._lines: list[Any] = []
         self._sleep = sleep
         try:
             for pin in pins:
                 self._lines.append(make_line(pin, active_high=True, initial_value=False))
-            super().__init__(len(self._lines), settle_s)
+            super().__init__(len(self._lines), SETTLE_S)
         except BaseException:
             self._release()
             raise

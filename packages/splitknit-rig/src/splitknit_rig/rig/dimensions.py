@@ -133,6 +133,7 @@ SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 SCREWS_B_DEG = (0.0, 90.0, 180.0, 280.0)
 """Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for the others."""
 _HALF = math.sqrt(0.5)
+POCKET_MM = 1.0  # depth of the base's shallow pockets, which hold mirror holders and calibration disc in place
 _GROOVE_IN_FLOOR_MM = 0.4  # the groove's bottom lies this much below the base's upper face
 
 
@@ -242,11 +243,6 @@ class RigDimensions:
     def base_screws_deg(self) -> tuple[float, ...]:
         """Azimuths of the screws between base and cylinder: with side lights beside the lamps."""
         return (35.0, 145.0, 222.0, 354.0) if self.sides else SCREWS_A_DEG
-
-    @property
-    def pocket_mm(self) -> float:
-        """Depth of the shallow pockets of the base that hold mirror holders and calibration disc in place."""
-        return 1.0
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
@@ -360,7 +356,7 @@ def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     """Heights of the finger (mm) that the mirrors show at 45 deg, and the fraction of it in the picture."""
     d = dimensions
     (front, foot), (side, _, _), (_, tip, _) = _mirror_front(), holder_places(d)[0], holder_places(d)[2]
-    floor, length = d.floor_z_mm - d.pocket_mm + foot, d.settings.mirror.wide_mm * _HALF
+    floor, length = d.floor_z_mm - POCKET_MM + foot, d.settings.mirror.wide_mm * _HALF
     view = {}
     for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):
         first = start + sizes.MIRROR_LIP_MM * _HALF
