@@ -126,25 +126,20 @@ def find_leds(
     chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}
     verdicts = _judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
     sentence = _refusal(verdicts, chosen, limit_deg)
-    fitted = (
-        {}
-        if joint is None
-        else {
-            (one.band, one.led): {**_place(one), "interval_deg": deg, "interval_mm": mm}
-            for one, deg, mm in zip(joint.leds, joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
-        }
-    )
     leds = []
+    fitted: dict[LedName, dict[str, Any]] = {}
+    if joint is not None:
+        bounds = zip(joint.leds, joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
+        fitted = {(e.band, e.led): {**_place(e), "interval_deg": deg, "interval_mm": mm} for e, deg, mm in bounds}
     for (band, led), best in chosen.items():
         place, verdict = fitted.get((band, led)), verdicts[band, led]
-        bounds = place if place is not None and used is not None else {}
+        spread = place if place is not None and used is not None else {}
         leds.append(
             {
                 "band": band,
                 "led": led,
                 **_place(best),
-                "interval_deg": bounds.get("interval_deg"),
-                "interval_mm": bounds.get("interval_mm"),
+                **{name: spread.get(name) for name in ("interval_deg", "interval_mm")},
                 "verdict": verdict,
                 "kept": keep or verdict in _TRUSTED,
                 "nails": list(best.nails),

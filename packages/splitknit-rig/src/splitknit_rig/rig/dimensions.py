@@ -156,7 +156,22 @@ class RigDimensions:
     niche_y_mm: float  # outer face of the niche's end wall, with the opening for the finger
     opening_radius_mm: float
     nail_mm: float  # height of the nail's tip over the finger plane
-    films: RigFilms | None = None
+    outer_mm: float  # outer radius of the tubes
+    ring_mm: float  # outer radius of floors and of the tubes' ends
+    screw_mm: float  # radius of the circle of screws
+    outside_mm: float  # radius that everything fits into
+    base_z_mm: float  # lowest face of the base
+    top_z_mm: float  # upper face of the lid
+    cylinder_mm: float  # height of the cylinder between its joints
+    niche_inner_y_mm: float  # inner face of the niche's end wall
+    groove_z_mm: float  # bottom of the finger's groove
+    groove_width_mm: float  # width of the finger's groove at its rim
+    groove_radius_mm: float  # radius of the groove's round bottom
+    block_mm: float  # half the width of the block that holds the groove
+    disc_radius_mm: float  # radius of the calibration disc: as large as the niche allows
+    lens_hole_mm: float  # radius of the frame's opening for the lens
+    base_screws_deg: tuple[float, ...]  # azimuths of the screws between base and cylinder: beside the lamps, if any
+    films: RigFilms | None
 
     @property
     def lit_corners(self) -> Array:
@@ -165,84 +180,6 @@ class RigDimensions:
         start = max(-self.field_mm[1] / 2, self.stop_y_mm - sizes.FINGER_PHALANX_MM)
         ends = (start, (start + self.stop_y_mm) / 2, self.field_mm[1] / 2)
         return np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
-
-    @property
-    def outer_mm(self) -> float:
-        """Outer radius of the tubes."""
-        return self.bore_mm + self.settings.joint.wall_mm
-
-    @property
-    def ring_mm(self) -> float:
-        """Outer radius of floors and of the tubes' ends."""
-        return self.outer_mm + sizes.JOINT_RING_MM
-
-    @property
-    def screw_mm(self) -> float:
-        """Radius of the circle of screws."""
-        return self.bore_mm + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1
-
-    @property
-    def outside_mm(self) -> float:
-        """Radius that everything fits into."""
-        return self.screw_mm + sizes.JOINT_LUG_RADIUS_MM
-
-    @property
-    def base_z_mm(self) -> float:
-        """Lowest face of the base."""
-        return self.floor_z_mm - sizes.JOINT_PLATE_MM
-
-    @property
-    def top_z_mm(self) -> float:
-        """Upper face of the lid."""
-        return self.lid_z_mm + sizes.JOINT_PLATE_MM
-
-    @property
-    def cylinder_mm(self) -> float:
-        """Height of the cylinder between its joints."""
-        return self.frame_z_mm - self.floor_z_mm
-
-    @property
-    def niche_inner_y_mm(self) -> float:
-        """Inner face of the niche's end wall."""
-        return self.niche_y_mm + self.settings.joint.wall_mm
-
-    @property
-    def groove_z_mm(self) -> float:
-        """Bottom of the finger's groove."""
-        return -self.settings.finger.pad_height_mm
-
-    @property
-    def groove_width_mm(self) -> float:
-        """Width of the finger's groove at its rim."""
-        return self.settings.finger.widest_mm + sizes.FINGER_CLEARANCE_MM
-
-    @property
-    def groove_radius_mm(self) -> float:
-        """Radius of the groove's round bottom."""
-        half, depth = self.groove_width_mm / 2, self.settings.finger.groove_depth_mm
-        return (half * half + depth * depth) / (2 * depth)
-
-    @property
-    def block_mm(self) -> float:
-        """Half the width of the block that holds the groove."""
-        return self.groove_width_mm / 2 + self.settings.joint.wall_mm
-
-    @property
-    def disc_radius_mm(self) -> float:
-        """Radius of the calibration disc: as large as the niche allows."""
-        return math.floor(-self.niche_inner_y_mm - 1.0)
-
-    @property
-    def lens_hole_mm(self) -> float:
-        """Radius of the frame's opening for the lens."""
-        opening = self.settings.camera.barrel_mm / 2 + 0.4
-        above = max(0.0, self.camera_height_mm - self.frame_z_mm)  # a lens behind the frame must see past its edge
-        return opening + above * math.hypot(*self.field_mm) / 2 / self.camera_height_mm
-
-    @property
-    def base_screws_deg(self) -> tuple[float, ...]:
-        """Azimuths of the screws between base and cylinder: with side lights beside the lamps."""
-        return (35.0, 145.0, 222.0, 354.0) if self.sides else SCREWS_A_DEG
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
@@ -281,22 +218,45 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     angle = np.linspace(0.0, np.pi, 361)  # about the thickest finger, an ellipse that lies on the floor
     x, z = finger.widest_mm / 2 * np.cos(angle), sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
+    wall, bore, floor_z = (
+        settings.joint.wall_mm,
+        _bore(holes, settings, field),
+        _GROOVE_IN_FLOOR_MM - finger.pad_height_mm,
+    )
+    screw, niche_y = bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1, stop_y - finger.reach_mm
+    half, depth = (finger.widest_mm + sizes.FINGER_CLEARANCE_MM) / 2, finger.groove_depth_mm
+    behind = max(0.0, camera.height_mm - frame_z)  # a lens behind the frame must see past its edge
     return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
         holes=holes,
         sides=tuple(every[k] for k in side),
-        bore_mm=_bore(holes, settings, field),
-        floor_z_mm=-finger.pad_height_mm + _GROOVE_IN_FLOOR_MM,
+        bore_mm=bore,
+        floor_z_mm=floor_z,
         frame_z_mm=frame_z,
         box_z_mm=box_z,
         lid_z_mm=lid_z,
         board_z_mm=board_z,
         stop_y_mm=stop_y,
-        niche_y_mm=stop_y - finger.reach_mm,
+        niche_y_mm=niche_y,
         opening_radius_mm=float(np.hypot(x, z).max()) + sizes.FINGER_CLEARANCE_MM,
         nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
+        outer_mm=bore + wall,
+        ring_mm=bore + wall + sizes.JOINT_RING_MM,
+        screw_mm=screw,
+        outside_mm=screw + sizes.JOINT_LUG_RADIUS_MM,
+        base_z_mm=floor_z - sizes.JOINT_PLATE_MM,
+        top_z_mm=lid_z + sizes.JOINT_PLATE_MM,
+        cylinder_mm=frame_z - floor_z,
+        niche_inner_y_mm=niche_y + wall,
+        groove_z_mm=-finger.pad_height_mm,
+        groove_width_mm=2 * half,
+        groove_radius_mm=(half * half + depth * depth) / (2 * depth),
+        block_mm=half + wall,
+        disc_radius_mm=math.floor(-niche_y - wall - 1.0),
+        lens_hole_mm=settings.camera.barrel_mm / 2 + 0.4 + behind * math.hypot(*field) / 2 / camera.height_mm,
+        base_screws_deg=(35.0, 145.0, 222.0, 354.0) if side else SCREWS_A_DEG,
         films=films,
     )
 

@@ -76,12 +76,9 @@ class Films:
     """Films as they are mounted: what passes them under each LED."""
 
     settings: FilmSettings
-    polariser_rad: Array
-    """(2, L) axes of the LEDs' films in both series, as the camera sees them."""
-    analyser_rad: Array
-    """(2,) axes of the camera's film."""
-    shift_px: Array
-    """(2,) columns and rows by which the crossed series is shifted."""
+    polariser_rad: Array  # (2, L) axes of the LEDs' films in both series, as the camera sees them
+    analyser_rad: Array  # (2,) axes of the camera's film
+    shift_px: Array  # (2,) columns and rows by which the crossed series is shifted
 
     def specular(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What passes of the light that the surface reflects, over what it reflects of unpolarised light.
