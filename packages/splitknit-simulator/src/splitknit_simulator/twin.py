@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
-    Camera,
     Capture,
     FloatArray,
     Led,
@@ -367,22 +366,13 @@ class FingerScene:
         settings = replace(settings or TwinSettings(), films=FilmSettings())
         self.surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
+        self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
         """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR); half floats, whose
         steps are a tenth of the noise."""
         self._room: FloatArray | None = None
-
-    @property
-    def camera(self) -> Camera:
-        """The camera that looks at the finger."""
-        return self.rig.camera
-
-    @property
-    def leds(self) -> tuple[Led, ...]:
-        """LEDs of the rig."""
-        return self.rig.leds
 
     def light(self, lit: Sequence[int]) -> FloatArray:
         """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no

@@ -159,21 +159,10 @@ class DepthOfField:
     blur_px: float
     needed_f_number: float  # at which the finger's depth would just be sharp, focused in its middle
     diffraction_px: float  # diameter of the Airy disc at that f-number, in pixels of the image, for light of 550 nm
-
-    @property
-    def depth_mm(self) -> float:
-        """From the near to the far limit."""
-        return self.far_mm - self.near_mm
-
-    @property
-    def best_f_number(self) -> float:
-        """At which defocus at the finger's ends and diffraction blur equally: stopping down further gains nothing."""
-        return self.needed_f_number / float(np.sqrt(self.diffraction_px))
-
-    @property
-    def fits(self) -> bool:
-        """Whether the finger is sharp throughout."""
-        return self.depth_mm >= self.finger_depth_mm
+    depth_mm: float  # from the near to the far limit
+    fits: bool  # whether the finger is sharp throughout
+    # at which defocus at the finger's ends and diffraction blur equally: stopping down further gains nothing
+    best_f_number: float
 
 
 def depth_of_field(
@@ -202,16 +191,20 @@ def depth_of_field(
     side_reach = side / (focus_mm * max(focus_mm - side, 1e-9))
     # near to far of the finger about its middle: reach that its two ends need, the nearer one more
     needed = side_reach * focal * behind / pixel_mm
-    airy_mm = 2.44 * 550e-6 * needed * (1 + behind / focus_mm)
+    airy_px = 2.44 * 550e-6 * needed * (1 + behind / focus_mm) / pixel_mm
+    far = 1 / beyond if beyond > 0 else float("inf")
     return DepthOfField(
         focal_length_mm=focal,
         f_number=f_number,
         focus_mm=focus_mm,
         confusion_um=1000 * pixel_mm,
         near_mm=near,
-        far_mm=1 / beyond if beyond > 0 else float("inf"),
+        far_mm=far,
         finger_depth_mm=finger_depth_mm,
         blur_px=focal / f_number * behind * side_reach / pixel_mm,
         needed_f_number=needed,
-        diffraction_px=airy_mm / pixel_mm,
+        diffraction_px=airy_px,
+        depth_mm=far - near,
+        fits=far - near >= finger_depth_mm,
+        best_f_number=needed / float(np.sqrt(airy_px)),
     )

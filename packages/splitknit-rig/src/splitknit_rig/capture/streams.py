@@ -77,18 +77,9 @@ class StreamCamera(Closing):
         """Take the stream, which is closed with the camera."""
         self._stream, self._closed, self._late = stream, False, 0
         self._wanted = 0.0, 0.0
-        reach = stream.exposures
+        self.image_size, self.exposures = stream.image_size, stream.exposures
+        reach = self.exposures
         self.lock(min(max(0.01, reach.shortest_s), reach.longest_s), reach.lowest_gain)
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._stream.image_size
-
-    @property
-    def exposures(self) -> ExposureRange:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._stream.exposures
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.CameraDevice`; white balance stays as the camera has it."""

@@ -34,16 +34,6 @@ class SightLines(NamedTuple):
     slope_y: Array
 
 
-def _sight(camera: Camera) -> SightLines:
-    height, width = camera.image_size
-    columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
-    if camera.model == "orthographic":
-        x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
-        return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
-    slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
-    return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFrame:
     """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
@@ -198,7 +188,14 @@ class GroundScene(ABC):
 
     @cached_property
     def _sight(self) -> SightLines:
-        return _sight(self.camera)
+        camera = self.camera
+        height, width = camera.image_size
+        columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+        if camera.model == "orthographic":
+            x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
+            return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
+        slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
+        return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
 
     @cached_property
     def _hit(self) -> tuple[Array, Array, Array]:

@@ -121,17 +121,9 @@ class TwinCamera(Closing):
         self._scale = sensor_scale or binning_scale(scene.camera)
         self._seed, self._exposed, self._photographs = seed, 0, 0
         self._closed = False
+        self.image_size = scene.camera.image_size
+        self.exposures = ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
         self.lock(0.01, 1.0)
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._scene.camera.image_size
-
-    @property
-    def exposures(self) -> ExposureRange:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.CameraDevice`."""
