@@ -279,8 +279,9 @@ def _photograph_moving(
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
-        light = scene.behind_films(name, scene.render(name, [rig.leds[k] for k in leds]), leds)
-        lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
+        lamps = [rig.leds[k] for k in leds]
+        light = scene.behind_films(name, scene.render(name, lamps), leds)
+        lit.setdefault(name, []).append(_Shot(scene, light, lamps, leds, smear))
 
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
         return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
@@ -295,13 +296,9 @@ class _Shot:
 
     scene: Scene
     light: BandLight  # light of every LED of the exposure
+    members: list[Led]  # the exposure's LEDs
     leds: tuple[int, ...]  # their numbers in the rig
     smear: FloatArray  # kernel of the blur within the exposure
-
-    @property
-    def members(self) -> list[Led]:
-        """The exposure's LEDs."""
-        return [self.scene.rig.leds[k] for k in self.leds]
 
 
 def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:

@@ -9,7 +9,7 @@ the card's cosine follow from the LEDs' places, which are known; what is left is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -176,17 +176,9 @@ class FlatField:
     # brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card
     gloss_percent: float
     gloss_error: float
-    card: CardPlane = field(default_factory=CardPlane)  # where it lay
-
-    @property
-    def rms_percent(self) -> Array:
-        """(L,) rms of each LED's residuals without dust."""
-        return np.asarray(100 * np.sqrt(np.mean(self.residual[:, ~self.dust] ** 2, axis=1)))
-
-    @property
-    def largest_percent(self) -> Array:
-        """(L,) largest residual of each LED without dust."""
-        return np.asarray(100 * np.abs(self.residual[:, ~self.dust]).max(axis=1))
+    card: CardPlane  # where it lay
+    rms_percent: Array  # (L,) rms of each LED's residuals without dust
+    largest_percent: Array  # (L,) largest residual of each LED without dust
 
 
 def fit_flat_field(
@@ -238,6 +230,7 @@ def fit_flat_field(
     # the residuals taken as independent between cells
     errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
+    clean = residuals[best][:, ~dust]
     return FlatField(
         camera=lens,
         leds=lit,
@@ -247,10 +240,12 @@ def fit_flat_field(
         residual=residuals[best],
         dust=dust,
         exponent_error=model.exponents(errors, fit.order),
-        common_percent=100 * float(np.sqrt(np.mean(residuals[best][:, ~dust].mean(axis=0) ** 2))),
+        common_percent=100 * float(np.sqrt(np.mean(clean.mean(axis=0) ** 2))),
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
+        rms_percent=np.asarray(100 * np.sqrt(np.mean(clean**2, axis=1))),
+        largest_percent=np.asarray(100 * np.abs(clean).max(axis=1)),
     )
 
 

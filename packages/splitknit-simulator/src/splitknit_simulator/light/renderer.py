@@ -255,7 +255,8 @@ class _Sheet:
         here = _sampled(mask.astype(np.float32), row, column, cv2.INTER_NEAREST) > 0
         steps = np.arange(np.floor(down[here].min()), np.ceil(down[here].max()) + 1)
         self._row = np.stack([np.interp(steps, line, np.arange(rows)) for line in down.T], axis=1).astype(np.float32)
-        u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self._row.shape)
+        self.shape = self._row.shape  # rows and columns of the plane, in pixels as large as those of the picture
+        u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self.shape)
         self._column = _sampled(column, self._row, u, cv2.INTER_LINEAR)
         self._there = _sampled(mask.astype(np.float32), self._row, self._column, cv2.INTER_NEAREST)
         self._u = (across[inner] - places[0]).astype(np.float32)
@@ -263,11 +264,6 @@ class _Sheet:
         self._v = _sampled((down - steps[0]).astype(np.float32), at, self._u, cv2.INTER_LINEAR)
         nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
         self._nearest = np.ravel_multi_index(tuple(nearest), mask.shape)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the plane, in pixels as large as those of the picture."""
-        return self._row.shape[0], self._row.shape[1]
 
     def laid_out(self, field: FloatArray) -> FloatArray:
         """A field of the picture (h', w') on the plane, zero where no skin is seen."""
