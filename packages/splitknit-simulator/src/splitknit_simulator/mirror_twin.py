@@ -146,9 +146,7 @@ _PROXIMAL_MM = 6.0
 
 
 def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
-    """What each view shows, where `masks` (H, W) leave it visible, behind its mirror in the rig's frame; the true
-    mirrors.
-    """
+    """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its mirror."""
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface

@@ -297,9 +297,7 @@ class Scene:
         return np.stack([light * self.albedo[channel] for channel in channels], axis=-1)
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
-        """(H, W, 3) what the pixels see under the LEDs of a group together, and the `ambient` light; `light`: of all
-        `leds`.
-        """
+        """(H, W, 3) what the pixels see under a group's LEDs together and `ambient` light; `light`: of all `leds`."""
         mixing, frame = self._mixing, ambient.copy()
         for k in group:
             card = white_card(self.rig.camera, leds[k], -BACKGROUND_MM)
@@ -379,9 +377,7 @@ class Scene:
         dark: FloatArray,
         seed: np.random.SeedSequence,
     ) -> Band:
-        """Take one band's images, an exposure of each of `groups` of the rig's LEDs, and its ambient frame of `dark`
-        (H, W, 3).
-        """
+        """Take a band's images, an exposure of each of `groups` of LEDs, and its ambient frame of `dark` (H, W, 3)."""
         rig, seeds = self.rig, seed.spawn(len(groups) + 1)
         leds = [rig.leds[k] for group in groups for k in group]
         with ThreadPoolExecutor(self.settings.render.workers) as pool:

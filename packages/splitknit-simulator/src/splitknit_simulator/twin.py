@@ -345,9 +345,8 @@ HalfArray = NDArray[np.float16]
 class FingerScene:
     """One finger, laid down once, under any LEDs of a rig.
 
-    The finger, its skin and its pose are those of :func:`splitknit_simulator.twin.simulate_capture` with the same
-    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The ambient
-    light is the same whichever LED is lit.
+    It is that of :func:`splitknit_simulator.twin.simulate_capture` with the same arguments. Each band's light is
+    rendered once, when one of its LEDs is lit first, and kept. The ambient light is the same whichever LED is lit.
     """
 
     def __init__(

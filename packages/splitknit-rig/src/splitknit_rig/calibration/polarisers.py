@@ -133,8 +133,7 @@ def _clipped(band: Band, k: int) -> BoolArray:
 
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals; and L arrays (h, w)
-    of what is left of crossed over parallel, NaN in the dark. Raises BadInput if the card has no print, is clipped, or
-    moved.
+    of what is left of crossed over parallel, NaN in the dark. BadInput if the card has no print, is clipped, or moved.
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
     some = (0, len(near.leds) // 2)
@@ -256,8 +255,7 @@ class Spot:
 
 def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
     """Where the L lights are mirrored in a glossy black ball, and (L, 2, 2) light of parallel and crossed highlights
-    and its deviation. `electrons`: at full scale. Raises BadInput if an image (numbered) shows no highlight, or a
-    clipped one, or the series are swapped.
+    and its deviation. `electrons`: at full scale. BadInput if a highlight is missing or clipped, or series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)

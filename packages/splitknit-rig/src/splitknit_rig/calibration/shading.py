@@ -594,8 +594,7 @@ def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]
 
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
     """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls: a least-absolute fit to `stacks` (L, H, W)
-    within two radii of the field of balls, without dust, dents and balls, of each stack `outlines` (N, 3): column, row,
-    radius in pixels.
+    within two radii of the field of balls, without dust, dents and balls: `outlines` (N, 3), column, row, radius, each.
     """
     size = stacks[0].shape[1:]
     terms, light = [], []

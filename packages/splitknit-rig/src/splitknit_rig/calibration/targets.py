@@ -195,8 +195,7 @@ _MAX_MISS = 0.25  # how far from its expected place, in spacings, a dot of the g
 
 def _find_dots(pixels: Any) -> Array:
     """Centres (N, 2), column and row, of black dots, round, whole and of one size, darker than half-way between ground
-    and ink. A centre is that of darkness: a tilt moves it by radius^2 * sin(tilt) / height, 7e-5 mm at 1 deg and 140
-    mm.
+    and ink. A centre is that of darkness: a tilt moves it by radius^2 sin(tilt) / height, 7e-5 mm at 1 deg and 140 mm.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -236,8 +235,7 @@ def _find_dots(pixels: Any) -> Array:
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Array]:
     """Places of dots in a square grid: (M, 2) whole steps, zero near the middle, and (M, 2) centres. A grid grows from
-    a dot there by local steps, so that perspective and distortion do not add up; of several the one with most dots is
-    taken.
+    a dot there by local steps, so that perspective and distortion do not add up; the one with most dots is taken.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))

@@ -123,8 +123,7 @@ def capture_enrolment(
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return what was captured and
-    skipped, how many are finished, and what is next. Raises BadInput with the finger and the verdict; what was finished
-    before is kept.
+    skipped, how many are finished, and what is next. BadInput with finger and verdict; what was finished is kept.
     """
     captured: list[str] = []
     skipped: list[str] = []

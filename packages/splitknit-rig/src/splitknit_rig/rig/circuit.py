@@ -168,8 +168,7 @@ class Circuit:
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
     """Choose the resistors of a band's stage and check all margins at the worst corners; BadInput names the margin
-    missed and the remedy. Source: P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, 2.2.1 (switch), 2.2.6
-    (current sink).
+    missed and the remedy. Source: P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, 2.2.1 and 2.2.6.
     """
     settings = settings or CircuitSettings()
     require(band in ("white", "nir"), f"there are stages for the bands white and nir, not '{band}'.")

@@ -127,9 +127,7 @@ def _maker_code(ohm: float) -> str:
 
 
 def _values(circuit: Circuit) -> dict[str, str]:
-    """Value of every part by its reference, without the supply's: R101 to R401 are the first stage's base, emitter and
-    series resistors and its pull-down.
-    """
+    """Value of every part but the supply's by its reference: R101 to R401 are the first stage's, in `_ROLES`."""
     values = {"F1": f"{1000 * circuit.fuse_a:.0f} mA hold, resettable"}
     for channel in circuit.channels:
         n, stage = channel.number, channel.stage

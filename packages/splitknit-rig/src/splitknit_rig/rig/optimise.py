@@ -238,8 +238,7 @@ def sweep_rigs(
     out: Path, candidates: Sequence[RigCandidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates, keep each when finished, and return their records in order. `out` is new, or an earlier
-    sweep of the same study, whose failures are tried again. Raises BadInput if there are no candidates, none can be
-    built, or the folder holds something else.
+    sweep of the same study, whose failures are tried again. BadInput if none can be built, or it holds something else.
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")

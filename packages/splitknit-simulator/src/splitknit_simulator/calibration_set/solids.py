@@ -154,9 +154,7 @@ class NailScene(_SolidScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[Array, float]) -> Array:
-        """Fraction of each pixel of the window inside the cone's shadow: the hull of the nail's foot and of its tip's
-        shadow.
-        """
+        """Fraction of each pixel of the window in the cone's shadow: the hull of the nail's foot and its tip's."""
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
         return edge_coverage(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
@@ -319,10 +317,7 @@ class SphereScene(_SolidScene):
         return self._ball, edge_coverage(inwards), seen
 
     def _seen(self, sight: SightLines) -> tuple[Lines, Array]:
-        """Where lines of sight meet the ball, its normals there, and by how much (mm) they pass inside its outline.
-
-        Lines that pass it are taken to touch it.
-        """
+        """Where lines of sight meet the ball or touch it, its normals there, and by how much (mm) they pass inside."""
         down = directions(sight)
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
         nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down  # of the line to the ball's middle

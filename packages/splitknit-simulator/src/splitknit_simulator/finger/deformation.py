@@ -64,8 +64,7 @@ def draw_deformation(
 ) -> Deformation:
     """Draw a smooth shift over the whole map of a print, of `amplitude_mm` at most; BadInput if it could fold the skin.
 
-    `smooth_mm`: standard deviation of the Gaussian that smooths it; its correlation falls to exp(-1/4) over that
-    length.
+    `smooth_mm`: standard deviation of its Gaussian; the shift's correlation falls to exp(-1/4) over that length.
     """
     require(
         0 <= amplitude_mm <= 0.15 * smooth_mm,

@@ -88,8 +88,7 @@ _UNDULATION_MM = 1.6  # standard deviation of the Gaussian mean behind :attr:`Sk
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
-    Ridges flatten inside the grooves. All draws (depth variation, lines beside the creases) follow from the master
-    print's seed.
+    Ridges flatten inside the grooves. All draws (depths, lines beside creases) follow from the master print's seed.
     """
     settings = settings or SkinRelief()
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)]

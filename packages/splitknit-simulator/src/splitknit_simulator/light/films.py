@@ -106,9 +106,8 @@ class Films:
 
     @property
     def ambient(self) -> NDArray[np.float32]:
-        """(3,) what passes of light that meets the camera's film only, over what two films leave of depolarised light.
-
-        Without the tint that :meth:`on_camera` adds.
+        """(3,) what passes of light that meets the camera's film only, over what two films leave; no :meth:`on_camera`
+        tint.
         """
         leak = 1.0 / self.settings.extinction
         return np.asarray(2.0 / (1.0 + leak) / np.array(self.settings.transmission), dtype=np.float32)

@@ -61,8 +61,7 @@ def render_band(
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
-    Jensen et al. 2001, equation (5), for the subsurface term; Walter et al. 2007, equations (20), (33), (34), for the
-    surface reflection.
+    Jensen et al. 2001, equation (5) (subsurface term); Walter et al. 2007, equations (20), (33), (34) (reflection).
     """
     settings = settings or RenderSettings()
     if any(led.also for led in leds):
@@ -136,8 +135,7 @@ def render_ambient(
 ) -> FloatArray:
     """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white card `level`.
 
-    A facet that is tilted by t against the middle of the hemisphere, `up` (3,) or the z axis, sees the fraction
-    (1 + cos t) / 2 of it.
+    A facet tilted by t against the hemisphere's middle, `up` (3,) or the z axis, sees the fraction (1 + cos t) / 2.
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)

@@ -246,9 +246,7 @@ class RealPrints:
     """By the finger's name in the world, such as ``S01/right_index``."""
 
     def master(self, name: str, finger: SimulatedFinger) -> tuple[MasterPrint, str]:
-        """The master print of a finger, and the real print that it is from: '' where it is drawn; BadInput if that
-        changed.
-        """
+        """A finger's master print, and the real print that it is from, '' where it is drawn; BadInput if it changed."""
         if name not in self.of_finger:
             return finger.master(), ""
         one = self.of_finger[name]

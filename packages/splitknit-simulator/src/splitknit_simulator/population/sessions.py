@@ -227,7 +227,7 @@ def population_capture(
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
-    lit = _drifted(rig, np.random.default_rng(drift_seed))
+    lit = _drifted(rig, np.random.default_rng(drift_seed), _LED_DRIFT_SD)
     skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
     capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}
@@ -263,9 +263,9 @@ def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
     )
 
 
-def _drifted(rig: Rig, rng: np.random.Generator) -> Rig:
+def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     """The rig as it is: LEDs a little brighter or darker than when they were calibrated."""
-    changes = 1.0 + _LED_DRIFT_SD * np.clip(rng.standard_normal(len(rig.leds)), -2.5, 2.5)
+    changes = 1.0 + spread * np.clip(rng.standard_normal(len(rig.leds)), -2.5, 2.5)
     lit = zip(rig.leds, changes, strict=True)
     return replace(rig, leds=tuple(replace(led, intensity=float(led.intensity * change)) for led, change in lit))
 

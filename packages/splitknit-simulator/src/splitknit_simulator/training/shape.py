@@ -63,8 +63,7 @@ _SEEN_SLOPES = slice(20, 22)  # the shape's own slopes among the fields, over tw
 class ShapeData(SceneRanges):
     """How many fingers, and the ranges from which each is drawn.
 
-    The network that ships learned from about 160 such fingers. Some 60 of them had the usual rim exponent; here it
-    varies from finger to finger.
+    The network that ships learned from about 160 such fingers, some 60 of which had the usual rim exponent.
     """
 
     fingers: Annotated[int, Limits(1, 100_000)] = 160
