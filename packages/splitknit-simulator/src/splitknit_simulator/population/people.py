@@ -21,7 +21,6 @@ from splitknit_simulator.finger.skin_map import SkinRelief as ReliefSettings
 from splitknit_simulator.light.skin import SkinOptics, SkinRanges
 
 Five = tuple[float, float, float, float, float]
-
 DIGITS, SIDES = ("thumb", "index", "middle", "ring", "little"), ("right", "left")
 
 ARCHES: Mapping[str, Five] = {"right": (0.03, 0.17, 0.07, 0.02, 0.01), "left": (0.05, 0.17, 0.08, 0.03, 0.02)}

@@ -170,7 +170,6 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
 
 
 DRAWS = 1  # version of the draws: it rises when the same settings give other captures
-
 LARGE = ("normals", "glare_white", "glare_nir")  # arrays of the truth that only ``truth = "full"`` keeps
 
 
