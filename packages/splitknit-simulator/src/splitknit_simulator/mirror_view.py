@@ -173,8 +173,7 @@ class ReflectedView:
 
     mirror: Mirror  # as it truly is
     reflection: _Reflection
-    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there were no
-    # mirror
+    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror
     surface: SimulatedSurface
     coverage: Coverage  # the face in the picture
 

@@ -62,8 +62,7 @@ class _Tolerances:
     """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
     off its lens's axis and 1 mm along it from lot to lot."""
     led_beam_deg: float = 2.0
-    """Per axis: data sheets of 5 mm LEDs allow the beam +-5 deg against the package (2 deg as a deviation); the seat
-    adds half a degree."""
+    """Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
     led_half_angle: float = 0.08
     """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
     led_intensity: float = 0.1
@@ -71,8 +70,7 @@ class _Tolerances:
     focal_length: float = 0.01
     """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
     camera_height_mm: float = 0.5
-    """Uncertainty of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing
-    lacks."""
+    """Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
     camera_tilt_deg: float = 0.3
     """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
     camera_shift_mm: float = 0.3
@@ -80,8 +78,7 @@ class _Tolerances:
     principal_point: float = 0.005
     """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
     corner_distortion: float = 0.005
-    """Largest shift of the image's corners by distortion, relative (evenly drawn, either sign): long lenses distort by
-    well below 1 %."""
+    """Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
     corner_vignetting: tuple[float, float] = (0.10, 0.20)
     """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
 

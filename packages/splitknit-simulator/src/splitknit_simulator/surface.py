@@ -83,16 +83,14 @@ class SimulatedSurface:
     shape_mm: FloatArray  # (H, W) z of the same finger without ridges, pores and creases, NaN outside `mask`
     normals: FloatArray  # (H, W, 3) unit normals of `height_mm`, zero outside `mask`
     shape_normals: FloatArray  # (H, W, 3) unit normals of `shape_mm`, zero outside `mask`
-    # (H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in valleys, zero
-    # outside
+    # (H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in valleys, zero outside
     relief_um: FloatArray
     mask: BoolArray  # (H, W) true where the camera sees the finger
     # (H, W) multiplier of the diffuse reflectance (creases and pores are darker), one on plain skin
     pigment: FloatArray
     # what the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels
     landmarks: Mapping[str, Any] = field(default_factory=dict)
-    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid
-    # gives it
+    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid gives it
     x_mm: FloatArray | None = None
     y_mm: FloatArray | None = None  # (H, W) y of the same points
     # (H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for

@@ -100,8 +100,7 @@ def _descend(problem: _Problem, vector: Array) -> Array:
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
 
 WIDTHS_DEG = (3.0, 6.0)
-"""Widths of the spot: standard deviation of the angle between the card's normal and the half vector of LED and
-camera."""
+"""Widths of the spot: standard deviation of the angle between the card's normal and LED and camera's half vector."""
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:

@@ -20,8 +20,7 @@ class PlanePose:
     px_per_mm: float  # where the axis meets the plane: focal length over height
     normal: Array  # (3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera
     rms_px: float  # root of the mean squared distance between marks and their prediction
-    # standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being
-    # exact
+    # standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being exact
     deviations: dict[str, float]
 
     @property

@@ -39,8 +39,7 @@ class Response:
     black_level: float
     # least and greatest values that were seen, as parts of full scale: the answer holds between them
     span: tuple[float, float]
-    # values from the smallest to the largest, and the light that each stands for, its line through the ends
-    # one
+    # values from the smallest to the largest, and the light that each stands for, its line through the ends one
     curve: tuple[Array, Array]
 
 

@@ -72,8 +72,7 @@ class ShadingFit:
     shading: Shading
     balls: Array  # (N, 4) press, column, row of the centre, radius of the outline, all in pixels
     used: BoolArray  # (N,) balls that were fitted; the others are damaged or cut
-    # (N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not
-    # used
+    # (N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not used
     cap_rms_um: Array
     cap_gain: Array  # (N,) height of each cap over the ball's, likewise
     cap_errors: tuple[Array, ...]  # errors for each used ball (n, 3): column, row, error of the height in um

@@ -51,8 +51,7 @@ class _Sensor:
     frame_s: float  # shortest time from frame to frame
     global_shutter: bool  # all rows are exposed at once; else one after the other
     max_gain: float  # largest analogue gain
-    # largest step between two gains near a gain g: the first, plus the second times g, plus the third times g
-    # * g
+    # largest step between two gains near a gain g: the first, plus the second times g, plus the third times g * g
     gain_step: tuple[float, float, float]
     tuning: str  # libcamera's tuning of it, by file name; what would bend light is left out of it
     full_well_e: float  # electrons of a pixel at full scale and gain 1

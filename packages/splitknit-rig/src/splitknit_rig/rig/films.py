@@ -135,8 +135,7 @@ class FilmMounts:
     """Places in the rig's frame, mm, with the analyser in its parallel position."""
 
     kind: str  # see :class:`splitknit_rig.capture.pins.RigFilms`
-    # x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty
-    # without
+    # x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without
     windows: tuple[tuple[float, float, str], ...]
     window_mm: float  # radius of every window
     ring_z_mm: float  # upper face of the ring of windows

@@ -237,8 +237,7 @@ Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _WATER_ROUGHNESS = 0.05  # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
 _MOIST_ROUGHNESS = 0.18
-"""Roughness of hydrated skin between drops of water, as in a population's moist sessions (Dabrowska et al. 2016:
-smoother)."""
+"""Roughness of hydrated skin between drops of water, as in moist sessions (Dabrowska et al. 2016: smoother)."""
 _DRY_ROUGHNESS, _SCAR_ROUGHNESS = 0.5, 0.15
 _SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
 """A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment (Tseng et al. 2012

@@ -151,8 +151,7 @@ class Separated:
     """Light of one surface under one light, inside `window`, in units of the rig's intensities."""
 
     window: tuple[slice, slice]  # rows and columns of the frame
-    # (C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light
-    # included
+    # (C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light included
     direct: FloatArray
     global_: FloatArray  # (C, h, w) white minus direct
     glare: FloatArray  # (h, w) light that the surface alone reflects, the same in all channels

@@ -126,8 +126,7 @@ Enhance = Callable[[FloatArray, float, BoolArray], FloatArray]
 class Photograph:
     """One photograph of one palm or finger, with its truth."""
 
-    # (h, w, 8): see :data:`CHANNELS`; image and direct light in units of the image's exposure level, zero
-    # outside
+    # (h, w, 8): see :data:`CHANNELS`; image and direct light in units of the image's exposure level, zero outside
     pixels: NDArray[np.float16]
     corners: NDArray[np.int32]  # (n, 2) row and column of the patches' upper left corners
     facts: Mapping[str, Any]  # kind, seed, pixel size, light, optics
