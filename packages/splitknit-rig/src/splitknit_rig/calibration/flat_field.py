@@ -100,7 +100,7 @@ def _descend(problem: _Problem, vector: Array) -> Array:
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
 
 WIDTHS_DEG = (3.0, 6.0)
-"""Widths of the spot: standard deviation of the angle between the card's normal and LED and camera's half vector."""
+"""Widths of the spot: standard deviation of the angle from the card's normal to the half vector of LED and camera."""
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
