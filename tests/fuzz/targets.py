@@ -126,8 +126,7 @@ from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
 from splitknit_rig.calibration.shading_folder import read_centres
 from splitknit_rig.rig.candidates import RigCandidate
 from splitknit_rig.rig.optimise import Study, _SweepFolder
-from splitknit_simulator.training.separation import SeparationSettings
-from splitknit_simulator.training.separation_data import SeparationData
+from splitknit_simulator.training.separation import SeparationData, SeparationSettings
 from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"

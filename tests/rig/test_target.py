@@ -17,6 +17,7 @@ from splitknit_rig.rig.target import (
     _DISC_RADIUS_MM,
     POINTS_PER_MM,
     RULER_MM,
+    RULER_Y_MM,
     TargetSettings,
     dots_mm,
     target_pdf,
@@ -36,7 +37,7 @@ def card(image, settings, across, down):
     count = settings.copies[0]
     free = 210 - count * width
     x = free * (across + 1) / (count + 1) + across * width
-    y = settings.ruler_y_mm - 10 - (down + 1) * height - 3 * down
+    y = RULER_Y_MM - 10 - (down + 1) * height - 3 * down
     columns = slice(round((x + 0.5) * PX_PER_MM), round((x + width - 0.5) * PX_PER_MM))
     return image[round((297 - y - height + 0.5) * PX_PER_MM) : round((297 - y - 0.5) * PX_PER_MM), columns]
 
@@ -80,7 +81,7 @@ def test_the_disc_is_found_at_true_scale(sheet):
 
 def test_the_ruler_is_as_long_as_it_says(sheet):
     image = sheet[0]
-    row = image[round((297 - TargetSettings().ruler_y_mm) * PX_PER_MM)]
+    row = image[round((297 - RULER_Y_MM) * PX_PER_MM)]
     dark = np.flatnonzero(row < 128)
     assert len(dark) / PX_PER_MM == pytest.approx(RULER_MM, abs=0.3)
     assert (dark[-1] - dark[0]) == len(dark) - 1
@@ -93,7 +94,7 @@ def test_the_ruler_has_numbers_at_its_strokes():
     assert [int(number) for *_, number in found] == list(range(0, 101, 10))
     for x, y, number in found:  # under the stroke, above the boards
         assert float(x) + 0.75 * len(number) == pytest.approx((210 - RULER_MM) / 2 + int(number), abs=0.01)
-        assert TargetSettings().ruler_y_mm - 7 < float(y) < TargetSettings().ruler_y_mm - 3
+        assert RULER_Y_MM - 7 < float(y) < RULER_Y_MM - 3
 
 
 def test_a_folder_or_a_file_is_written(tmp_path, capsys):

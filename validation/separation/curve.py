@@ -23,12 +23,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from splitknit_simulator.training.separation import (
+    Patches,
+    Photograph,
+    SeparationData,
     SeparationSettings,
     SeparationTrainer,
     stored_photographs,
     train_separation,
 )
-from splitknit_simulator.training.separation_data import Patches, Photograph, SeparationData
 from splitknit_simulator.training.trainer import TrainingRun
 
 HERE = Path(__file__).resolve().parent

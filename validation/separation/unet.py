@@ -38,7 +38,7 @@ from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.separation.stacks import StackSettings
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
-from splitknit_simulator.training.separation_data import (
+from splitknit_simulator.training.separation import (
     Photograph,
     SeparationData,
     drawn_surface,

@@ -24,8 +24,7 @@ from splitknit.io.images import write_image
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
 from splitknit_simulator.finger.master_print import ink_print, master_print
-from splitknit_simulator.population.folder import _jobs_of, _population_hash
-from splitknit_simulator.population.prints import choose_prints
+from splitknit_simulator.population.folder import _jobs_of, _population_hash, choose_prints
 from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
 SMALL = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb", "--sessions", "2")

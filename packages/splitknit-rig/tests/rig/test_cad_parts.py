@@ -14,7 +14,14 @@ from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.settings import override
 from splitknit_rig.rig import assembly
 from splitknit_rig.rig.assembly import STACK, STACK_BELOW, build_parts
-from splitknit_rig.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, _mirror_front, dimensions_of, holder_places
+from splitknit_rig.rig.dimensions import (
+    POCKET_MM,
+    SCREWS_A_DEG,
+    SCREWS_B_DEG,
+    _mirror_front,
+    dimensions_of,
+    holder_places,
+)
 from splitknit_rig.rig.films import film_mounts, with_films
 from splitknit_rig.rig.part_reports import _check_soundness, _first_hits, report_part
 from splitknit_rig.rig.part_settings import (
@@ -224,7 +231,7 @@ def test_mirrors_stand_beside_the_finger_at_45_deg(rig):
         assert shared_volume(first, second) < 1e-6
     mirror = dimensions.settings.mirror
     u, v = _mirror_front()
-    foot = dimensions.floor_z_mm - dimensions.pocket_mm
+    foot = dimensions.floor_z_mm - POCKET_MM
     glass = build123d.Solid.make_box(mirror.wide_mm, MIRROR_LONG_MM, MIRROR_THICK_MM)
     glass = (
         build123d.Pos(x + u, y - MIRROR_LONG_MM / 2, foot + v)

@@ -31,7 +31,6 @@ from splitknit import (
     write_rig,
 )
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BenchSettings,
     DarkScene,
     SightLines,
@@ -44,6 +43,7 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
 from splitknit_simulator.rigs import built_rig
+from splitknit_simulator.surface import Array
 
 MARKER = "rig_true.json"
 NAIL_MM = 13.0
@@ -51,14 +51,11 @@ NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 """Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
 EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
-PUPIL_MM = 1.6
-"""A lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels."""
+PUPIL_MM = 1.6  # a lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels
 _LONGEST = EXPOSURES_S[-1]
 _EXPOSED = 0.9
-ANALYSER_DEG = (80, 85, 95, 100)
-"""Positions of the analyser between those of polarised captures, 0 and 90."""
-_LONGER = 64.0
-"""The ball behind a crossed analyser is exposed longer, up to so many times."""
+ANALYSER_DEG = (80, 85, 95, 100)  # positions of the analyser between those of polarised captures, 0 and 90
+_LONGER = 64.0  # the ball behind a crossed analyser is exposed longer, up to so many times
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,10 +258,8 @@ class BlackBallScene(SphereScene):
     chrome: bool = True
     reflectance: float | None = 0.01
     ground: float = 0.025
-    extinction: float = 1000.0
-    """Extinction of both films together; each is twice as good."""
-    angle_deg: tuple[float, ...] = ()
-    """Angle of each LED's polariser, from the image's columns towards up."""
+    extinction: float = 1000.0  # extinction of both films together; each is twice as good
+    angle_deg: tuple[float, ...] = ()  # angle of each LED's polariser, from the image's columns towards up
     analyser_deg: float = 0.0
 
     def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig, require
 from splitknit_simulator.light.lighting import (
@@ -39,9 +38,7 @@ from splitknit_simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 
 def _light_through(patch: Patch, lights: Sequence[Light], roughness: float) -> tuple[FloatArray, FloatArray]:
@@ -212,16 +209,11 @@ def _put(frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slic
 # What stands around the finger where there are mirrors: holders, glass, the tube behind it, dust.
 
 
-_PLASTIC_ALBEDO = 0.04
-"""Albedo of holders and tube: black print."""
-_GLASS_ALBEDO = 0.12
-"""Albedo of the mirrors' ground upper edge."""
-_TUBE_MM = 52.0
-"""Inner radius of the tube around the finger."""
-_STRAY_SHARE = 0.1
-"""Light that comes to the tube by way of other things, against that of a white card under the LED."""
-_LID_SHARE = 0.2
-"""Light from what hangs above the finger, which a second mirror shows, against that from the tube."""
+_PLASTIC_ALBEDO = 0.04  # albedo of holders and tube: black print
+_GLASS_ALBEDO = 0.12  # albedo of the mirrors' ground upper edge
+_TUBE_MM = 52.0  # inner radius of the tube around the finger
+_STRAY_SHARE = 0.1  # light that comes to the tube by way of other things, against that of a white card under the LED
+_LID_SHARE = 0.2  # light from what hangs above the finger, which a second mirror shows, against that from the tube
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,8 +221,7 @@ class _Plate:
     """A flat piece of plastic or glass in the picture."""
 
     coverage: Coverage
-    middle: Array
-    """(3,) mm, where it truly is."""
+    middle: Array  # (3,) mm, where it truly is
     normal: Array
     albedo: float
 
@@ -243,18 +234,13 @@ class _Plate:
 class _Frame:
     """Everything of one mirror but the finger."""
 
-    holder: tuple[_Plate, ...]
-    """Behind and beside the face, in front of the background."""
-    lip: tuple[_Plate, ...]
-    """In front of the face."""
+    holder: tuple[_Plate, ...]  # behind and beside the face, in front of the background
+    lip: tuple[_Plate, ...]  # in front of the face
+    # what the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is
     reflected_lip: tuple[_Plate, ...]
-    """What the mirror shows of the lip; its `coverage` is in the mirror, the rest as it truly is."""
-    opposite: tuple[Coverage, ...]
-    """Where it shows the other mirrors."""
-    wall: _Plate
-    """The tube on the far side of the finger."""
-    dust: FloatArray
-    """(H, W) albedo of the specks on the face."""
+    opposite: tuple[Coverage, ...]  # where it shows the other mirrors
+    wall: _Plate  # the tube on the far side of the finger
+    dust: FloatArray  # (H, W) albedo of the specks on the face
 
 
 def _mirror_frame(

@@ -20,14 +20,11 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, surface_truth, take_capture
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array
 
 _INSERTION_MM = (28.7, 30.3)
 """From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
-_FADE_MM = 3.0
-"""Width over which the ridges fade."""
+_FADE_MM = 3.0  # width over which the ridges fade
 
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
 """How much further than the master print the skin's map reaches, to either side and beyond the tip."""
@@ -67,8 +64,7 @@ class Drawn:
     pose: FingerPose
     rig: Rig
     skin: SkinOptics
-    photo_seed: np.random.SeedSequence
-    """Seed of background and noise."""
+    photo_seed: np.random.SeedSequence  # seed of background and noise
 
 
 def photograph_between_mirrors(
@@ -150,9 +146,7 @@ _PROXIMAL_MM = 6.0
 
 
 def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
-    """What each view shows, where `masks` (H, W) leave it visible, behind its mirror in the rig's frame; the true
-    mirrors.
-    """
+    """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its mirror."""
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface

@@ -22,9 +22,8 @@ from splitknit_simulator.finger.raycast import (
     rays_of,
 )
 from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
 
 
@@ -32,10 +31,8 @@ Numbers = NDArray[np.floating]
 class _Reflection:
     """Reflection in a plane: x -> matrix x + offset, its own inverse."""
 
-    matrix: Array
-    """(3, 3)."""
-    offset: Array
-    """(3,) mm."""
+    matrix: Array  # (3, 3)
+    offset: Array  # (3,) mm
 
     @classmethod
     def of(cls, mirror: Mirror) -> _Reflection:
@@ -69,8 +66,7 @@ class _Reflection:
 class _Gate:
     """The outline through which light must pass: the face of a mirror, convex."""
 
-    corners: Array
-    """(N, 3)."""
+    corners: Array  # (N, 3)
 
     def reflected(self, reflection: _Reflection) -> _Gate:
         """The same outline behind a mirror."""
@@ -134,8 +130,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     return [Light(led), *(Light(image, _Gate(np.asarray(corners))) for image, corners in reflected)]
 
 
-_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
-"""Turns about any axis and shifts along any axis beyond this are cut off to it."""
+_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0  # turns about any axis and shifts along any axis beyond this are cut off to it
 
 
 def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tuple[Mirror, ...]:
@@ -158,8 +153,7 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # What a camera sees in a mirror: the surface of the reflected finger.
 
-BEYOND_MM = 3.0
-"""How far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline."""
+BEYOND_MM = 3.0  # how far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline
 PROXIMAL_MM = 32.0
 """What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
 _FINE = 8
@@ -169,23 +163,19 @@ _FINE = 8
 class Coverage:
     """How much of each pixel something flat covers."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame; empty where it lies outside."""
-    fraction: FloatArray
-    """(h, w) inside the window, 0 to 1."""
+    window: tuple[slice, slice]  # rows and columns of the frame; empty where it lies outside
+    fraction: FloatArray  # (h, w) inside the window, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReflectedView:
     """One mirror and what the camera sees in it."""
 
-    mirror: Mirror
-    """As it truly is."""
+    mirror: Mirror  # as it truly is
     reflection: _Reflection
+    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror
     surface: SimulatedSurface
-    """The reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror."""
-    coverage: Coverage
-    """The face in the picture."""
+    coverage: Coverage  # the face in the picture
 
     @property
     def mask(self) -> BoolArray:

@@ -62,8 +62,7 @@ class _Tolerances:
     """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
     off its lens's axis and 1 mm along it from lot to lot."""
     led_beam_deg: float = 2.0
-    """Per axis: data sheets of 5 mm LEDs allow the beam +-5 deg against the package (2 deg as a deviation); the seat
-    adds half a degree."""
+    """Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
     led_half_angle: float = 0.08
     """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
     led_intensity: float = 0.1
@@ -71,8 +70,7 @@ class _Tolerances:
     focal_length: float = 0.01
     """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
     camera_height_mm: float = 0.5
-    """Uncertainty of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing
-    lacks."""
+    """Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
     camera_tilt_deg: float = 0.3
     """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
     camera_shift_mm: float = 0.3
@@ -80,8 +78,7 @@ class _Tolerances:
     principal_point: float = 0.005
     """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
     corner_distortion: float = 0.005
-    """Largest shift of the image's corners by distortion, relative (evenly drawn, either sign): long lenses distort by
-    well below 1 %."""
+    """Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
     corner_vignetting: tuple[float, float] = (0.10, 0.20)
     """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
 
@@ -187,6 +184,9 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
 SIDES = ("left", "right", "tip")
 
 _Length = Annotated[float, Limits(0.0, 200.0)]
+_CLEARANCE_MM = 0.2  # of all joints
+_FINGER_CLEARANCE_MM = 2.0  # between the widest finger and the walls of the groove, both sides together
+_PHALANX_MM = 30.0  # length of the last phalanx, tip to crease: in a large picture its centre is the picture's
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,20 +207,14 @@ class _MirrorParts(Checked):
     """Between the groove's block and a holder."""
     lip_mm: _Length = 0.8
     """How much of the mirror's lower edge the holder's lip covers."""
-    clearance_mm: _Length = 0.2
-    """Clearance of all joints."""
     wall_mm: _Length = 2.4
     """Thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
     pad_height_mm: _Length = 21.2
     """Height of the finger plane over the groove's bottom."""
     widest_mm: _Length = 22.0
     """Width of the widest finger."""
-    finger_clearance_mm: _Length = 2.0
-    """Between the widest finger and the walls of the groove, both sides together."""
     tip_margin_mm: _Length = 27.0
     """From the fingertip's stop to the picture's upper border."""
-    phalanx_mm: _Length = 30.0
-    """Length of the last phalanx, tip to crease: in a large picture its centre is the picture's."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -301,7 +295,7 @@ def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...
 
 def stop_y_mm(parts: _MirrorParts, camera: Camera) -> float:
     """Return where the fingertip stops, in the rig's frame."""
-    return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, parts.phalanx_mm / 2)
+    return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, _PHALANX_MM / 2)
 
 
 def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
@@ -315,14 +309,14 @@ def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
     """
     p, along, behind = parts, np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
     front = np.array(
-        [(p.clearance_mm + _LIP_WALL_MM) * _HALF + 0.2, (p.thick_mm + p.clearance_mm) * _HALF + _LIP_WALL_MM]
+        [(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (p.thick_mm + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM]
     )
     low, high = front + p.lip_mm * along, front + p.wide_mm * along
-    inside = front - p.clearance_mm * behind
+    inside = front - _CLEARANCE_MM * behind
     outside = inside - _LIP_WALL_MM * behind
     start = np.array([0.0, outside[1] - outside[0]])
     inside, outside = inside + p.lip_mm * along, outside + p.lip_mm * along
-    edge = high + (p.thick_mm + p.clearance_mm) * behind
+    edge = high + (p.thick_mm + _CLEARANCE_MM) * behind
     return {
         "face": (low, high),
         "glass": (high, high + p.thick_mm * behind),
@@ -338,7 +332,7 @@ def holder_quad(parts: _MirrorParts, name: str, camera: Camera, low: Array, high
     p, stop = parts, stop_y_mm(parts, camera)
     foot = -p.pad_height_mm + _GROOVE_IN_FLOOR_MM - _POCKET_MM
     half = p.long_mm / 2
-    side = (p.widest_mm + p.finger_clearance_mm) / 2 + p.wall_mm + p.gap_mm
+    side = (p.widest_mm + _FINGER_CLEARANCE_MM) / 2 + p.wall_mm + p.gap_mm
     middle, tip = stop + 1.0 - half, stop + p.wall_mm + p.gap_mm
     corners = [(low, -half), (low, half), (high, half), (high, -half)]
     if name == "tip":

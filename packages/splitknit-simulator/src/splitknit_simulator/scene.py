@@ -47,12 +47,9 @@ from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, Ski
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
 
-BACKGROUND_MM = 10.0
-"""Distance of the background below the finger plane."""
-_DUST_ALBEDO = 0.3
-"""Largest albedo of a speck; they lie between a tenth of it and all of it."""
-_SHADED_ROWS = 0.25
-"""Fraction of the frame, from its last row, that the hand's shadow covers."""
+BACKGROUND_MM = 10.0  # distance of the background below the finger plane
+_DUST_ALBEDO = 0.3  # largest albedo of a speck; they lie between a tenth of it and all of it
+_SHADED_ROWS = 0.25  # fraction of the frame, from its last row, that the hand's shadow covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,9 +297,7 @@ class Scene:
         return np.stack([light * self.albedo[channel] for channel in channels], axis=-1)
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
-        """(H, W, 3) what the pixels see under the LEDs of a group together, and the `ambient` light; `light`: of all
-        `leds`.
-        """
+        """(H, W, 3) what the pixels see under a group's LEDs together and `ambient` light; `light`: of all `leds`."""
         mixing, frame = self._mixing, ambient.copy()
         for k in group:
             card = white_card(self.rig.camera, leds[k], -BACKGROUND_MM)
@@ -382,9 +377,7 @@ class Scene:
         dark: FloatArray,
         seed: np.random.SeedSequence,
     ) -> Band:
-        """Take one band's images, an exposure of each of `groups` of the rig's LEDs, and its ambient frame of `dark`
-        (H, W, 3).
-        """
+        """Take a band's images, an exposure of each of `groups` of LEDs, and its ambient frame of `dark` (H, W, 3)."""
         rig, seeds = self.rig, seed.spawn(len(groups) + 1)
         leds = [rig.leds[k] for group in groups for k in group]
         with ThreadPoolExecutor(self.settings.render.workers) as pool:

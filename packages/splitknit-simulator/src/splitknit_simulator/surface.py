@@ -11,20 +11,17 @@ from numpy.typing import NDArray
 
 from splitknit import BoolArray, Camera, FloatArray, require
 
-WATER = 1.333
-"""Refractive index of water (Hale and Querry 1973)."""
+Array = NDArray[np.float64]
+WATER = 1.333  # refractive index of water (Hale and Querry 1973)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Film:
     """Water on the skin, seen from above."""
 
-    fraction: FloatArray
-    """(H, W) fraction of the pixel that is under water."""
-    normals: FloatArray
-    """(H, W, 3) unit normals of the water's surface, those of the skin where there is none."""
-    roughness: FloatArray
-    """(H, W) GGX alpha of the water's surface, with the bend inside a pixel."""
+    fraction: FloatArray  # (H, W) fraction of the pixel that is under water
+    normals: FloatArray  # (H, W, 3) unit normals of the water's surface, those of the skin where there is none
+    roughness: FloatArray  # (H, W) GGX alpha of the water's surface, with the bend inside a pixel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,20 +40,16 @@ class Coat:
 
     kind: str
     severity: float
-    fraction: FloatArray
-    """(H, W) fraction of each pixel that is affected."""
+    fraction: FloatArray  # (H, W) fraction of each pixel that is affected
+    # (H, W) GGX alpha of the skin across its ridges; None: the skin's own everywhere
     roughness: FloatArray | None = None
-    """(H, W) GGX alpha of the skin across its ridges; None: the skin's own everywhere."""
-    roughness_along: FloatArray | None = None
-    """(H, W) GGX alpha along `along`; None: as across."""
-    along: FloatArray | None = None
-    """(H, W, 3) unit vectors along the ridges, in the surface."""
+    roughness_along: FloatArray | None = None  # (H, W) GGX alpha along `along`; None: as across
+    along: FloatArray | None = None  # (H, W, 3) unit vectors along the ridges, in the surface
     film: Film | None = None
-    scales: FloatArray | None = None
-    """(H, W) diffuse white reflectance of horny scales above the skin."""
+    scales: FloatArray | None = None  # (H, W) diffuse white reflectance of horny scales above the skin
     grains: Grains | None = None
+    # for each channel: diffuse reflectance of the affected skin over that of the rest
     tint: Mapping[str, float] = field(default_factory=dict)
-    """For each channel: diffuse reflectance of the affected skin over that of the rest."""
 
     def truth(self) -> dict[str, NDArray[Any]]:
         """Arrays by name for the capture's truth."""
@@ -71,13 +64,11 @@ class Coat:
 class Texture:
     """What varies over the skin's surface and is no relief, on the camera's pixels."""
 
-    gloss: FloatArray
-    """(H, W) specular reflection over its mean: sweat."""
-    blood: FloatArray
-    """(H, W) how much darker blood makes green light, as a natural logarithm: mottled skin."""
+    gloss: FloatArray  # (H, W) specular reflection over its mean: sweat
+    blood: FloatArray  # (H, W) how much darker blood makes green light, as a natural logarithm: mottled skin
+    # (4, H, W) factor of red, green, blue and near-infrared light from within the skin, the same in all
+    # images: the sensor's fixed pattern, or the noise of a light-transport simulation that all lights share
     grain: FloatArray | None = None
-    """(4, H, W) factor of red, green, blue and near-infrared light from within the skin, the same in all images: the
-    sensor's fixed pattern, or the noise of a light-transport simulation that all lights share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,32 +79,24 @@ class SimulatedSurface:
     """
 
     camera: Camera
-    height_mm: FloatArray
-    """(H, W) z of the skin with ridges, NaN outside `mask`."""
-    shape_mm: FloatArray
-    """(H, W) z of the same finger without ridges, pores and creases, NaN outside `mask`."""
-    normals: FloatArray
-    """(H, W, 3) unit normals of `height_mm`, zero outside `mask`."""
-    shape_normals: FloatArray
-    """(H, W, 3) unit normals of `shape_mm`, zero outside `mask`."""
+    height_mm: FloatArray  # (H, W) z of the skin with ridges, NaN outside `mask`
+    shape_mm: FloatArray  # (H, W) z of the same finger without ridges, pores and creases, NaN outside `mask`
+    normals: FloatArray  # (H, W, 3) unit normals of `height_mm`, zero outside `mask`
+    shape_normals: FloatArray  # (H, W, 3) unit normals of `shape_mm`, zero outside `mask`
+    # (H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in valleys, zero outside
     relief_um: FloatArray
-    """(H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in valleys, zero outside."""
-    mask: BoolArray
-    """(H, W) true where the camera sees the finger."""
+    mask: BoolArray  # (H, W) true where the camera sees the finger
+    # (H, W) multiplier of the diffuse reflectance (creases and pores are darker), one on plain skin
     pigment: FloatArray
-    """(H, W) multiplier of the diffuse reflectance (creases and pores are darker), one on plain skin."""
+    # what the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels
     landmarks: Mapping[str, Any] = field(default_factory=dict)
-    """What the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels."""
+    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid gives it
     x_mm: FloatArray | None = None
-    """(H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid gives it."""
-    y_mm: FloatArray | None = None
-    """(H, W) y of the same points."""
+    y_mm: FloatArray | None = None  # (H, W) y of the same points
+    # (H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for
     chart: FloatArray | None = None
-    """(H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for."""
-    coat: Coat | None = None
-    """What lies on the skin; None where it is clean and bare."""
-    texture: Texture | None = None
-    """Mottled blood and patches of sweat; None: even."""
+    coat: Coat | None = None  # what lies on the skin; None where it is clean and bare
+    texture: Texture | None = None  # mottled blood and patches of sweat; None: even
 
     def __post_init__(self) -> None:
         require(

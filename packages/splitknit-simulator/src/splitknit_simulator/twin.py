@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
-    Camera,
     Capture,
     FloatArray,
     Led,
@@ -279,8 +278,9 @@ def _photograph_moving(
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
-        light = scene.behind_films(name, scene.render(name, [rig.leds[k] for k in leds]), leds)
-        lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
+        lamps = [rig.leds[k] for k in leds]
+        light = scene.behind_films(name, scene.render(name, lamps), leds)
+        lit.setdefault(name, []).append(_Shot(scene, light, lamps, leds, smear))
 
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
         return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
@@ -294,17 +294,10 @@ class _Shot:
     """The finger at one place under one exposure's LEDs."""
 
     scene: Scene
-    light: BandLight
-    """Light of every LED of the exposure."""
-    leds: tuple[int, ...]
-    """Their numbers in the rig."""
-    smear: FloatArray
-    """Kernel of the blur within the exposure."""
-
-    @property
-    def members(self) -> list[Led]:
-        """The exposure's LEDs."""
-        return [self.scene.rig.leds[k] for k in self.leds]
+    light: BandLight  # light of every LED of the exposure
+    members: list[Led]  # the exposure's LEDs
+    leds: tuple[int, ...]  # their numbers in the rig
+    smear: FloatArray  # kernel of the blur within the exposure
 
 
 def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
@@ -351,9 +344,8 @@ HalfArray = NDArray[np.float16]
 class FingerScene:
     """One finger, laid down once, under any LEDs of a rig.
 
-    The finger, its skin and its pose are those of :func:`splitknit_simulator.twin.simulate_capture` with the same
-    arguments. Each band's light is rendered once, when one of its LEDs is lit first, and kept. The ambient
-    light is the same whichever LED is lit.
+    It is that of :func:`splitknit_simulator.twin.simulate_capture` with the same arguments. Each band's light is
+    rendered once, when one of its LEDs is lit first, and kept. The ambient light is the same whichever LED is lit.
     """
 
     def __init__(
@@ -369,22 +361,13 @@ class FingerScene:
         settings = replace(settings or TwinSettings(), films=FilmSettings())
         self.surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
+        self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
         """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR); half floats, whose
         steps are a tenth of the noise."""
         self._room: FloatArray | None = None
-
-    @property
-    def camera(self) -> Camera:
-        """The camera that looks at the finger."""
-        return self.rig.camera
-
-    @property
-    def leds(self) -> tuple[Led, ...]:
-        """LEDs of the rig."""
-        return self.rig.leds
 
     def light(self, lit: Sequence[int]) -> FloatArray:
         """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no

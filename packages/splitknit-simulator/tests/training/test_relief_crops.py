@@ -8,9 +8,9 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.view import _pixel_axes_mm
 from splitknit_simulator.light.renderer import BandLight
-from splitknit_simulator.training import relief_data
+from splitknit_simulator.training import relief
 from splitknit_simulator.training.fields import FIELDS
-from splitknit_simulator.training.relief_data import (
+from splitknit_simulator.training.relief import (
     CHANNELS,
     GLARE,
     RELIEF,
@@ -28,15 +28,15 @@ SIDE = 180 - 2 * TRIM_PX
 def taken():
     """Pieces of a finger, and what each was assembled from."""
     seen = []
-    plain, surface, surfaces = relief_data._assembled, relief_data.finger_surface, []
+    plain, surface, surfaces = relief._assembled, relief.finger_surface, []
 
     def assembled(white, grid, surface_mm, light, truth):
         seen.append((white, grid, surface_mm, truth))
         return plain(white, grid, surface_mm, light, truth)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(relief_data, "_assembled", assembled)
-        patch.setattr(relief_data, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
+        patch.setattr(relief, "_assembled", assembled)
+        patch.setattr(relief, "finger_surface", lambda *a, **k: surfaces.append(surface(*a, **k)) or surfaces[-1])
         return training_crops(7000, SMALL), seen, surfaces[0]
 
 
@@ -82,7 +82,7 @@ def test_rendered_light_is_put_where_its_window_says() -> None:
     light = np.arange(2 * 4 * 5, dtype=np.float32).reshape(2, 4, 5)
     # rows 9 to 12 and columns 18 to 22 of the picture; the piece begins at row 10 and column 20
     band = BandLight((slice(9, 13), slice(18, 23)), light, light)
-    piece = relief_data._placed(light, band, (slice(10, 16), slice(20, 26)))
+    piece = relief._placed(light, band, (slice(10, 16), slice(20, 26)))
     assert piece.shape == (2, 6, 6)
     np.testing.assert_array_equal(piece[:, :3, :3], light[:, 1:, 2:])
     assert piece[:, 3:].sum() == 0 and piece[:, :, 3:].sum() == 0

@@ -17,11 +17,11 @@ from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit_simulator import twin
 from splitknit_simulator.finger.master_print import ink_print, master_print
 from splitknit_simulator.training.fields import FIELDS
-from splitknit_simulator.training.relief import SYMMETRY
-from splitknit_simulator.training.relief_data import (
+from splitknit_simulator.training.relief import (
     CHANNELS,
     GLARE,
     RELIEF,
+    SYMMETRY,
     WEIGHT,
     ReliefData,
     _assembled,

@@ -17,8 +17,12 @@ from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import SHAPE_SLOPE, _shape_features
 from splitknit_simulator.training.fields import FIELDS
 from splitknit_simulator.training.scenes import photograph_scene
-from splitknit_simulator.training.shape import CHANNELS, OF_NIR, SLOPES, SYMMETRY, WEIGHT
-from splitknit_simulator.training.shape_data import (
+from splitknit_simulator.training.shape import (
+    CHANNELS,
+    OF_NIR,
+    SLOPES,
+    SYMMETRY,
+    WEIGHT,
     ShapeData,
     _assembled_shape,
     _draw_shape_scene,

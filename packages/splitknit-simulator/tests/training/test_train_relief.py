@@ -9,12 +9,15 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit_simulator.training.fields import FIELDS, draw_batch, draw_patch, field_scale
 from splitknit_simulator.training.relief import (
+    CHANNELS,
+    GLARE,
+    RELIEF,
     SYMMETRY,
     TASK,
+    WEIGHT,
     ReliefSettings,
     _judged,
 )
-from splitknit_simulator.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
 flipped, transposed, oriented = SYMMETRY.flipped, SYMMETRY.transposed, SYMMETRY.oriented
 

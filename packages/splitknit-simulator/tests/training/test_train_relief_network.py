@@ -11,14 +11,17 @@ from splitknit.networks.unet import network_of, read_network, run_network
 from splitknit_simulator.training.fields import FieldsTrainer, field_scale
 from splitknit_simulator.training.networks import fields_network
 from splitknit_simulator.training.relief import (
+    CHANNELS,
+    GLARE,
     NETWORK,
     PARTS,
+    RELIEF,
     TASK,
+    WEIGHT,
     ReliefSettings,
     _judge_middle,
     _relief_losses,
 )
-from splitknit_simulator.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 from splitknit_simulator.training.trainer import packed
 
 torch = pytest.importorskip("torch")

@@ -16,10 +16,14 @@ from splitknit_simulator.cli.train import TrainReliefJob, _curve_svg
 from splitknit_simulator.training import relief as app
 from splitknit_simulator.training.fields import _network_metrics, train_fields
 from splitknit_simulator.training.relief import (
+    CHANNELS,
+    GLARE,
+    RELIEF,
     TASK,
+    WEIGHT,
+    ReliefData,
     ReliefSettings,
 )
-from splitknit_simulator.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
 from splitknit_simulator.training.trainer import HELD_OUT_FROM, TrainingRun
 
 torch = pytest.importorskip("torch")

@@ -16,8 +16,16 @@ from splitknit.networks.unet import card_bytes, network_of, read_network, run_ne
 from splitknit.separation.direct import direct_light
 from splitknit_simulator.light.skin import SkinRanges
 from splitknit_simulator.training.networks import load_torch, unet, unet_reach
-from splitknit_simulator.training.separation import SeparationSettings, SeparationTrainer, _learning_factor, _levelled
-from splitknit_simulator.training.separation_data import Patches, Photograph, SeparationData, photographs
+from splitknit_simulator.training.separation import (
+    Patches,
+    Photograph,
+    SeparationData,
+    SeparationSettings,
+    SeparationTrainer,
+    _learning_factor,
+    _levelled,
+    photographs,
+)
 
 SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
 

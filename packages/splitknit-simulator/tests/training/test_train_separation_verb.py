@@ -31,7 +31,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs of noise in the place of skin."""
     import numpy as np
 
-    from splitknit_simulator.training.separation_data import Photograph
+    from splitknit_simulator.training.separation import Photograph
 
     def shoot(kind: str, index: int, seed: int, settings: Any, enhance: Any) -> list[Photograph]:
         rng = np.random.default_rng([kind == "finger", index, seed])

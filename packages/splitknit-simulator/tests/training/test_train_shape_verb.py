@@ -20,9 +20,9 @@ from splitknit_simulator.training.shape import (
     SLOPES,
     TASK,
     WEIGHT,
+    ShapeData,
     ShapeNetSettings,
 )
-from splitknit_simulator.training.shape_data import ShapeData
 from splitknit_simulator.training.trainer import HELD_OUT_FROM, TrainingRun
 
 

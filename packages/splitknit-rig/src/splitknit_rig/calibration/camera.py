@@ -12,18 +12,15 @@ import numpy as np
 from splitknit import Array, BadInput, FloatArray, require
 from splitknit_rig.calibration.targets import Board
 
-TERMS = ("k1", "k2", "p1", "p2", "k3")
-"""Coefficients of the distortion, in OpenCV's order."""
+TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order
 _STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
 """Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
 _UNDETERMINED = (
     "the photographs do not determine the camera (no camera fits them, as when all boards lie parallel to the sensor); "
     "tilt the board by 20 to 40 deg to several sides, and let it fill the picture."
 )
-_LONGEST = 40.0
-"""Focal lengths above this many image sides are the sign of a fit that ran away."""
-_SIGNIFICANCE = 4.0
-"""A term is kept where it differs from nothing by more than this many standard deviations."""
+_LONGEST = 40.0  # focal lengths above this many image sides are the sign of a fit that ran away
+_SIGNIFICANCE = 4.0  # a term is kept where it differs from nothing by more than this many standard deviations
 _PRINCIPAL_LIMIT = 0.05
 """The principal point is held in the image's middle where its standard deviation exceeds this part of the image."""
 _GROSS_ASPECT = 0.015
@@ -34,30 +31,23 @@ _GROSS_ASPECT = 0.015
 class _LensFit:
     """A camera matrix with distortion, and where the board stood in each view."""
 
-    matrix: Array
-    """(3, 3) in pixels."""
-    distortion: tuple[float, ...]
-    """k1, k2, p1, p2, k3."""
+    matrix: Array  # (3, 3) in pixels
+    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
+    # standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted
     deviations: dict[str, float]
-    """Standard deviations: ``fx``, ``fy``, ``cx``, ``cy`` in pixels and the terms that were fitted."""
-    rms_px: float
-    """Root of the mean squared distance between corners and their prediction."""
-    view_rms_px: Array
-    """(V,) the same for each view."""
+    rms_px: float  # root of the mean squared distance between corners and their prediction
+    view_rms_px: Array  # (V,) the same for each view
+    # (V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera
     normals: Array
-    """(V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera."""
-    fitted: tuple[str, ...]
-    """What was fitted beside the focal length."""
-    fixed: Mapping[str, str] = field(default_factory=dict)
-    """What was held, and why."""
+    fitted: tuple[str, ...]  # what was fitted beside the focal length
+    fixed: Mapping[str, str] = field(default_factory=dict)  # what was held, and why
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Views:
     boards: list[FloatArray]
     corners: list[FloatArray]
-    size: tuple[int, int]
-    """Columns, rows of the images."""
+    size: tuple[int, int]  # columns, rows of the images
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
@@ -182,24 +172,17 @@ _HOLDING = {
 }
 
 
-_MIN_VIEWS = 5
-"""Views that must remain."""
+_MIN_VIEWS = 5  # views that must remain
 _OUTLIER_RATIO = 1.6
 """A view is rejected if its error exceeds the median by this factor ..."""
 _OUTLIER_SPREAD = 5.0
 """... and by this many times the robust spread of all errors."""
-_SAME_PX = 0.3
-"""Views whose corners differ by less than this (rms) are one view, photographed twice."""
-_MAX_FOCAL_ERROR = 0.01
-"""Relative standard deviation of the focal length from which views are refused."""
-_FOCAL_WARNED = 0.003
-"""The same, from which there is a warning."""
-_MAX_ASPECT = 0.02
-"""Difference of fx / fy from one that is refused: sensors have square pixels."""
-_MIN_VARIETY_DEG = 10.0
-"""Views should hold boards whose normals differ by more than this."""
-_MIN_COVERAGE = 0.5
-"""Part of the picture that the corners of all views together should span."""
+_SAME_PX = 0.3  # views whose corners differ by less than this (rms) are one view, photographed twice
+_MAX_FOCAL_ERROR = 0.01  # relative standard deviation of the focal length from which views are refused
+_FOCAL_WARNED = 0.003  # the same, from which there is a warning
+_MAX_ASPECT = 0.02  # difference of fx / fy from one that is refused: sensors have square pixels
+_MIN_VARIETY_DEG = 10.0  # views should hold boards whose normals differ by more than this
+_MIN_COVERAGE = 0.5  # part of the picture that the corners of all views together should span
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,20 +190,13 @@ class CameraCalibration:
     """A calibrated camera, with what it rests on."""
 
     lens: _LensFit
-    image_size: tuple[int, int]
-    """Rows, columns."""
-    used: tuple[str, ...]
-    """Names of the views that were fitted; `lens.view_rms_px` is in their order."""
-    rejected: dict[str, float]
-    """Views with too large an error: that error in pixels, when it was rejected."""
-    repeated: dict[str, str]
-    """Views that show the same as another, and that other."""
-    tilts_deg: Array
-    """(V,) angle between each board and the sensor."""
-    variety_deg: float
-    """Largest angle between two boards."""
-    coverage: float
-    """Part of the picture that the corners span."""
+    image_size: tuple[int, int]  # rows, columns
+    used: tuple[str, ...]  # names of the views that were fitted; `lens.view_rms_px` is in their order
+    rejected: dict[str, float]  # views with too large an error: that error in pixels, when it was rejected
+    repeated: dict[str, str]  # views that show the same as another, and that other
+    tilts_deg: Array  # (V,) angle between each board and the sensor
+    variety_deg: float  # largest angle between two boards
+    coverage: float  # part of the picture that the corners span
     warnings: tuple[str, ...]
 
 

@@ -180,8 +180,7 @@ def _binning(job: CameraJob, columns: int) -> float:
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LEAST = 5
-_LOOKED_AT = 6
-"""Photographs in which a board of another size is sought."""
+_LOOKED_AT = 6  # photographs in which a board of another size is sought
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -301,8 +300,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
 # What a camera's calibration found: as facts for programs and as provenance for the rig file, with its warnings.
 
 _TILT_LIMIT_DEG = 1.0
-_POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3
-"""Photographs of one plane that differ by more are warned about."""
+_POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3  # photographs of one plane that differ by more are warned about
 
 
 def camera_facts(found: MeasuredCamera) -> dict[str, Any]:

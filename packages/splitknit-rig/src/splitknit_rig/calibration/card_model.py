@@ -28,18 +28,15 @@ from numpy.typing import NDArray
 
 from splitknit import Array, Camera, Led, plane_points, require, shading_at
 
-UNIT_MM2 = 1e4
-"""An LED of intensity one gives the irradiance one at 100 mm."""
+UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
 
 
 @dataclass(frozen=True, slots=True)
 class CardPlane:
     """Where a card lies."""
 
-    height_mm: float = 0.0
-    """z of its surface on the camera's axis: its thickness, if it lies on the finger plane."""
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    """Parts along x and y of its turn against the finger plane, right-handed."""
+    height_mm: float = 0.0  # z of its surface on the camera's axis: its thickness, if it lies on the finger plane
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # parts along x and y of its turn against the finger plane, right-handed
 
     def __post_init__(self) -> None:
         require(abs(self.height_mm) <= 1000, f"the card's height must be in mm, but it is {self.height_mm:g}.")
@@ -98,10 +95,8 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
-_MIN_EXPONENT = 0.02
-"""Least exponent of a beam: below it an aim has no meaning."""
-_MAX_TILT = 0.7
-"""Largest tilt of an aim from the direction to the origin: 35 deg."""
+_MIN_EXPONENT = 0.02  # least exponent of a beam: below it an aim has no meaning
+_MAX_TILT = 0.7  # largest tilt of an aim from the direction to the origin: 35 deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +104,9 @@ class Order:
     """Which parameters are free."""
 
     name: str
-    lens: int = 0
-    """Coefficients of the lens's fall-off."""
-    beam: str = "none"
-    """Exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``."""
-    aims: bool = False
-    """Whether every LED has an axis of its own; all point to the origin otherwise."""
+    lens: int = 0  # coefficients of the lens's fall-off
+    beam: str = "none"  # exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``
+    aims: bool = False  # whether every LED has an axis of its own; all point to the origin otherwise
 
 
 LADDER = (
@@ -131,14 +123,10 @@ LADDER = (
 class Answer:
     """Parameters of the model, written out for every LED."""
 
-    brightness: Array
-    """(L,)."""
-    exponent: Array
-    """(L,)."""
-    tilt: Array
-    """(L, 2): u and v."""
-    lens: Array
-    """(2,)."""
+    brightness: Array  # (L,)
+    exponent: Array  # (L,)
+    tilt: Array  # (L, 2): u and v
+    lens: Array  # (2,)
 
 
 class CardModel:

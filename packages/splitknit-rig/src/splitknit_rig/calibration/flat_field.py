@@ -9,7 +9,7 @@ the card's cosine follow from the LEDs' places, which are known; what is left is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,8 +31,7 @@ class _CardFit:
 
     order: Order
     answer: Answer
-    normal: Array
-    """(P, P) weighted normal matrix, in units of the robust scale."""
+    normal: Array  # (P, P) weighted normal matrix, in units of the robust scale
 
 
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
@@ -56,8 +55,7 @@ class _Problem:
     model: CardModel
     order: Order
     logarithm: Array
-    weight: Array
-    """(N,)."""
+    weight: Array  # (N,)
     scale: float
 
     def cost(self, vector: Array) -> float:
@@ -102,8 +100,7 @@ def _descend(problem: _Problem, vector: Array) -> Array:
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
 
 WIDTHS_DEG = (3.0, 6.0)
-"""Widths of the spot: standard deviation of the angle between the card's normal and the half vector of LED and
-camera."""
+"""Widths of the spot: standard deviation of the angle from the card's normal to the half vector of LED and camera."""
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
@@ -152,52 +149,35 @@ _ENOUGH_PERCENT = 0.05
 """The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
 _ENOUGH_FRACTION = 0.05
 """... or by no more than this fraction of it."""
-_MIN_FIELD = 0.3
-"""A cell that is darker than this fraction of the model's brightness does not show the card."""
-_MAX_EMPTY = 0.005
-"""Fraction of the cells that may be so."""
-MAX_DUST = 0.05
-"""Largest fraction of dust; beyond it the card is not uniform."""
-DUST_PERCENT = 2.0
-"""A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
+_MIN_FIELD = 0.3  # a cell that is darker than this fraction of the model's brightness does not show the card
+_MAX_EMPTY = 0.005  # fraction of the cells that may be so
+MAX_DUST = 0.05  # largest fraction of dust; beyond it the card is not uniform
+DUST_PERCENT = 2.0  # a cell that departs further under all LEDs is counted as dust and left out of the residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlatField:
     """A rig's light as a white card shows it."""
 
-    camera: Camera
-    """With its fall-off."""
-    leds: tuple[Led, ...]
-    """With intensity (the mean is one), lobe_exponent and aim."""
+    camera: Camera  # with its fall-off
+    leds: tuple[Led, ...]  # with intensity (the mean is one), lobe_exponent and aim
+    # brightness of the card: the images are this times
+    # :func:`splitknit_rig.calibration.card_model.card_light`
     card_level: float
-    """Brightness of the card: the images are this times :func:`splitknit_rig.calibration.card_model.card_light`."""
     order: Order
+    # every model tried: name, number of parameters, rms of its residuals in per cent
     orders: tuple[tuple[str, int, float], ...]
-    """Every model tried: name, number of parameters, rms of its residuals in per cent."""
-    residual: Array
-    """(L, N) image over model, less one."""
-    dust: BoolArray
-    """(N,) cells that were left out."""
-    exponent_error: Array
-    """(L,) standard errors of the beams' exponents; NaN where they were not fitted."""
+    residual: Array  # (L, N) image over model, less one
+    dust: BoolArray  # (N,) cells that were left out
+    exponent_error: Array  # (L,) standard errors of the beams' exponents; NaN where they were not fitted
+    # rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs
     common_percent: float
-    """rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs."""
+    # brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card
     gloss_percent: float
-    """Brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card."""
     gloss_error: float
-    card: CardPlane = field(default_factory=CardPlane)
-    """Where it lay."""
-
-    @property
-    def rms_percent(self) -> Array:
-        """(L,) rms of each LED's residuals without dust."""
-        return np.asarray(100 * np.sqrt(np.mean(self.residual[:, ~self.dust] ** 2, axis=1)))
-
-    @property
-    def largest_percent(self) -> Array:
-        """(L,) largest residual of each LED without dust."""
-        return np.asarray(100 * np.abs(self.residual[:, ~self.dust]).max(axis=1))
+    card: CardPlane  # where it lay
+    rms_percent: Array  # (L,) rms of each LED's residuals without dust
+    largest_percent: Array  # (L,) largest residual of each LED without dust
 
 
 def fit_flat_field(
@@ -249,6 +229,7 @@ def fit_flat_field(
     # the residuals taken as independent between cells
     errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
+    clean = residuals[best][:, ~dust]
     return FlatField(
         camera=lens,
         leds=lit,
@@ -258,10 +239,12 @@ def fit_flat_field(
         residual=residuals[best],
         dust=dust,
         exponent_error=model.exponents(errors, fit.order),
-        common_percent=100 * float(np.sqrt(np.mean(residuals[best][:, ~dust].mean(axis=0) ** 2))),
+        common_percent=100 * float(np.sqrt(np.mean(clean.mean(axis=0) ** 2))),
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
+        rms_percent=np.asarray(100 * np.sqrt(np.mean(clean**2, axis=1))),
+        largest_percent=np.asarray(100 * np.abs(clean).max(axis=1)),
     )
 
 

@@ -40,10 +40,8 @@ class Tip:
     band: str
     led: int
     nail: int
-    nail_px: tuple[float, float]
-    """Column and row of the nail."""
-    tip_px: tuple[float, float]
-    """Column and row of its shadow's tip."""
+    nail_px: tuple[float, float]  # column and row of the nail
+    tip_px: tuple[float, float]  # column and row of its shadow's tip
 
     @property
     def name(self) -> str:
@@ -141,8 +139,7 @@ def _number(text: str, where: str, column: str) -> float:
     return value
 
 
-SHADOW_MM = 0.2
-"""A tip nearer to its nail than this shows no shadow."""
+SHADOW_MM = 0.2  # a tip nearer to its nail than this shows no shadow
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +147,8 @@ class Circle:
     """The circle on which the LEDs sit, as it is measured with a ruler."""
 
     radius_mm: float
-    height_mm: float
-    """Height of the LEDs above the finger plane."""
-    centre_mm: tuple[float, float] = (0.0, 0.0)
-    """Its centre on the finger plane, in the rig's frame."""
+    height_mm: float  # height of the LEDs above the finger plane
+    centre_mm: tuple[float, float] = (0.0, 0.0)  # its centre on the finger plane, in the rig's frame
 
     def __post_init__(self) -> None:
         require(1.0 <= self.radius_mm <= 1e4, f"the LED circle's radius must be 0.1 to 1000 cm, not {self.radius_mm}.")
@@ -172,15 +167,11 @@ class LedEstimate:
 
     band: str
     led: int
-    position_mm: Array
-    """(3,) in the rig's frame."""
-    direction: Array
-    """(3,) unit, from the circle's centre on the finger plane towards the LED."""
-    disagreement_deg: float | None
-    """Largest angle between the directions of two nail positions; None with one position."""
+    position_mm: Array  # (3,) in the rig's frame
+    direction: Array  # (3,) unit, from the circle's centre on the finger plane towards the LED
+    disagreement_deg: float | None  # largest angle between the directions of two nail positions; None with one position
     nails: tuple[int, ...]
-    singles: Array
-    """(K, 3) positions, one for each of the nail's."""
+    singles: Array  # (K, 3) positions, one for each of the nail's
 
 
 def nail_points(camera: Camera, nail_px: Array, height_mm: float, seen: str = "tip") -> Array:

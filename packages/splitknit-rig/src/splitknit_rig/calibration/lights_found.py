@@ -27,8 +27,7 @@ from splitknit_rig.calibration.nail import STRAY_MM, JointFit, NailSettings, by_
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
 OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"
-_TRUSTED = (OK, UNCHECKED)
-"""Verdicts of LEDs that are used without a word from the user."""
+_TRUSTED = (OK, UNCHECKED)  # verdicts of LEDs that are used without a word from the user
 LedName = tuple[str, int]
 """Band, and number in it."""
 
@@ -45,10 +44,8 @@ class LightLimits(Checked):
 
 _COPY_MM = 0.4
 """Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
-_MOVE_MM = 1.0
-"""Nail positions that are nearer than this are one position."""
-_SAME_NAIL_MM = 1.0
-"""The nail's pixel may differ so much between the rows of one position."""
+_MOVE_MM = 1.0  # nail positions that are nearer than this are one position
+_SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,25 +126,20 @@ def find_leds(
     chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}
     verdicts = _judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
     sentence = _refusal(verdicts, chosen, limit_deg)
-    fitted = (
-        {}
-        if joint is None
-        else {
-            (one.band, one.led): {**_place(one), "interval_deg": deg, "interval_mm": mm}
-            for one, deg, mm in zip(joint.leds, joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
-        }
-    )
     leds = []
+    fitted: dict[LedName, dict[str, Any]] = {}
+    if joint is not None:
+        bounds = zip(joint.leds, joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
+        fitted = {(e.band, e.led): {**_place(e), "interval_deg": deg, "interval_mm": mm} for e, deg, mm in bounds}
     for (band, led), best in chosen.items():
         place, verdict = fitted.get((band, led)), verdicts[band, led]
-        bounds = place if place is not None and used is not None else {}
+        spread = place if place is not None and used is not None else {}
         leds.append(
             {
                 "band": band,
                 "led": led,
                 **_place(best),
-                "interval_deg": bounds.get("interval_deg"),
-                "interval_mm": bounds.get("interval_mm"),
+                **{name: spread.get(name) for name in ("interval_deg", "interval_mm")},
                 "verdict": verdict,
                 "kept": keep or verdict in _TRUSTED,
                 "nails": list(best.nails),

@@ -52,8 +52,7 @@ from splitknit_rig.calibration.radiometry import led_name
 from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit_simulator import side_lights
 
-_UNCOMPARED = {"disagreement_deg": None, "kept": True}
-"""What is stated of an LED that only one nail position shows."""
+_UNCOMPARED = {"disagreement_deg": None, "kept": True}  # what is stated of an LED that only one nail position shows
 
 
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
@@ -310,8 +309,7 @@ class _Lying:
     middle_mm: Array
     radius_mm: float = 1.0
     eye: Array | None = None
-    away: Array | None = None
-    """See :mod:`splitknit_rig.calibration.sphere`."""
+    away: Array | None = None  # see :mod:`splitknit_rig.calibration.sphere`
     drawn: tuple[Led | None, ...] = ()
 
     @classmethod

@@ -31,16 +31,11 @@ from scipy.stats import chi2
 from splitknit import Array, Camera, Checked, Limits, pixels_of, plane_points, require
 from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
 
-_NAIL_HEIGHT_SD_MM = 1.0
-"""Standard deviation of the known height."""
-_CIRCLE_SD_MM = 1.0
-"""Standard deviation of the circle's centre (each way), radius and height from the drawing's values."""
-_FREE_SD_MM = 30.0
-"""Takes the place of all deviations of LEDs and circle where the nail's height is known."""
-_OUTLIER = 4.0
-"""A tip this many standard deviations from its place is named, and has lost most of its weight."""
-STRAY_MM = 10.0
-"""An LED further than this off the fitted circle is refused."""
+_NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
+_CIRCLE_SD_MM = 1.0  # standard deviation of the circle's centre (each way), radius and height from the drawing's values
+_FREE_SD_MM = 30.0  # takes the place of all deviations of LEDs and circle where the nail's height is known
+_OUTLIER = 4.0  # a tip this many standard deviations from its place is named, and has lost most of its weight
+STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +121,7 @@ def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArra
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
 
 
-HIGHEST = 0.6
-"""A nail is taken to be lower than this part of the LEDs' height."""
+HIGHEST = 0.6  # a nail is taken to be lower than this part of the LEDs' height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,23 +129,15 @@ class JointFit:
     """All LEDs, and how well they are known."""
 
     leds: tuple[LedEstimate, ...]
-    interval_deg: Array
-    """(L,) the true direction lies within this angle with 95 % probability."""
-    interval_mm: Array
-    """(L,) the same of the position."""
+    interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
+    interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
-    nail_height_interval_mm: float
-    """Half width of its 95 % interval."""
-    residual_px: Array
-    """(N, 2) tips found minus expected, columns and rows, in the order of the rows."""
-    outliers: tuple[int, ...]
-    """Rows whose tip lies astray."""
-    strays: frozenset[tuple[str, int]]
-    """LEDs, band and number, off the circle."""
-    circle: Circle
-    """As fitted."""
-    rms_px: float
-    """Residual of the tips that are not outliers, each way."""
+    nail_height_interval_mm: float  # half width of its 95 % interval
+    residual_px: Array  # (N, 2) tips found minus expected, columns and rows, in the order of the rows
+    outliers: tuple[int, ...]  # rows whose tip lies astray
+    strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
+    circle: Circle  # as fitted
+    rms_px: float  # residual of the tips that are not outliers, each way
 
 
 def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:

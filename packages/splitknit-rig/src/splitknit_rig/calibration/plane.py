@@ -16,16 +16,12 @@ from splitknit import Array, require
 class PlanePose:
     """A plane before a camera."""
 
-    height_mm: float
-    """From the camera's centre to the plane, along the optical axis."""
-    px_per_mm: float
-    """Where the axis meets the plane: focal length over height."""
-    normal: Array
-    """(3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera."""
-    rms_px: float
-    """Root of the mean squared distance between marks and their prediction."""
+    height_mm: float  # from the camera's centre to the plane, along the optical axis
+    px_per_mm: float  # where the axis meets the plane: focal length over height
+    normal: Array  # (3,) of the plane in the rig's frame (x right, y up, z to the camera), towards the camera
+    rms_px: float  # root of the mean squared distance between marks and their prediction
+    # standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being exact
     deviations: dict[str, float]
-    """Standard deviations of ``height_mm`` and ``tilt_deg`` that the marks' scatter causes, the camera being exact."""
 
     @property
     def tilt_deg(self) -> float:
@@ -52,10 +48,9 @@ class PlaneScale:
 
     px_per_mm: float
     rms_px: float
-    deviation: float
-    """Standard deviation of `px_per_mm` that the marks' scatter causes."""
+    deviation: float  # standard deviation of `px_per_mm` that the marks' scatter causes
+    # longest over shortest scale in the plane, less one: what a tilt, or a lens's perspective, would leave
     anisotropy: float
-    """Longest over shortest scale in the plane, less one: what a tilt, or a lens's perspective, would leave."""
 
 
 def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
@@ -154,37 +149,19 @@ class DepthOfField:
 
     focal_length_mm: float
     f_number: float
-    focus_mm: float
-    """Distance of the plane in focus."""
-    confusion_um: float
-    """Diameter, on the sensor, of the disc that still counts as a point."""
-    near_mm: float
-    """Nearest distance at which a point is no larger than that."""
-    far_mm: float
-    """Farthest; infinite beyond the hyperfocal distance."""
-    finger_depth_mm: float
-    """Depth of the finger that the camera sees."""
+    focus_mm: float  # distance of the plane in focus
+    confusion_um: float  # diameter, on the sensor, of the disc that still counts as a point
+    near_mm: float  # nearest distance at which a point is no larger than that
+    far_mm: float  # farthest; infinite beyond the hyperfocal distance
+    finger_depth_mm: float  # depth of the finger that the camera sees
+    # diameter, in pixels of the image, of a point's disc at half the finger's depth from the plane in focus
     blur_px: float
-    """Diameter, in pixels of the image, of a point's disc at half the finger's depth from the plane in focus."""
-    needed_f_number: float
-    """At which the finger's depth would just be sharp, focused in its middle."""
-    diffraction_px: float
-    """Diameter of the Airy disc at that f-number, in pixels of the image, for light of 550 nm."""
-
-    @property
-    def depth_mm(self) -> float:
-        """From the near to the far limit."""
-        return self.far_mm - self.near_mm
-
-    @property
-    def best_f_number(self) -> float:
-        """At which defocus at the finger's ends and diffraction blur equally: stopping down further gains nothing."""
-        return self.needed_f_number / float(np.sqrt(self.diffraction_px))
-
-    @property
-    def fits(self) -> bool:
-        """Whether the finger is sharp throughout."""
-        return self.depth_mm >= self.finger_depth_mm
+    needed_f_number: float  # at which the finger's depth would just be sharp, focused in its middle
+    diffraction_px: float  # diameter of the Airy disc at that f-number, in pixels of the image, for light of 550 nm
+    depth_mm: float  # from the near to the far limit
+    fits: bool  # whether the finger is sharp throughout
+    # at which defocus at the finger's ends and diffraction blur equally: stopping down further gains nothing
+    best_f_number: float
 
 
 def depth_of_field(
@@ -213,16 +190,20 @@ def depth_of_field(
     side_reach = side / (focus_mm * max(focus_mm - side, 1e-9))
     # near to far of the finger about its middle: reach that its two ends need, the nearer one more
     needed = side_reach * focal * behind / pixel_mm
-    airy_mm = 2.44 * 550e-6 * needed * (1 + behind / focus_mm)
+    airy_px = 2.44 * 550e-6 * needed * (1 + behind / focus_mm) / pixel_mm
+    far = 1 / beyond if beyond > 0 else float("inf")
     return DepthOfField(
         focal_length_mm=focal,
         f_number=f_number,
         focus_mm=focus_mm,
         confusion_um=1000 * pixel_mm,
         near_mm=near,
-        far_mm=1 / beyond if beyond > 0 else float("inf"),
+        far_mm=far,
         finger_depth_mm=finger_depth_mm,
         blur_px=focal / f_number * behind * side_reach / pixel_mm,
         needed_f_number=needed,
-        diffraction_px=airy_mm / pixel_mm,
+        diffraction_px=airy_px,
+        depth_mm=far - near,
+        fits=far - near >= finger_depth_mm,
+        best_f_number=needed / float(np.sqrt(airy_px)),
     )

@@ -51,14 +51,10 @@ from splitknit_rig.calibration.sensor import noise_model, noise_samples
 _CLIPPED = 0.985
 _LEVELS_PX = (8.0, 4.0, 2.0)
 """Standard deviations of the blur under which both images of the card are brought onto each other."""
-_MIN_LIKENESS = 0.5
-"""Correlation of their details; a card without print has none."""
-_ACROSS = 60
-"""Cells along the longer side of the card's picture."""
-_STEADY = 0.003
-"""Relative deviation of an LED's light from one photograph to the next."""
-_NEIGHBOUR_MM = 1.0
-"""How far apart on the ball LEDs beside each other are mirrored."""
+_MIN_LIKENESS = 0.5  # correlation of their details; a card without print has none
+_ACROSS = 60  # cells along the longer side of the card's picture
+_STEADY = 0.003  # relative deviation of an LED's light from one photograph to the next
+_NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
 _MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
 
 
@@ -137,8 +133,7 @@ def _clipped(band: Band, k: int) -> BoolArray:
 
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals; and L arrays (h, w)
-    of what is left of crossed over parallel, NaN in the dark. Raises BadInput if the card has no print, is clipped, or
-    moved.
+    of what is left of crossed over parallel, NaN in the dark. BadInput if the card has no print, is clipped, or moved.
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
     some = (0, len(near.leds) // 2)
@@ -260,8 +255,7 @@ class Spot:
 
 def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
     """Where the L lights are mirrored in a glossy black ball, and (L, 2, 2) light of parallel and crossed highlights
-    and its deviation. `electrons`: at full scale. Raises BadInput if an image (numbered) shows no highlight, or a
-    clipped one, or the series are swapped.
+    and its deviation. `electrons`: at full scale. BadInput if a highlight is missing or clipped, or series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)

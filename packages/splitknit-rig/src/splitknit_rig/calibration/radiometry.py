@@ -30,10 +30,8 @@ from splitknit import (
 from splitknit_rig.calibration.card_model import CardPlane, card_light
 from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
 
-_ACROSS = 40
-"""Cells along the image's longer side."""
-_INNER = 5
-"""A cell's brightness is the median of the means of this many blocks a side."""
+_ACROSS = 40  # cells along the image's longer side
+_INNER = 5  # a cell's brightness is the median of the means of this many blocks a side
 
 
 def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
@@ -61,30 +59,23 @@ def _median_blocks(stack: FloatArray, side: int) -> Array:
     return np.median(blocks.reshape(-1, rows, columns, side * side), axis=-1).astype(np.float64)
 
 
-_MAX_CLIPPED_PERCENT = 0.5
-"""An image is refused if more than this fraction of its pixels is at full scale."""
-_FULL_SCALE = 0.985
-"""A value from here on is at full scale."""
-_MIN_LIGHT = 0.02
-"""An image whose median is below this fraction of full scale is black."""
+_MAX_CLIPPED_PERCENT = 0.5  # an image is refused if more than this fraction of its pixels is at full scale
+_FULL_SCALE = 0.985  # a value from here on is at full scale
+_MIN_LIGHT = 0.02  # an image whose median is below this fraction of full scale is black
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CardImages:
     """A white card under every LED of a rig, in the order of its LEDs."""
 
-    pixels: Array
-    """(N, 2) column and row of the cells' middles."""
-    light: Array
-    """(L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure."""
-    shape: tuple[int, int]
-    """Rows and columns of cells."""
+    pixels: Array  # (N, 2) column and row of the cells' middles
+    light: Array  # (L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure
+    shape: tuple[int, int]  # rows and columns of cells
+    # light with all LEDs off, by band, relative to the mean image; None where there is no such image
     ambient_percent: dict[str, float | None]
-    """Light with all LEDs off, by band, relative to the mean image; None where there is no such image."""
+    # whether the capture states how long it exposed, so that brightness can be compared with another day's
     exposures_given: bool
-    """Whether the capture states how long it exposed, so that brightness can be compared with another day's."""
-    brightest: Array
-    """(L,) 99th percentile of each image's values, as a part of full scale."""
+    brightest: Array  # (L,) 99th percentile of each image's values, as a part of full scale
 
 
 def led_name(leds: Sequence[Led], index: int) -> str:
@@ -192,12 +183,9 @@ def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
     return 100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light))
 
 
-PROVENANCE = "radiometry"
-"""Where a rig's provenance holds what is found here."""
-_GLOSS_PERCENT = 2.0
-"""A card whose mirror spot is brighter than this (and five of its errors) shines."""
-_AMBIENT_PERCENT = 5.0
-"""Light from elsewhere above which there is a warning, relative to the LEDs'."""
+PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
+_GLOSS_PERCENT = 2.0  # a card whose mirror spot is brighter than this (and five of its errors) shines
+_AMBIENT_PERCENT = 5.0  # light from elsewhere above which there is a warning, relative to the LEDs'
 _PATTERN_PERCENT = 1.0
 """Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
 

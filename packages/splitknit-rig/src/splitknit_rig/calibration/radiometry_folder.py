@@ -57,8 +57,7 @@ from splitknit_rig.calibration.sensor import (
 )
 
 _MAX_TILT_DEG = 5.0
-_SCALE_PERCENT = 2.0
-"""Ends of the colours in the picture of residuals."""
+_SCALE_PERCENT = 2.0  # ends of the colours in the picture of residuals
 _TILE_PX = 240
 
 
@@ -142,8 +141,7 @@ def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArr
 # What a camera does by itself: its response and noise, measured on the images that ``radiometry.json`` names.
 
 _PATCHES_ACROSS = 40
-_MAX_TEXTURE = 0.04
-"""Deviation within a patch, as a part of full scale, up to which it counts as even."""
+_MAX_TEXTURE = 0.04  # deviation within a patch, as a part of full scale, up to which it counts as even
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,8 +150,7 @@ class _CameraFacts:
 
     dark: Dark | None
     response: Response | None
-    noise: dict[str, NoiseModel]
-    """By the channel's name; only of linear images."""
+    noise: dict[str, NoiseModel]  # by the channel's name; only of linear images
     hashes: dict[str, str]
 
 
@@ -297,8 +294,7 @@ class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
-    exposures: tuple[tuple[Path, float], ...] = ()
-    """Images of the series, and time times gain of each."""
+    exposures: tuple[tuple[Path, float], ...] = ()  # images of the series, and time times gain of each
     document: Path | None = None
 
 

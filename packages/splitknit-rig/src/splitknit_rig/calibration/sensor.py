@@ -17,40 +17,30 @@ import numpy as np
 
 from splitknit import Array, PixelArray, require
 
-_DEGREE = 5
-"""Degree of the polynomial."""
-_LIMIT_PERCENT = 1.0
-"""Values are linear if they depart from a line by no more than this many per cent of full scale."""
+_DEGREE = 5  # degree of the polynomial
+_LIMIT_PERCENT = 1.0  # values are linear if they depart from a line by no more than this many per cent of full scale
 _INCONSISTENT_PERCENT = 1.0
 """Residuals (median over images of their rms) that no response explains: the scene moved or the light changed."""
-_CLIP = 0.98
-"""Values from here on (of full scale) are left out."""
-MIN_EXPOSURES = 4
-"""Different exposure times that are needed."""
-_MIN_RATIO = 3.0
-"""Longest over shortest exposure."""
-_MIN_RANGE = 0.3
-"""Part of the full scale that the values must span."""
+_CLIP = 0.98  # values from here on (of full scale) are left out
+MIN_EXPOSURES = 4  # different exposure times that are needed
+_MIN_RATIO = 3.0  # longest over shortest exposure
+_MIN_RANGE = 0.3  # part of the full scale that the values must span
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
     """How stored values follow the light."""
 
-    encoding: str
-    """``linear`` or ``srgb``."""
-    linear_percent: float
-    """Largest departure of the values from a line, in per cent of full scale."""
-    srgb_percent: float
-    """The same after the sRGB curve was taken off."""
-    residual_percent: float
-    """rms of what no response explains, in per cent of full scale."""
+    encoding: str  # ``linear`` or ``srgb``
+    linear_percent: float  # largest departure of the values from a line, in per cent of full scale
+    srgb_percent: float  # the same after the sRGB curve was taken off
+    residual_percent: float  # rms of what no response explains, in per cent of full scale
+    # value of no light that the series itself suggests, as a part of full scale (of the linear light)
     black_level: float
-    """Value of no light that the series itself suggests, as a part of full scale (of the linear light)."""
+    # least and greatest values that were seen, as parts of full scale: the answer holds between them
     span: tuple[float, float]
-    """Least and greatest values that were seen, as parts of full scale: the answer holds between them."""
+    # values from the smallest to the largest, and the light that each stands for, its line through the ends one
     curve: tuple[Array, Array]
-    """Values from the smallest to the largest, and the light that each stands for, its line through the ends one."""
 
 
 def fit_response(
@@ -196,17 +186,15 @@ _MAX_BLACK_PERCENT = 25.0
 class Dark:
     """Results of dark frames, values as parts of full scale."""
 
-    black_level: tuple[float, ...]
-    """Black level of each channel."""
+    black_level: tuple[float, ...]  # black level of each channel
+    # standard deviation of each channel; None where values are cut off at zero, so that it cannot be seen
     read_noise: tuple[float, ...] | None
-    """Standard deviation of each channel; None where values are cut off at zero, so that it cannot be seen."""
     hot_pixels: int
     hot_share: float
-    row_noise: float
-    """Standard deviation of the rows' means beyond what the pixels' noise explains: stripes."""
+    row_noise: float  # standard deviation of the rows' means beyond what the pixels' noise explains: stripes
     column_noise: float
+    # standard deviation from pixel to pixel of what is the same in all frames; None for one frame
     fixed_pattern: float | None
-    """Standard deviation from pixel to pixel of what is the same in all frames; None for one frame."""
     frames: int
 
 
@@ -284,11 +272,9 @@ def _fixed_pattern(stack: Any, sigma: Array) -> float:
 class NoiseModel:
     """variance = read_noise^2 + light / electrons, light and deviations as parts of full scale."""
 
-    electrons: float
-    """That fill a pixel to full scale, from the noise: with white balance, of this channel after it."""
+    electrons: float  # that fill a pixel to full scale, from the noise: with white balance, of this channel after it
     read_noise: float
-    span: tuple[float, float]
-    """Least and greatest light that was seen."""
+    span: tuple[float, float]  # least and greatest light that was seen
 
 
 def noise_samples(frame: PixelArray, channel: int, black_level: float = 0.0, side: int = 24) -> tuple[Array, Array]:

@@ -40,38 +40,29 @@ from splitknit import (
 )
 from splitknit_rig.calibration.sphere import find_ball
 
-_BLOCK_PX = 24.0
-"""Radius of a ball in the blocks of pixels that are fitted: noise of pixels would bend the polynomial."""
-CAP = 0.6
-"""Part of a ball's radius inside which heights are judged: slopes up to 0.75."""
+_BLOCK_PX = 24.0  # radius of a ball in the blocks of pixels that are fitted: noise of pixels would bend the polynomial
+CAP = 0.6  # part of a ball's radius inside which heights are judged: slopes up to 0.75
 _FITTED = 0.72
 """Part of a ball's radius inside which it is fitted: slopes up to 1.04. Further out a gel leaves the ball. Where the
 gel between the balls stands for a photograph of the flat gel, `CAP` is: the light is then known less well."""
-_APART = 1.6
-"""Radii around a ball beyond which the gel lies flat."""
+_APART = 1.6  # radii around a ball beyond which the gel lies flat
 _PLANE_SAMPLES = 8000
-_PLANE = 0.3
-"""Weight of the plane between the balls, all of whose weight is 1."""
-_FOLDS, _SECTORS = 20, 8
-"""Parts that are left out in turns: balls, or of fewer than `_FEW` balls their sectors."""
+_PLANE = 0.3  # weight of the plane between the balls, all of whose weight is 1
+_FOLDS, _SECTORS = 20, 8  # parts that are left out in turns: balls, or of fewer than `_FEW` balls their sectors
 _FEW = 4
 _SPREAD, _COVERED = 5, 0.6
 """Coefficients may vary over the field where there are more balls; it is covered if they span this part of it."""
-_SIMPLER = 1.03
-"""A simpler polynomial is taken where it errs at most so many times as much as the best one."""
+_SIMPLER = 1.03  # a simpler polynomial is taken where it errs at most so many times as much as the best one
 _BINS = 9
-_CAP_DEGREE = 6
-"""Degree of the polynomial whose gradient models the smooth part of a cap's slope errors."""
+_CAP_DEGREE = 6  # degree of the polynomial whose gradient models the smooth part of a cap's slope errors
 _LADDER = tuple((degree, place) for degree in (1, 2, 3) for place in (1, 3, 6, 10))
 """Polynomials that are tried: degree, and monomials of the place that its coefficients vary with."""
 _PRIOR = 0.5
 """Strength of the prior that they do not: the variance of a ball's misfit over that of the slopes' variation."""
-_LINEAR = 0.02
-"""The same of linear variation, which near lights show, over that of higher degrees."""
+_LINEAR = 0.02  # the same of linear variation, which near lights show, over that of higher degrees
 _CENTRE = 0.06
 """Standard deviation of a centre as given, in radii, where no photograph of the flat gel holds the slopes."""
-_LARGEST = 300
-"""Terms of a polynomial at most."""
+_LARGEST = 300  # terms of a polynomial at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,18 +70,13 @@ class ShadingFit:
     """A calibration with what its report shows."""
 
     shading: Shading
-    balls: Array
-    """(N, 4) press, column, row of the centre, radius of the outline, all in pixels."""
-    used: BoolArray
-    """(N,) balls that were fitted; the others are damaged or cut."""
+    balls: Array  # (N, 4) press, column, row of the centre, radius of the outline, all in pixels
+    used: BoolArray  # (N,) balls that were fitted; the others are damaged or cut
+    # (N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not used
     cap_rms_um: Array
-    """(N,) rms error of the height of each cap within 0.6 of the radius, of the ball left out; NaN where not used."""
-    cap_gain: Array
-    """(N,) height of each cap over the ball's, likewise."""
-    cap_errors: tuple[Array, ...]
-    """Errors for each used ball (n, 3): column, row, error of the height in um."""
-    error_by_slope: Array
-    """(B, 3) slope, mean error, rms error of a slope's part, of balls left out."""
+    cap_gain: Array  # (N,) height of each cap over the ball's, likewise
+    cap_errors: tuple[Array, ...]  # errors for each used ball (n, 3): column, row, error of the height in um
+    error_by_slope: Array  # (B, 3) slope, mean error, rms error of a slope's part, of balls left out
     notes: tuple[str, ...]
 
 
@@ -369,10 +355,8 @@ class _Data:
 class _Model:
     relative: bool
     degree: int
-    place: int
-    """Number of monomials of the place with which its coefficients vary; 1: they do not."""
-    weights: Array
-    """(place T, 2), place slowest."""
+    place: int  # number of monomials of the place with which its coefficients vary; 1: they do not
+    weights: Array  # (place T, 2), place slowest
 
     def rows(self, data: _Data, values: FloatArray, columns: Array, rows: Array) -> Array:
         """(n, place T) terms."""
@@ -609,8 +593,7 @@ def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]
 
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
     """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls: a least-absolute fit to `stacks` (L, H, W)
-    within two radii of the field of balls, without dust, dents and balls, of each stack `outlines` (N, 3): column, row,
-    radius in pixels.
+    within two radii of the field of balls, without dust, dents and balls: `outlines` (N, 3), column, row, radius, each.
     """
     size = stacks[0].shape[1:]
     terms, light = [], []

@@ -24,23 +24,17 @@ from splitknit import Array, BoolArray, FloatArray, check_stack, require
 _RING = 2.0 * np.pi * np.arange(8) / 8
 _LIGHT = np.concatenate([np.zeros((1, 2)), 0.75 * np.stack([np.cos(_RING), np.sin(_RING)], axis=1)])
 """(9, 2) points that stand for equal parts of a disc of radius one and have its spread."""
-_EDGE_PX = 0.5
-"""Softness of an edge by pixels and lens, as a standard deviation."""
+_EDGE_PX = 0.5  # softness of an edge by pixels and lens, as a standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    tip: Array
-    """(2,) column and row: where the light's middle throws the middle of the nail's tip."""
-    tip_radius: float
-    """Radius of the blunt tip's shadow."""
-    penumbra: float
-    """Radius of the light's image about the tip."""
-    base: Array
-    """(2,) middle of the cone's base."""
+    tip: Array  # (2,) column and row: where the light's middle throws the middle of the nail's tip
+    tip_radius: float  # radius of the blunt tip's shadow
+    penumbra: float  # radius of the light's image about the tip
+    base: Array  # (2,) middle of the cone's base
     base_radius: float
-    depth: float
-    """How much of the light is missing in the full shadow."""
+    depth: float  # how much of the light is missing in the full shadow
 
     def darkness(self, places: Array) -> Array:
         """Fraction of the light that is missing at places (N, 2), column and row."""
@@ -133,30 +127,21 @@ def _thin(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 _STRETCH = 1.12
 """A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly matters."""
-_NAIL_LEVEL = 0.45
-"""The nail is darker than this part of the ground around it under every LED."""
-_SHADOW_LEVEL = 0.5
-"""A shadow is darker than this part of the same place under the other LEDs."""
-_MIN_NAIL_MM2 = 0.3
-"""Area of the nail that is seen."""
-_MIN_SHADOW_MM = 0.7
-"""A shadow must reach this far beyond the nail."""
-_BORDER_MM = 0.3
-"""A shadow that comes nearer to the picture's border leaves it."""
-_MAX_PIXELS = 500
-"""Pixels about one shadow's outline that the fit takes, evenly spread."""
+_NAIL_LEVEL = 0.45  # the nail is darker than this part of the ground around it under every LED
+_SHADOW_LEVEL = 0.5  # a shadow is darker than this part of the same place under the other LEDs
+_MIN_NAIL_MM2 = 0.3  # area of the nail that is seen
+_MIN_SHADOW_MM = 0.7  # a shadow must reach this far beyond the nail
+_BORDER_MM = 0.3  # a shadow that comes nearer to the picture's border leaves it
+_MAX_PIXELS = 500  # pixels about one shadow's outline that the fit takes, evenly spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NailView:
     """What the images of one nail position and one band show; pixels are columns and rows."""
 
-    nail_px: Array
-    """(2,) the nail's tip."""
-    tips_px: Array
-    """(L, 2) the shadows' tips; NaN where a shadow leaves the picture."""
-    nail: BoolArray
-    """(H, W)."""
+    nail_px: Array  # (2,) the nail's tip
+    tips_px: Array  # (L, 2) the shadows' tips; NaN where a shadow leaves the picture
+    nail: BoolArray  # (H, W)
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:

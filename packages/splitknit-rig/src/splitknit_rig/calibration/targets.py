@@ -20,12 +20,9 @@ _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 class Board:
     """A printed checkerboard."""
 
-    columns: int
-    """Inner corners along one side: one less than squares."""
-    rows: int
-    """Inner corners along the other side."""
-    square_mm: float
-    """Side of a square, as measured on the print."""
+    columns: int  # inner corners along one side: one less than squares
+    rows: int  # inner corners along the other side
+    square_mm: float  # side of a square, as measured on the print
 
     def __post_init__(self) -> None:
         require(
@@ -61,12 +58,9 @@ class Board:
         return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
 
 
-_SEARCH_PX = 1200
-"""Longer side of the image in which the board is sought; corners are then refined in the full image."""
-_WINDOW = 0.3
-"""Half the window in which a corner is refined, as a part of the shortest side of a square in the image."""
-_WINDOW_PX = (3, 40)
-"""Smallest and largest half window."""
+_SEARCH_PX = 1200  # longer side of the image in which the board is sought; corners are then refined in the full image
+_WINDOW = 0.3  # half the window in which a corner is refined, as a part of the shortest side of a square in the image
+_WINDOW_PX = (3, 40)  # smallest and largest half window
 _SMOOTH_PX = 1.5
 """Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw corners to its middle."""
 _CONTRAST = 0.4
@@ -191,24 +185,17 @@ def _contrast(image: FloatArray, grid: Array) -> Array:
     return np.asarray(steps.min(axis=0))
 
 
-_STARTS = 8
-"""Dots from which a grid is tried."""
-_MIN_DOT_PX = 4.0
-"""Smallest diameter."""
-_MAX_DOT = 0.2
-"""Largest diameter, as a part of the picture's shorter side."""
-_MIN_ROUNDNESS = 0.75
-"""Shortest over longest axis, at least: dots seen at 40 deg have 0.77."""
-_MIN_FILL = 0.85
-"""Area over that of the ellipse with the same moments, and its inverse."""
-_MAX_MISS = 0.25
-"""How far from its expected place, in spacings, a dot of the grid may lie."""
+_STARTS = 8  # dots from which a grid is tried
+_MIN_DOT_PX = 4.0  # smallest diameter
+_MAX_DOT = 0.2  # largest diameter, as a part of the picture's shorter side
+_MIN_ROUNDNESS = 0.75  # shortest over longest axis, at least: dots seen at 40 deg have 0.77
+_MIN_FILL = 0.85  # area over that of the ellipse with the same moments, and its inverse
+_MAX_MISS = 0.25  # how far from its expected place, in spacings, a dot of the grid may lie
 
 
 def _find_dots(pixels: Any) -> Array:
     """Centres (N, 2), column and row, of black dots, round, whole and of one size, darker than half-way between ground
-    and ink. A centre is that of darkness: a tilt moves it by radius^2 * sin(tilt) / height, 7e-5 mm at 1 deg and 140
-    mm.
+    and ink. A centre is that of darkness: a tilt moves it by radius^2 sin(tilt) / height, 7e-5 mm at 1 deg and 140 mm.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -248,8 +235,7 @@ def _find_dots(pixels: Any) -> Array:
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Array]:
     """Places of dots in a square grid: (M, 2) whole steps, zero near the middle, and (M, 2) centres. A grid grows from
-    a dot there by local steps, so that perspective and distortion do not add up; of several the one with most dots is
-    taken.
+    a dot there by local steps, so that perspective and distortion do not add up; the one with most dots is taken.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))

@@ -15,18 +15,12 @@ from splitknit import BoolArray, Checked, ExposureRange, FloatArray, Frame, Limi
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
 MEDIAN = 50.0
-BRIGHT = 99.5
-"""Percentile that stands for a target's light: most of its picture may be black."""
-_PERCENTILE = 99.9
-"""Percentile of the finger's pixels, in the brightest channel, that measures its brightness."""
-_START_S = 0.01
-"""Exposure time of the first preview, at gain 1; above 0."""
-_CLIPPED = 0.97
-"""From this fraction of full scale on a preview only shows that less is needed."""
-_TOLERANCE = 0.06
-"""The search ends when the level is as near to the target as this, relative."""
-_STEPS = 12
-"""Previews of the brightest LED at most."""
+BRIGHT = 99.5  # percentile that stands for a target's light: most of its picture may be black
+_PERCENTILE = 99.9  # percentile of the finger's pixels, in the brightest channel, that measures its brightness
+_START_S = 0.01  # exposure time of the first preview, at gain 1; above 0
+_CLIPPED = 0.97  # from this fraction of full scale on a preview only shows that less is needed
+_TOLERANCE = 0.06  # the search ends when the level is as near to the target as this, relative
+_STEPS = 12  # previews of the brightest LED at most
 _MIN_LEVEL = 0.3
 """The finger is too dark if it does not even reach this fraction of the target with all that the camera can."""
 
@@ -56,12 +50,10 @@ class Exposure:
 
     exposure_s: float
     gain: float
-    brightest: int
-    """LED under which the finger is brightest."""
-    level: float
-    """Fraction of full scale that the finger reaches under it."""
+    brightest: int  # LED under which the finger is brightest
+    level: float  # fraction of full scale that the finger reaches under it
+    # LED to the finger's median level (fraction of full scale) that the previews promise
     expected: Mapping[int, float] = field(default_factory=dict)
-    """LED to the finger's median level (fraction of full scale) that the previews promise."""
 
     def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
         """With what the previews promise: `lit` is LED to the finger's level in the survey, less the ambient light."""
@@ -155,24 +147,20 @@ def find_exposure(
 
 _DETAIL_MM = 0.02
 """Smoothing before the Laplacian (sigma, at least 0.7 px): 1.5 px of the full frame; finer shows focus, and noise."""
-MIN_SNR = 0.1
-"""Below this the finger shows no detail above the noise: the picture is refused as out of focus."""
-MIN_PX_PER_MM = 18.0
-"""Coarser pictures are not refused: ridges are so small in them that they pass for noise."""
+MIN_SNR = 0.1  # below this the finger shows no detail above the noise: the picture is refused as out of focus
+MIN_PX_PER_MM = 18.0  # coarser pictures are not refused: ridges are so small in them that they pass for noise
 _PATIENCE, _RISE = 8, 0.02
 """A live measurement ends after so many in a row that do not rise above the best so far by this fraction of it."""
-_MOST = 400
-"""Live measurements at most."""
+_MOST = 400  # live measurements at most
 
 
 @dataclass(frozen=True, slots=True)
 class Focus:
     """One measurement."""
 
+    # standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off
     sharpness: float
-    """Standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off."""
-    snr: float
-    """Variance of the detail over that of the noise."""
+    snr: float  # variance of the detail over that of the noise
 
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
@@ -217,8 +205,7 @@ class FocusWatch:
 
     best: float = 0.0
     measured: int = 0
-    ended: bool = False
-    """Whether it is enough."""
+    ended: bool = False  # whether it is enough
     _idle: int = 0
 
     def add(self, focus: Focus) -> bool:

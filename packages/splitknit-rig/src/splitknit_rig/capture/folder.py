@@ -38,16 +38,13 @@ Ask = Callable[[PlannedCapture, str | None], str]
 class Opened:
     """Devices that are ready, and what is known about them."""
 
-    name: str
-    """``pi`` or ``twin``."""
+    name: str  # ``pi`` or ``twin``
     camera: CameraDevice
     lights: LightBank
     rig: Rig
-    truth: Mapping[str, Any] | None = None
-    """What the twin knows of the finger."""
+    truth: Mapping[str, Any] | None = None  # what the twin knows of the finger
     notes: tuple[str, ...] = ()
-    turn: Turn | None = None
-    """Turns the analyser, where the devices can."""
+    turn: Turn | None = None  # turns the analyser, where the devices can
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +52,14 @@ class CaptureOptions:
     """How captures are taken and kept."""
 
     settings: SessionSettings
-    devices: Mapping[str, Any]
-    """Settings of the devices, by their names, for ``session.json``."""
+    devices: Mapping[str, Any]  # settings of the devices, by their names, for ``session.json``
     material: str = "skin"
-    keep: bool = False
-    """Write a capture although it must be taken again."""
-    overwrite: bool = False
-    """Replace an earlier capture."""
+    keep: bool = False  # write a capture although it must be taken again
+    overwrite: bool = False  # replace an earlier capture
     watch_focus: WatchFocus | None = None
-    turn: Turn | None = None
-    """Has the analyser turned by hand, where the devices do not turn it; None: nobody is there."""
+    turn: Turn | None = None  # has the analyser turned by hand, where the devices do not turn it; None: nobody is there
+    # enrolment: asks for each finger, and again after a verdict; None: stops at the first verdict
     ask: Ask | None = None
-    """Enrolment: asks for each finger, and again after a verdict; None: stops at the first verdict."""
 
 
 def capture_to_folder(
@@ -130,8 +123,7 @@ def capture_enrolment(
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return what was captured and
-    skipped, how many are finished, and what is next. Raises BadInput with the finger and the verdict; what was finished
-    before is kept.
+    skipped, how many are finished, and what is next. BadInput with finger and verdict; what was finished is kept.
     """
     captured: list[str] = []
     skipped: list[str] = []

@@ -8,6 +8,7 @@ measured under three colours are heights: light over that of a flat frame, to sl
 from __future__ import annotations
 
 import itertools
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,26 +25,30 @@ from splitknit import (
     BoolArray,
     FloatArray,
     PixelArray,
+    Query,
     Reconstruction,
+    Reply,
     as_it_lies,
     bridge,
     decode_table,
     find_markers,
+    json_reply,
     normals_from_gradients,
     read_image,
     require,
     smoothed,
+    srgb_code,
+    static_file,
+    static_files,
     trusted_height,
 )
 from splitknit_rig.capture.streams import open_uvc
 
 T = TypeVar("T")
-FILM_FPS = 10.0
-"""At which a folder of photographs is played."""
+FILM_FPS = 10.0  # at which a folder of photographs is played
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _FASTEST_FPS = 120.0
-_UNSEEN_S = 5.0
-"""After so long without anybody looking nothing is measured."""
+_UNSEEN_S = 5.0  # after so long without anybody looking nothing is measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,14 +56,10 @@ class FrameSource:
     """Where frames come from."""
 
     name: str
-    frames: Iterator[PixelArray]
-    """(H, W, 3) as stored, red, green, blue; without end."""
-    encoding: str
-    """``linear`` or ``srgb``."""
-    period_s: float = 0.0
-    """Between frames; 0 where the camera sets the pace."""
-    close: Callable[[], None] = field(default=lambda: None)
-    """Gives the camera back."""
+    frames: Iterator[PixelArray]  # (H, W, 3) as stored, red, green, blue; without end
+    encoding: str  # ``linear`` or ``srgb``
+    period_s: float = 0.0  # between frames; 0 where the camera sets the pace
+    close: Callable[[], None] = field(default=lambda: None)  # gives the camera back
 
 
 def open_frames(
@@ -134,14 +135,11 @@ def linear_colours(pixels: PixelArray, encoding: str) -> FloatArray:
 class LiveFrame(Generic[T]):
     """A frame and what was measured of it."""
 
-    number: int
-    """Number of the frame, from 1."""
+    number: int  # number of the frame, from 1
     pixels: PixelArray
     measured: T
-    dropped: int
-    """Frames that came since the one measured before, and were not."""
-    per_second: float
-    """Frames measured, of late."""
+    dropped: int  # frames that came since the one measured before, and were not
+    per_second: float  # frames measured, of late
 
 
 class Live(Generic[T]):
@@ -240,35 +238,26 @@ class Live(Generic[T]):
 
 Slopes = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From images (3, H, W), light over the flat one, to dz/dx and dz/dy (2, H, W), y up, and their deviation (H, W)."""
-_DARK = 0.004
-"""Linear light below which a flat photograph counts as unlit: one step of 8 bits."""
+_DARK = 0.004  # linear light below which a flat photograph counts as unlit: one step of 8 bits
 _GRAIN_PX = 2.0
 """Standard deviation of the blur of a flat frame: its noise, and a coat's grain and dust, which move with the gel."""
 _EDGE = 0.04
 """Width of the strip along the frame's border whose median height is zero, as a fraction of the frame's sides."""
-_SLOW_MM = 0.5
-"""Standard deviation of the mean that is no relief in a result."""
-_SAME_SHAPE = 0.01
-"""By which the ratio of a frame's sides may differ from the calibration's."""
+_SLOW_MM = 0.5  # standard deviation of the mean that is no relief in a result
+_SAME_SHAPE = 0.01  # by which the ratio of a frame's sides may differ from the calibration's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveHeights:
     """What was measured of a frame."""
 
-    height_um: FloatArray
-    """(H, W), towards the camera; zero is the median along the frame's edge."""
-    gradient: FloatArray
-    """(2, H, W): dz/dx, dz/dy, y up."""
-    deviation: FloatArray
-    """(H, W): of a slope."""
-    markers: BoolArray
-    """(H, W): pixels that markers cover, bridged."""
-    albedo: FloatArray
-    """(H, W): mean of the colours' light over the flat frame's."""
+    height_um: FloatArray  # (H, W), towards the camera; zero is the median along the frame's edge
+    gradient: FloatArray  # (2, H, W): dz/dx, dz/dy, y up
+    deviation: FloatArray  # (H, W): of a slope
+    markers: BoolArray  # (H, W): pixels that markers cover, bridged
+    albedo: FloatArray  # (H, W): mean of the colours' light over the flat frame's
     pitch_mm: float
-    times_ms: dict[str, float]
-    """What each stage took."""
+    times_ms: dict[str, float]  # what each stage took
 
     def result(self) -> Reconstruction:
         """The same as a result that :meth:`splitknit.model.Reconstruction.save` writes; its mask leaves out markers."""
@@ -378,3 +367,77 @@ class HeightMeter:
         light = linear_colours(pixels, self._encoding)
         found = self._marker_px > 0
         return light, find_markers(light, self._marker_px) if found else np.zeros(self._size, np.bool_)
+
+
+# What the live page is answered: the newest frame, its heights, and what its buttons do.
+
+
+_PATIENCE_S = 2.0  # a request for a newer frame is answered after so long at the latest, without one
+_JPEG_QUALITY = 85
+_MARKED = (255, 0, 200)  # colour over markers, RGB
+
+
+class LiveService:
+    """Answers about one live stream, also to several threads. `live` measures
+    :class:`splitknit_rig.capture.live.LiveHeights`, or is None without a calibration; `facts` describe it; `actions`
+    are the page's buttons by name: of the newest frame to one sentence.
+    """
+
+    def __init__(
+        self, live: Live[Any], facts: dict[str, Any], actions: dict[str, Callable[[LiveFrame[Any]], str]]
+    ) -> None:
+        """Take the stream, which the caller starts and ends."""
+        self._live, self._facts, self._actions = live, facts, actions
+        levels = np.arange(256) / 255.0
+        self._eye = np.rint(255 * (srgb_code(levels) if live.source.encoding == "linear" else levels)).astype(np.uint8)
+
+    def answer(self, path: str, query: Query) -> Reply:
+        """Answer a request to read. Raises BadInput if there is nothing at `path`, or the stream has ended."""
+        if path in static_files():
+            return static_file(path)
+        match path:
+            case "":
+                return static_file("live.html")
+            case "api/live":
+                return json_reply({**self._facts, "source": self._live.source.name, "actions": sorted(self._actions)})
+            case "api/live/frame":
+                after = query.get("after", "0")
+                require(after.isascii() and after.isdigit() and len(after) < 16, "after= takes a frame's number.")
+                return self._frame(self._live.newest(int(after), _PATIENCE_S))
+        raise BadInput("there is nothing at this address.")
+
+    def act(self, path: str, query: Query) -> Reply:
+        """Do what a button of the page stands for. Raises BadInput if there is none, or it cannot be done."""
+        name = path.removeprefix("api/live/")
+        if name == "hold":
+            self._live.hold(query.get("on") == "1")
+            return json_reply({"done": "frozen" if query.get("on") == "1" else "live"})
+        require(path.startswith("api/live/") and name in self._actions, "there is no such action.")
+        frame = self._live.newest(0, _PATIENCE_S)
+        require(frame is not None, "there is no frame yet; try again.")
+        assert frame is not None
+        return json_reply({"done": self._actions[name](frame)})
+
+    def _frame(self, frame: LiveFrame[Any] | None) -> Reply:
+        """Facts in the header X-Frame; heights in um, (H, W) little-endian float32, if measured; photograph, JPEG."""
+        if frame is None:
+            return Reply("application/octet-stream", 0, [b""])
+        found = frame.measured
+        heights = np.empty((0, 0)) if found is None else found.height_um
+        facts = {"number": frame.number, "dropped": frame.dropped, "per_second": round(frame.per_second, 1)}
+        facts |= {"rows": heights.shape[0], "columns": heights.shape[1], **({} if found is None else found.facts())}
+        content = heights.astype("<f4").tobytes() + self._photograph(frame)
+        # in pieces it is not compressed: on the loopback address that costs more than it saves
+        return Reply("application/octet-stream", len(content), [content], {"X-Frame": json.dumps(facts)})
+
+    def _photograph(self, frame: LiveFrame[Any]) -> bytes:
+        small: Any = frame.pixels
+        if small.dtype != np.uint8:
+            small = cv2.convertScaleAbs(small, alpha=1 / 257)
+        if frame.measured is not None:
+            markers = frame.measured.markers
+            small = cv2.resize(small, markers.shape[::-1], interpolation=cv2.INTER_AREA)
+            small[markers] = _MARKED
+        small = cv2.LUT(small, self._eye)
+        picture: Any = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+        return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()

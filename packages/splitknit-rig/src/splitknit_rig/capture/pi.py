@@ -40,33 +40,22 @@ from splitknit_rig.capture.streams import BAYER, StreamCamera, developed, open_g
 class _Sensor:
     """One camera module: what its sensor can, how its raw values lie, how noisy it is."""
 
-    module: str
-    """As it is sold."""
-    size: tuple[int, int]
-    """Rows, columns."""
-    image_size: tuple[int, int]
-    """What is used of them by default."""
+    module: str  # as it is sold
+    size: tuple[int, int]  # rows, columns
+    image_size: tuple[int, int]  # what is used of them by default
     pixel_um: float
     bits: int
-    black: int
-    """Stored value of no light, of 2 ** bits - 1."""
+    black: int  # stored value of no light, of 2 ** bits - 1
     mono: bool
-    line_s: float
-    """Time in which the sensor reads one row at full resolution: exposures are whole numbers of it."""
-    frame_s: float
-    """Shortest time from frame to frame."""
-    global_shutter: bool
-    """All rows are exposed at once; else one after the other."""
-    max_gain: float
-    """Largest analogue gain."""
+    line_s: float  # time in which the sensor reads one row at full resolution: exposures are whole numbers of it
+    frame_s: float  # shortest time from frame to frame
+    global_shutter: bool  # all rows are exposed at once; else one after the other
+    max_gain: float  # largest analogue gain
+    # largest step between two gains near a gain g: the first, plus the second times g, plus the third times g * g
     gain_step: tuple[float, float, float]
-    """Largest step between two gains near a gain g: the first, plus the second times g, plus the third times g * g."""
-    tuning: str
-    """Libcamera's tuning of it, by file name; what would bend light is left out of it."""
-    full_well_e: float
-    """Electrons of a pixel at full scale and gain 1."""
-    read_noise_e: float
-    """Standard deviation of reading out, electrons."""
+    tuning: str  # libcamera's tuning of it, by file name; what would bend light is left out of it
+    full_well_e: float  # electrons of a pixel at full scale and gain 1
+    read_noise_e: float  # standard deviation of reading out, electrons
 
     @property
     def readout_s(self) -> float:
@@ -108,22 +97,17 @@ class PiLightBank(GuardedLights):
     """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
 
     def __init__(
-        self,
-        pins: Sequence[int],
-        make_line: Callable[..., Any],
-        *,
-        settle_s: float = SETTLE_S,
-        sleep: Callable[[float], None] = time.sleep,
+        self, pins: Sequence[int], make_line: Callable[..., Any], *, sleep: Callable[[float], None] = time.sleep
     ) -> None:
         """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs, by `make_line`, as
-        ``gpiozero.DigitalOutputDevice``; `settle_s`: from the switch to full brightness.
+        ``gpiozero.DigitalOutputDevice``.
         """
         self._lines: list[Any] = []
         self._sleep = sleep
         try:
             for pin in pins:
                 self._lines.append(make_line(pin, active_high=True, initial_value=False))
-            super().__init__(len(self._lines), settle_s)
+            super().__init__(len(self._lines), SETTLE_S)
         except BaseException:
             self._release()
             raise
@@ -142,8 +126,7 @@ class PiLightBank(GuardedLights):
             self._lines.pop(0).close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
 
 
-_TURN_S = 0.4
-"""Twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)."""
+_TURN_S = 0.4  # twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)
 
 
 class PiAnalyser(Closing):
@@ -170,14 +153,10 @@ class PiAnalyser(Closing):
         self._servo.close()
 
 
-_WHITE_GAINS = (1.11, 2.13)
-"""Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
-_NIR_GAINS = (1.0, 1.0)
-"""The same under NIR, where the colour filters are transparent."""
-_LONGEST_S = 0.2
-"""Longest exposure time that the camera is asked for, 0.001 to 5 s."""
-_MAX_FRAMES = 30
-"""Frames that are thrown away, at most, while waiting for a good one."""
+_WHITE_GAINS = (1.11, 2.13)  # gains of red and blue that make a white card white under the white LEDs (5000 K)
+_NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are transparent
+_LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
+_MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
 UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 

@@ -22,12 +22,9 @@ from dataclasses import dataclass
 
 from splitknit import Rig, require
 
-WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
-"""BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)."""
-NIR_PINS = (18, 23, 24, 25, 12, 16, 20)
-"""BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)."""
-DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}
-"""Lines of the first LED board."""
+WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)  # BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)
+NIR_PINS = (18, 23, 24, 25, 12, 16, 20)  # BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)
+DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}  # lines of the first LED board
 SECOND_PINS = (9, 10, 11, 14, 15, 5, 6)
 """BCM lines of a second LED board, for side lights or for white LEDs with crossed film (header pins 21, 19, 23, 8, 10,
 29, 31): SPI, UART, and two that are pulled up and need a stronger pull-down. SPI and the serial console must be off."""
@@ -35,10 +32,8 @@ SERVO_PIN = 4
 """BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is no pulse to a servo."""
 PULSES_MS = (2.0, 1.0)
 """Pulses of the servo, parallel and crossed: a quarter turn to the left from above, where the shaft points down."""
-PULLED_UP = range(9)
-"""Lines that are pulled up until a program takes them."""
-USABLE = range(2, 28)
-"""Lines that a rig may use; 0 and 1 belong to the ID EEPROM."""
+PULLED_UP = range(9)  # lines that are pulled up until a program takes them
+USABLE = range(2, 28)  # lines that a rig may use; 0 and 1 belong to the ID EEPROM
 
 
 def pins_of(rig: Rig) -> tuple[int, ...]:
@@ -71,10 +66,8 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
 class RigFilms:
     """Linear films before the white LEDs and, as the analyser, before the camera."""
 
-    kind: str
-    """``servo``, ``hand`` (what turns the analyser), or ``neighbours`` (the crossed series has its own LEDs)."""
-    crossed: tuple[int, ...]
-    """The rig's LEDs of the crossed series, in the order of the parallel one."""
+    kind: str  # ``servo``, ``hand`` (what turns the analyser), or ``neighbours`` (the crossed series has its own LEDs)
+    crossed: tuple[int, ...]  # the rig's LEDs of the crossed series, in the order of the parallel one
     servo: int = SERVO_PIN
     pulses_ms: tuple[float, float] = PULSES_MS
 

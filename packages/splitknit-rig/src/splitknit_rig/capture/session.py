@@ -75,16 +75,13 @@ class Session:
     """What came out."""
 
     bands: Mapping[str, Band]
-    shots: tuple[Shot, ...]
-    """In their order, ambient frames included."""
+    shots: tuple[Shot, ...]  # in their order, ambient frames included
     exposures: Mapping[str, Exposure]
     focus: Focus
-    verdict: tuple[str, ...]
-    """Why the finger must be captured again; empty if it need not."""
-    frames_taken: int
-    """Full-size frames of the shots, retries included."""
+    verdict: tuple[str, ...]  # why the finger must be captured again; empty if it need not
+    frames_taken: int  # full-size frames of the shots, retries included
+    # light of the crossed images over that of the parallel ones where the finger shines; None without films
     crossed_over_parallel: float | None = None
-    """Light of the crossed images over that of the parallel ones where the finger shines; None without films."""
 
     @property
     def seconds(self) -> float:

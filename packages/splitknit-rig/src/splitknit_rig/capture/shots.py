@@ -35,21 +35,17 @@ from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit_rig.capture.pins import led_names
 from splitknit_simulator import side_lights, unit
 
-_MAX_SATURATED = 0.05
-"""A shot is overexposed if more of the finger is at full scale (in two channels)."""
+_MAX_SATURATED = 0.05  # a shot is overexposed if more of the finger is at full scale (in two channels)
 _DRIFTED_MM = 0.12
 """A finger that moved by more against all shots of its band, where the light's part is taken off, has drifted."""
-_MIN_LIGHT = 0.4
-"""An LED did not light if the finger gets less than this fraction of what the preview promised."""
+_MIN_LIGHT = 0.4  # an LED did not light if the finger gets less than this fraction of what the preview promised
 MIN_RELATIVE = 0.12
 """An LED did not light if, in the previews, it gives less than this fraction of the median LED of its band."""
-MAX_AMBIENT = 0.3
-"""Light with all LEDs off, relative to the median lit shot, above which the lid is open."""
+MAX_AMBIENT = 0.3  # light with all LEDs off, relative to the median lit shot, above which the lid is open
 _MAX_CROSSED = 0.93
 """Crossed images have at most this fraction of the parallel ones' light where the finger shines. Simulated fingers
 behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or did not turn."""
-_SHINE = 99.5
-"""Percentile of the finger's pixels that its specular reflections reach."""
+_SHINE = 99.5  # percentile of the finger's pixels that its specular reflections reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +65,10 @@ class CheckSettings(Checked):
 class Look:
     """What the checks keep of a shot: small copies."""
 
-    grey: FloatArray
-    """(h, w) light at the working scale, 1 = full scale."""
-    details: FloatArray
-    """(h, w) its ridges: band-passed relative brightness, zero beside the finger."""
-    level: float
-    """Median of the finger (or another percentile), 1 = full scale."""
-    saturated: float
-    """Fraction of the finger at full scale."""
+    grey: FloatArray  # (h, w) light at the working scale, 1 = full scale
+    details: FloatArray  # (h, w) its ridges: band-passed relative brightness, zero beside the finger
+    level: float  # median of the finger (or another percentile), 1 = full scale
+    saturated: float  # fraction of the finger at full scale
 
 
 class Examiner:
@@ -147,21 +139,16 @@ class Examiner:
 class Shot:
     """Facts about one photograph that was kept."""
 
-    name: str
-    """Like ``white 3`` or ``white ambient``."""
+    name: str  # like ``white 3`` or ``white ambient``
     led: int | None
-    level: float
-    """Median of the finger, fraction of full scale."""
-    saturated: float
-    """Fraction of the finger at full scale."""
+    level: float  # median of the finger, fraction of full scale
+    saturated: float  # fraction of the finger at full scale
+    # against the shot before; None for the first, for ambient frames, and where the two show different things
     moved_mm: float | None
-    """Against the shot before; None for the first, for ambient frames, and where the two show different things."""
-    at_s: float
-    """When its exposure ended, by the camera's clock."""
+    at_s: float  # when its exposure ended, by the camera's clock
     exposure_s: float
     gain: float
-    discarded: int
-    """Frames that the camera threw away before it."""
+    discarded: int  # frames that the camera threw away before it
     retries: int
 
 

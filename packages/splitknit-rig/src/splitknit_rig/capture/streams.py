@@ -27,14 +27,10 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput, Closing, ExposureRange, Frame, PixelArray, decode_table, importing, require
 
-_MAX_FRAMES = 30
-"""Frames that are thrown away, at most, while waiting for a good one."""
-_BLIND_FRAMES = 5
-"""Frames of a blind stream that are thrown away: four that wait in buffers and the one in the sensor."""
-_LATE_FRAMES = 4
-"""And further ones after a new exposure."""
-_PREVIEW_COLUMNS = 800
-"""Width of a preview, about."""
+_MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
+_BLIND_FRAMES = 5  # frames of a blind stream that are thrown away: four that wait in buffers and the one in the sensor
+_LATE_FRAMES = 4  # and further ones after a new exposure
+_PREVIEW_COLUMNS = 800  # width of a preview, about
 _LONGEST_S = 0.2
 
 
@@ -42,14 +38,10 @@ _LONGEST_S = 0.2
 class _Grab:
     """One frame of a stream and what is known of it."""
 
-    pixels: PixelArray
-    """(H, W, C) integers, C = 1 or 3, linear."""
-    arrived_s: float
-    """When the program had it, on the clock of the stream."""
-    began_s: float | None = None
-    """When its exposure began, at the earliest; None: not known."""
-    exposure_s: float | None = None
-    """As the camera reports it; None: not reported."""
+    pixels: PixelArray  # (H, W, C) integers, C = 1 or 3, linear
+    arrived_s: float  # when the program had it, on the clock of the stream
+    began_s: float | None = None  # when its exposure began, at the earliest; None: not known
+    exposure_s: float | None = None  # as the camera reports it; None: not reported
     gain: float | None = None
 
 
@@ -85,18 +77,9 @@ class StreamCamera(Closing):
         """Take the stream, which is closed with the camera."""
         self._stream, self._closed, self._late = stream, False, 0
         self._wanted = 0.0, 0.0
-        reach = stream.exposures
+        self.image_size, self.exposures = stream.image_size, stream.exposures
+        reach = self.exposures
         self.lock(min(max(0.01, reach.shortest_s), reach.longest_s), reach.lowest_gain)
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._stream.image_size
-
-    @property
-    def exposures(self) -> ExposureRange:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._stream.exposures
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.CameraDevice`; white balance stays as the camera has it."""

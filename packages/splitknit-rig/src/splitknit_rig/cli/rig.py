@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 _SHEET = "target.pdf"
 _AXES = "rigs to compare: numbers with commas between them, every combination is tried"
 _STUDY = "how they are compared"
-_SHOWN = 10
-"""Rigs of a sweep that are listed."""
+_SHOWN = 10  # rigs of a sweep that are listed
 _BUDGETS: dict[str, dict[str, Any]] = {
     "quick": {
         "heights_mm": (100.0, 140.0, 180.0),

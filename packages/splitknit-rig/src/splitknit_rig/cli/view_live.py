@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from splitknit import ViewJob
-    from splitknit_rig.capture.live import LiveFrame
-    from splitknit_rig.capture.live_page import LiveService
+    from splitknit_rig.capture.live import LiveFrame, LiveService
 
 
 def open_live(job: ViewJob, stack: contextlib.ExitStack) -> tuple[LiveService, dict[str, Any]]:
@@ -30,8 +29,7 @@ def open_live(job: ViewJob, stack: contextlib.ExitStack) -> tuple[LiveService, d
         write_image,
         write_results,
     )
-    from splitknit_rig.capture.live import HeightMeter, Live, open_frames
-    from splitknit_rig.capture.live_page import LiveService
+    from splitknit_rig.capture.live import HeightMeter, Live, LiveService, open_frames
 
     assert job.live is not None
     out, encoding = path(job.out or "live"), job.encoding or "linear"

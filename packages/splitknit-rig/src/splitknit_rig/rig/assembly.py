@@ -15,8 +15,7 @@ from splitknit import FloatArray, Progress, importing, no_progress
 from splitknit_rig.rig.dimension_checks import check_dimensions
 from splitknit_rig.rig.dimensions import RigDimensions
 
-STACK = ("base", "cylinder", "frame", "box", "lid")
-"""The rig with the camera above, from below upwards."""
+STACK = ("base", "cylinder", "frame", "box", "lid")  # the rig with the camera above, from below upwards
 STACK_BELOW = ("window_base", "cylinder", "frame", "box", "lid")
 """With the camera below this stack is turned over: the lid is the foot."""
 
@@ -28,13 +27,10 @@ class PartKind:
     name: str
     title: str
     quantity: int = 1
-    face_down: bool = False
-    """Printed with its upper face on the bed."""
+    face_down: bool = False  # printed with its upper face on the bed
     colour: str = "black"
-    needed: bool = True
-    """Part of the rig; else an alternative or an extra."""
-    remedy: str = ""
-    """What is on purpose, or what to do while printing."""
+    needed: bool = True  # part of the rig; else an alternative or an extra
+    remedy: str = ""  # what is on purpose, or what to do while printing
 
 
 KINDS: tuple[PartKind, ...] = (
@@ -95,10 +91,8 @@ class RigPart:
     """One part, drawn in its place in the rig's frame."""
 
     kind: PartKind
-    solid: Any
-    """A solid of build123d."""
-    places: tuple[Any, ...] = ()
-    """Where it is put in the rig, several times; empty: it is drawn in its place."""
+    solid: Any  # a solid of build123d
+    places: tuple[Any, ...] = ()  # where it is put in the rig, several times; empty: it is drawn in its place
 
 
 def require_build123d() -> None:
@@ -123,11 +117,9 @@ def build_parts(dimensions: RigDimensions, progress: Progress = no_progress) -> 
 
 Triangles = FloatArray
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
-TOLERANCE_MM = 0.01
-"""Between a curved face and its triangles: far below what a printer holds."""
+TOLERANCE_MM = 0.01  # between a curved face and its triangles: far below what a printer holds
 TOLERANCE_RAD = 0.2
-_TIMESTAMP = "2000-01-01T00:00:00"
-"""In the header of every STEP file, so that the same rig gives the same bytes."""
+_TIMESTAMP = "2000-01-01T00:00:00"  # in the header of every STEP file, so that the same rig gives the same bytes
 
 
 def triangles_of(part: RigPart) -> Triangles:

@@ -121,8 +121,7 @@ def cad_to_folder(
 _ABOVE, _BELOW = (-0.37, -0.64, 0.67), (-0.41, -0.71, -0.57)
 """Directions from a part towards the viewer: the hand is at the front, at -y."""
 _EXPLODED, _SECTION = (0.48, -0.77, 0.41), (0.86, -0.46, 0.21)
-_GAP_MM = 32.0
-"""Between the parts of the exploded rig."""
+_GAP_MM = 32.0  # between the parts of the exploded rig
 _FAR_MM = 10_000.0
 
 

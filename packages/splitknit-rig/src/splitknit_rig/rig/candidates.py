@@ -19,8 +19,7 @@ from splitknit import Array, BoolArray, Camera, Checked, Led, Limits, Rig, requi
 from splitknit_rig.rig.films import SIDE_HEIGHT_MM, SIDE_RADIUS_MM, side_leds
 from splitknit_simulator import irradiance, unit
 
-FULL_PX_PER_MM = 75.7
-"""Scale of the full frame of the thesis's camera, 3200 x 2200 pixels."""
+FULL_PX_PER_MM = 75.7  # scale of the full frame of the thesis's camera, 3200 x 2200 pixels
 FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
 """Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
 _LEDS_PER_BAND = 7
@@ -136,44 +135,31 @@ def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Ma
 
 # How brightly a rig exposes.
 
-PLANCK_LIGHT = 1.98645e-25
-"""Planck's constant times the speed of light, J m."""
+PLANCK_LIGHT = 1.98645e-25  # Planck's constant times the speed of light, J m
 
 
 @dataclass(frozen=True, slots=True)
 class _Lamp:
     """One band's LED and how well the sensor sees it."""
 
-    efficiency: float
-    """Radiant flux over electrical power."""
-    wavelength_nm: float
-    """Mean, for the energy of a photon."""
-    quantum_efficiency: float
-    """Electrons of a green pixel per photon of this light, colour filter included."""
+    efficiency: float  # radiant flux over electrical power
+    wavelength_nm: float  # mean, for the energy of a photon
+    quantum_efficiency: float  # electrons of a green pixel per photon of this light, colour filter included
 
 
 LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
 """By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
 phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
 850 nm emitters; the camera without infrared filter."""
-_TRANSMISSION = 0.9
-"""Transmission of the lens."""
-_PIXEL_UM = 1.12
-"""Pixel of the IMX219 at full resolution; smaller pictures bin its pixels."""
-MAGNIFICATION = _PIXEL_UM * 1e-3 * FULL_PX_PER_MM
-"""Size on the sensor over size on the finger."""
-FULL_WELL_E = 4700.0
-"""Electrons at full scale of a pixel at full resolution."""
-READ_NOISE_E = 2.5
-"""Standard deviation of the noise of reading out, electrons, a pixel at full resolution."""
-TARGET_LEVEL = 0.7
-"""Fraction of full scale that the brightest skin shall reach."""
-MIN_LEVEL = 0.1
-"""Below this fraction a picture is too dark to be used."""
-_LONGEST_S = 0.2
-"""14 pictures in 7 s leave half a second each for light, settling and reading out."""
-_MAX_GAIN = 8.0
-"""Largest gain of the camera: beyond it a picture stays dark."""
+_TRANSMISSION = 0.9  # transmission of the lens
+_PIXEL_UM = 1.12  # pixel of the IMX219 at full resolution; smaller pictures bin its pixels
+MAGNIFICATION = _PIXEL_UM * 1e-3 * FULL_PX_PER_MM  # size on the sensor over size on the finger
+FULL_WELL_E = 4700.0  # electrons at full scale of a pixel at full resolution
+READ_NOISE_E = 2.5  # standard deviation of the noise of reading out, electrons, a pixel at full resolution
+TARGET_LEVEL = 0.7  # fraction of full scale that the brightest skin shall reach
+MIN_LEVEL = 0.1  # below this fraction a picture is too dark to be used
+_LONGEST_S = 0.2  # 14 pictures in 7 s leave half a second each for light, settling and reading out
+_MAX_GAIN = 8.0  # largest gain of the camera: beyond it a picture stays dark
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +188,7 @@ class PlannedExposure:
 
     time_s: float
     gain: float
-    level: float
-    """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+    level: float  # fraction of full scale of the brightest skin: the target where the shutter and the gain allow it
 
 
 def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
@@ -229,28 +214,18 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
 
 W_PER_UNIT = 100.0
 """W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""
-_LED_BODY_MM = 2.5
-"""Radius of an LED's case."""
-_CAMERA_BODY_MM = 17.3
-"""Half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle."""
-_FINGER_MM = 12.0
-"""Half the breadth of the opening that a large finger needs."""
-_WALL_MM = 8.0
-"""From the circle of the LEDs to the outside of the box."""
-_LAMP_MM = 14.0
-"""From the outside of the box to a side light in its lamp."""
-_BED_MM = (220.0, 250.0)
-"""Side of the printer's bed, and its height."""
-_ROUGHNESS = 0.25
-"""GGX alpha of the skin whose specular reflection is evaluated."""
+_LED_BODY_MM = 2.5  # radius of an LED's case
+_CAMERA_BODY_MM = 17.3  # half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
+_FINGER_MM = 12.0  # half the breadth of the opening that a large finger needs
+_WALL_MM = 8.0  # from the circle of the LEDs to the outside of the box
+_LAMP_MM = 14.0  # from the outside of the box to a side light in its lamp
+_BED_MM = (220.0, 250.0)  # side of the printer's bed, and its height
+_ROUGHNESS = 0.25  # GGX alpha of the skin whose specular reflection is evaluated
 _MAX_BLIND = 0.05
 """Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal needs."""
-_BLUR_MM = 0.11
-"""Disc of defocus that is allowed: a quarter of a ridge period."""
-ALBEDO = 0.6
-"""Albedo of skin in its brightest channel, for the exposure."""
-_MIN_BEAM = 0.1
-"""Smallest fraction of an LED's axial intensity that falls on the middle of the finger plane."""
+_BLUR_MM = 0.11  # disc of defocus that is allowed: a quarter of a ridge period
+ALBEDO = 0.6  # albedo of skin in its brightest channel, for the exposure
+_MIN_BEAM = 0.1  # smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,10 +235,8 @@ class Finding:
     name: str
     ok: bool
     value: float
-    words: str
-    """One sentence."""
-    hard: bool = True
-    """Whether a rig that fails is left out; otherwise it is only said."""
+    words: str  # one sentence
+    hard: bool = True  # whether a rig that fails is left out; otherwise it is only said
 
 
 @dataclass(frozen=True, slots=True, eq=False)

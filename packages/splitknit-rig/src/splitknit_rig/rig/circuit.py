@@ -23,8 +23,7 @@ E24 = (
     3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2, 9.1,
 )  # fmt: skip
 """Preferred numbers of IEC 60063 for 5 %; every maker has them at 1 % too."""
-RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)
-"""Powers that leaded resistors are sold for."""
+RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)  # powers that leaded resistors are sold for
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +89,12 @@ def _rating_for(power_w: float) -> float:
     return next(one for one in RATINGS_W if power_w <= _MAX_HEAT * one)
 
 
-MIN_HEADROOM_V = 0.5
-"""Voltage that a current sink's transistor must keep to be one."""
+MIN_HEADROOM_V = 0.5  # voltage that a current sink's transistor must keep to be one
 FORCED_GAIN = 20.0
 """A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
-_MAX_HEAT = 0.6
-"""Fraction of its rating that a part may turn into heat when its LED stays on for ever."""
-_MIN_CURRENT = 0.7
-"""Smallest current in the worst corner, over the wanted one."""
-_PULL_DOWN_OHM = 100_000.0
-"""From every line to ground: LEDs are off while no Pi is connected or none has been started."""
+_MAX_HEAT = 0.6  # fraction of its rating that a part may turn into heat when its LED stays on for ever
+_MIN_CURRENT = 0.7  # smallest current in the worst corner, over the wanted one
+_PULL_DOWN_OHM = 100_000.0  # from every line to ground: LEDs are off while no Pi is connected or none has been started
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +120,10 @@ class CircuitSettings(Checked):
 class Resistor:
     """One resistor of a stage."""
 
-    role: str
-    """``base``, ``emitter``, ``series`` or ``pull_down``."""
+    role: str  # ``base``, ``emitter``, ``series`` or ``pull_down``
     ohm: float
     rating_w: float
-    heat_w: float
-    """In the worst corner, LED on for ever."""
+    heat_w: float  # in the worst corner, LED on for ever
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,28 +133,21 @@ class Stage:
     band: str
     led: LedPart
     resistors: tuple[Resistor, ...]
-    current_a: tuple[float, float, float]
-    """Current of the LED: smallest, typical, largest."""
-    gpio_a: float
-    """Largest current of the GPIO line, LED supply connected."""
-    gpio_fault_a: float
-    """The same with the LED supply missing."""
-    transistor_w: float
-    """Largest dissipation."""
-    shorted_a: float
-    """Largest current of the LED with a transistor that is shorted from collector to emitter."""
+    current_a: tuple[float, float, float]  # current of the LED: smallest, typical, largest
+    gpio_a: float  # largest current of the GPIO line, LED supply connected
+    gpio_fault_a: float  # the same with the LED supply missing
+    transistor_w: float  # largest dissipation
+    shorted_a: float  # largest current of the LED with a transistor that is shorted from collector to emitter
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One LED's stage on the board."""
 
-    name: str
-    """Name of the LED, such as ``white 3``."""
+    name: str  # name of the LED, such as ``white 3``
     gpio: int
     stage: Stage
-    number: int
-    """From 1, in the order of the rig file."""
+    number: int  # from 1, in the order of the rig file
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +156,9 @@ class Circuit:
 
     settings: CircuitSettings
     channels: tuple[Channel, ...]
+    # current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens
     fuse_a: float
-    """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
-    misfit: str
-    """Why the LED board cannot carry this circuit; empty where it can."""
+    misfit: str  # why the LED board cannot carry this circuit; empty where it can
 
     @property
     def parts(self) -> int:
@@ -183,8 +168,7 @@ class Circuit:
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
     """Choose the resistors of a band's stage and check all margins at the worst corners; BadInput names the margin
-    missed and the remedy. Source: P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, 2.2.1 (switch), 2.2.6
-    (current sink).
+    missed and the remedy. Source: P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, 2.2.1 and 2.2.6.
     """
     settings = settings or CircuitSettings()
     require(band in ("white", "nir"), f"there are stages for the bands white and nir, not '{band}'.")

@@ -33,16 +33,14 @@ from splitknit_rig.rig.safety import check_hazards, rig_hazards
 from splitknit_simulator import side_lights
 
 _BOARD = Path(__file__).with_name("board")
-_TEXTS = ("circuit.net", "schematic.svg", "wiring.svg", "board.kicad_pcb")
-"""The board's files that show values."""
+_TEXTS = ("circuit.net", "schematic.svg", "wiring.svg", "board.kicad_pcb")  # the board's files that show values
 FILES = (*_TEXTS[:3], "parts.csv", "board.kicad_pcb", "gerber.zip", "circuit.json", "rig.json")
 _ALWAYS = FILES[-2:]
 """Files of a circuit that the board cannot carry."""
 _LAYOUT = {"size_mm": [90.0, 70.0], "holes_mm": [[3.0, 3.0], [87.0, 3.0], [3.0, 67.0], [87.0, 67.0]], "vias": 9}
 _SUPPLY = ("J1", "J2", "F1", "D90", "C1", "C2")
 _ROLES = ("base", "emitter", "series", "pull_down")
-_MAX_RATING_W = 0.6
-"""Largest rating of the resistors that the board has places for."""
+_MAX_RATING_W = 0.6  # largest rating of the resistors that the board has places for
 _LINK = ("0R wire", "a piece of wire", "a leg cut off a resistor", "a resistor of 0 ohms", "in place of a resistor")
 _FUSE_AT_50_DEG = 0.7
 """Fraction of its current at 20 degrees that a resettable fuse still carries in a box of 50 degrees."""
@@ -129,9 +127,7 @@ def _maker_code(ohm: float) -> str:
 
 
 def _values(circuit: Circuit) -> dict[str, str]:
-    """Value of every part by its reference, without the supply's: R101 to R401 are the first stage's base, emitter and
-    series resistors and its pull-down.
-    """
+    """Value of every part but the supply's by its reference: R101 to R401 are the first stage's, in `_ROLES`."""
     values = {"F1": f"{1000 * circuit.fuse_a:.0f} mA hold, resettable"}
     for channel in circuit.channels:
         n, stage = channel.number, channel.stage

@@ -13,8 +13,7 @@ from splitknit_rig.rig.dimensions import LedHole, RigDimensions, side_lamp
 from splitknit_rig.rig.films import film_mounts
 
 _SAMPLES = 400
-_MIN_SEAT_MM = 0.6
-"""An LED's flange rests on three layers at least."""
+_MIN_SEAT_MM = 0.6  # an LED's flange rests on three layers at least
 
 
 def check_dimensions(d: RigDimensions) -> None:

@@ -74,16 +74,12 @@ class LedHole:
 
     index: int
     band: str
-    light_mm: Array
-    """(3,) the LED's place in the rig file: the middle of its dome."""
-    back: Array
-    """(3,) unit vector along the hole, away from the finger."""
+    light_mm: Array  # (3,) the LED's place in the rig file: the middle of its dome
+    back: Array  # (3,) unit vector along the hole, away from the finger
     radius_mm: float
-    pocket_radius_mm: float
-    """Behind the shoulder, where the flange rests."""
+    pocket_radius_mm: float  # behind the shoulder, where the flange rests
     shoulder_mm: float
-    back_mm: float
-    """Where the pocket ends."""
+    back_mm: float  # where the pocket ends
 
     @property
     def tilt_deg(self) -> float:
@@ -137,8 +133,8 @@ SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
 SCREWS_B_DEG = (0.0, 90.0, 180.0, 280.0)
 """Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for the others."""
 _HALF = math.sqrt(0.5)
-_GROOVE_IN_FLOOR_MM = 0.4
-"""The groove's bottom lies this much below the base's upper face."""
+POCKET_MM = 1.0  # depth of the base's shallow pockets, which hold mirror holders and calibration disc in place
+_GROOVE_IN_FLOOR_MM = 0.4  # the groove's bottom lies this much below the base's upper face
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,29 +143,35 @@ class RigDimensions:
 
     settings: PartSettings
     camera_height_mm: float
-    field_mm: tuple[float, float]
-    """Width (x) and height (y) of the picture on the finger plane."""
+    field_mm: tuple[float, float]  # width (x) and height (y) of the picture on the finger plane
     holes: tuple[LedHole, ...]
-    sides: tuple[LedHole, ...]
-    """Side lights, each in a lamp of its own that is pushed through the cylinder's wall."""
-    bore_mm: float
-    """Inner radius of cylinder, frame and box."""
-    floor_z_mm: float
-    """Upper face of the base, the joint between base and cylinder."""
-    frame_z_mm: float
-    """Lower face of the frame, the joint between cylinder and frame."""
+    sides: tuple[LedHole, ...]  # side lights, each in a lamp of its own that is pushed through the cylinder's wall
+    bore_mm: float  # inner radius of cylinder, frame and box
+    floor_z_mm: float  # upper face of the base, the joint between base and cylinder
+    frame_z_mm: float  # lower face of the frame, the joint between cylinder and frame
     box_z_mm: float
     lid_z_mm: float
-    board_z_mm: float
-    """Front of the camera's board."""
-    stop_y_mm: float
-    """Where the fingertip stops."""
-    niche_y_mm: float
-    """Outer face of the niche's end wall, with the opening for the finger."""
+    board_z_mm: float  # front of the camera's board
+    stop_y_mm: float  # where the fingertip stops
+    niche_y_mm: float  # outer face of the niche's end wall, with the opening for the finger
     opening_radius_mm: float
-    nail_mm: float
-    """Height of the nail's tip over the finger plane."""
-    films: RigFilms | None = None
+    nail_mm: float  # height of the nail's tip over the finger plane
+    outer_mm: float  # outer radius of the tubes
+    ring_mm: float  # outer radius of floors and of the tubes' ends
+    screw_mm: float  # radius of the circle of screws
+    outside_mm: float  # radius that everything fits into
+    base_z_mm: float  # lowest face of the base
+    top_z_mm: float  # upper face of the lid
+    cylinder_mm: float  # height of the cylinder between its joints
+    niche_inner_y_mm: float  # inner face of the niche's end wall
+    groove_z_mm: float  # bottom of the finger's groove
+    groove_width_mm: float  # width of the finger's groove at its rim
+    groove_radius_mm: float  # radius of the groove's round bottom
+    block_mm: float  # half the width of the block that holds the groove
+    disc_radius_mm: float  # radius of the calibration disc: as large as the niche allows
+    lens_hole_mm: float  # radius of the frame's opening for the lens
+    base_screws_deg: tuple[float, ...]  # azimuths of the screws between base and cylinder: beside the lamps, if any
+    films: RigFilms | None
 
     @property
     def lit_corners(self) -> Array:
@@ -178,89 +180,6 @@ class RigDimensions:
         start = max(-self.field_mm[1] / 2, self.stop_y_mm - sizes.FINGER_PHALANX_MM)
         ends = (start, (start + self.stop_y_mm) / 2, self.field_mm[1] / 2)
         return np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
-
-    @property
-    def outer_mm(self) -> float:
-        """Outer radius of the tubes."""
-        return self.bore_mm + self.settings.joint.wall_mm
-
-    @property
-    def ring_mm(self) -> float:
-        """Outer radius of floors and of the tubes' ends."""
-        return self.outer_mm + sizes.JOINT_RING_MM
-
-    @property
-    def screw_mm(self) -> float:
-        """Radius of the circle of screws."""
-        return self.bore_mm + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1
-
-    @property
-    def outside_mm(self) -> float:
-        """Radius that everything fits into."""
-        return self.screw_mm + sizes.JOINT_LUG_RADIUS_MM
-
-    @property
-    def base_z_mm(self) -> float:
-        """Lowest face of the base."""
-        return self.floor_z_mm - sizes.JOINT_PLATE_MM
-
-    @property
-    def top_z_mm(self) -> float:
-        """Upper face of the lid."""
-        return self.lid_z_mm + sizes.JOINT_PLATE_MM
-
-    @property
-    def cylinder_mm(self) -> float:
-        """Height of the cylinder between its joints."""
-        return self.frame_z_mm - self.floor_z_mm
-
-    @property
-    def niche_inner_y_mm(self) -> float:
-        """Inner face of the niche's end wall."""
-        return self.niche_y_mm + self.settings.joint.wall_mm
-
-    @property
-    def groove_z_mm(self) -> float:
-        """Bottom of the finger's groove."""
-        return -self.settings.finger.pad_height_mm
-
-    @property
-    def groove_width_mm(self) -> float:
-        """Width of the finger's groove at its rim."""
-        return self.settings.finger.widest_mm + sizes.FINGER_CLEARANCE_MM
-
-    @property
-    def groove_radius_mm(self) -> float:
-        """Radius of the groove's round bottom."""
-        half, depth = self.groove_width_mm / 2, self.settings.finger.groove_depth_mm
-        return (half * half + depth * depth) / (2 * depth)
-
-    @property
-    def block_mm(self) -> float:
-        """Half the width of the block that holds the groove."""
-        return self.groove_width_mm / 2 + self.settings.joint.wall_mm
-
-    @property
-    def disc_radius_mm(self) -> float:
-        """Radius of the calibration disc: as large as the niche allows."""
-        return math.floor(-self.niche_inner_y_mm - 1.0)
-
-    @property
-    def lens_hole_mm(self) -> float:
-        """Radius of the frame's opening for the lens."""
-        opening = self.settings.camera.barrel_mm / 2 + 0.4
-        above = max(0.0, self.camera_height_mm - self.frame_z_mm)  # a lens behind the frame must see past its edge
-        return opening + above * math.hypot(*self.field_mm) / 2 / self.camera_height_mm
-
-    @property
-    def base_screws_deg(self) -> tuple[float, ...]:
-        """Azimuths of the screws between base and cylinder: with side lights beside the lamps."""
-        return (35.0, 145.0, 222.0, 354.0) if self.sides else SCREWS_A_DEG
-
-    @property
-    def pocket_mm(self) -> float:
-        """Depth of the shallow pockets of the base that hold mirror holders and calibration disc in place."""
-        return 1.0
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
@@ -299,22 +218,45 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     angle = np.linspace(0.0, np.pi, 361)  # about the thickest finger, an ellipse that lies on the floor
     x, z = finger.widest_mm / 2 * np.cos(angle), sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
+    wall, bore, floor_z = (
+        settings.joint.wall_mm,
+        _bore(holes, settings, field),
+        _GROOVE_IN_FLOOR_MM - finger.pad_height_mm,
+    )
+    screw, niche_y = bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1, stop_y - finger.reach_mm
+    half, depth = (finger.widest_mm + sizes.FINGER_CLEARANCE_MM) / 2, finger.groove_depth_mm
+    behind = max(0.0, camera.height_mm - frame_z)  # a lens behind the frame must see past its edge
     return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
         holes=holes,
         sides=tuple(every[k] for k in side),
-        bore_mm=_bore(holes, settings, field),
-        floor_z_mm=-finger.pad_height_mm + _GROOVE_IN_FLOOR_MM,
+        bore_mm=bore,
+        floor_z_mm=floor_z,
         frame_z_mm=frame_z,
         box_z_mm=box_z,
         lid_z_mm=lid_z,
         board_z_mm=board_z,
         stop_y_mm=stop_y,
-        niche_y_mm=stop_y - finger.reach_mm,
+        niche_y_mm=niche_y,
         opening_radius_mm=float(np.hypot(x, z).max()) + sizes.FINGER_CLEARANCE_MM,
         nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
+        outer_mm=bore + wall,
+        ring_mm=bore + wall + sizes.JOINT_RING_MM,
+        screw_mm=screw,
+        outside_mm=screw + sizes.JOINT_LUG_RADIUS_MM,
+        base_z_mm=floor_z - sizes.JOINT_PLATE_MM,
+        top_z_mm=lid_z + sizes.JOINT_PLATE_MM,
+        cylinder_mm=frame_z - floor_z,
+        niche_inner_y_mm=niche_y + wall,
+        groove_z_mm=-finger.pad_height_mm,
+        groove_width_mm=2 * half,
+        groove_radius_mm=(half * half + depth * depth) / (2 * depth),
+        block_mm=half + wall,
+        disc_radius_mm=math.floor(-niche_y - wall - 1.0),
+        lens_hole_mm=settings.camera.barrel_mm / 2 + 0.4 + behind * math.hypot(*field) / 2 / camera.height_mm,
+        base_screws_deg=(35.0, 145.0, 222.0, 354.0) if side else SCREWS_A_DEG,
         films=films,
     )
 
@@ -374,7 +316,7 @@ def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     """Heights of the finger (mm) that the mirrors show at 45 deg, and the fraction of it in the picture."""
     d = dimensions
     (front, foot), (side, _, _), (_, tip, _) = _mirror_front(), holder_places(d)[0], holder_places(d)[2]
-    floor, length = d.floor_z_mm - d.pocket_mm + foot, d.settings.mirror.wide_mm * _HALF
+    floor, length = d.floor_z_mm - POCKET_MM + foot, d.settings.mirror.wide_mm * _HALF
     view = {}
     for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):
         first = start + sizes.MIRROR_LIP_MM * _HALF
@@ -395,24 +337,17 @@ def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
 class SideLamp:
     """Distances in mm along the LED's axis from the light towards the finger, and radii. All side lamps are alike."""
 
-    wall_mm: float
-    """To the cylinder's outer face."""
-    mouth_mm: float
-    """To the lamp's end, just inside the cylinder."""
+    wall_mm: float  # to the cylinder's outer face
+    mouth_mm: float  # to the lamp's end, just inside the cylinder
+    # of the opening there, which lights the last phalanx as far as the picture shows it, and its flanks
     mouth_radius_mm: float
-    """Of the opening there, which lights the last phalanx as far as the picture shows it, and its flanks."""
-    film_mm: float
-    """Side of the square piece of film."""
-    body_mm: float
-    """Radius around LED and film."""
-    plug_mm: float
-    """Radius in the cylinder's wall."""
-    collar_mm: float
-    """Radius of the collar that meets the cylinder."""
+    film_mm: float  # side of the square piece of film
+    body_mm: float  # radius around LED and film
+    plug_mm: float  # radius in the cylinder's wall
+    collar_mm: float  # radius of the collar that meets the cylinder
 
 
-SIDE_FILM_AT_MM = 4.0
-"""From a side light to its film: in front of the dome."""
+SIDE_FILM_AT_MM = 4.0  # from a side light to its film: in front of the dome
 
 
 def side_lamp(d: RigDimensions) -> SideLamp:

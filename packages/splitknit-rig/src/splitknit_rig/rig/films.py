@@ -118,18 +118,13 @@ def side_film_deg(light_mm: Sequence[float]) -> float:
 
 # Where films are mounted: a ring of windows below the LEDs, and before the lens a plate on which the analyser turns.
 
-FILM_MM = 0.8
-"""Depth of the pockets that films lie in."""
+FILM_MM = 0.8  # depth of the pockets that films lie in
 LEVER_MM = 14.0
 """From the analyser's axis to the hole in its lever; the servo's horn is as long, so that both turn by one angle."""
-LINK_MM = 28.0
-"""From the analyser's axis to the servo's, along -x: the length of the wire between lever and horn."""
-PLATE_MM = 2.4
-"""Thickness of the analyser's plate."""
-FLANGE_MM = 2.0
-"""Thickness of the analyser's flange and lever, above the plate."""
-POST_MM = 3.5
-"""Radius of the posts that screws through the frame's floor hold."""
+LINK_MM = 28.0  # from the analyser's axis to the servo's, along -x: the length of the wire between lever and horn
+PLATE_MM = 2.4  # thickness of the analyser's plate
+FLANGE_MM = 2.0  # thickness of the analyser's flange and lever, above the plate
+POST_MM = 3.5  # radius of the posts that screws through the frame's floor hold
 _PLATE_POSTS_DEG, _PLATE_POSTS_MM = (90.0, 215.0, 325.0), 21.5
 ROD_Y_MM = 0.85 * LEVER_MM
 """Place of the rod of an analyser that is turned by hand: half way between both ends of its turn."""
@@ -139,46 +134,20 @@ ROD_Y_MM = 0.85 * LEVER_MM
 class FilmMounts:
     """Places in the rig's frame, mm, with the analyser in its parallel position."""
 
-    kind: str
-    """See :class:`splitknit_rig.capture.pins.RigFilms`."""
+    kind: str  # see :class:`splitknit_rig.capture.pins.RigFilms`
+    # x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without
     windows: tuple[tuple[float, float, str], ...]
-    """x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without."""
-    window_mm: float
-    """Radius of every window."""
-    ring_z_mm: float
-    """Upper face of the ring of windows."""
+    window_mm: float  # radius of every window
+    ring_z_mm: float  # upper face of the ring of windows
     ring_posts: tuple[tuple[float, float], ...]
-    plate_z_mm: float
-    """Upper face of the analyser's plate."""
+    plate_z_mm: float  # upper face of the analyser's plate
     plate_posts: tuple[tuple[float, float], ...]
-    aperture_mm: float
-    """Radius of the analyser's opening."""
-
-    @property
-    def piece_mm(self) -> float:
-        """Side of the square pockets in the ring."""
-        return 2 * self.window_mm + 1.2
-
-    @property
-    def ring_mm(self) -> tuple[float, float]:
-        """Radii between which the ring's pockets lie."""
-        away, corner = [math.hypot(x, y) for x, y, _ in self.windows], self.piece_mm * math.sqrt(0.5) + 1.2
-        return min(away) - corner, max(away) + corner
-
-    @property
-    def analyser_piece_mm(self) -> float:
-        """Side of the analyser's square pocket."""
-        return 2 * self.aperture_mm + 1.4
-
-    @property
-    def turning_mm(self) -> float:
-        """Radius of the part of the analyser that turns in its plate."""
-        return self.analyser_piece_mm * math.sqrt(0.5) + 1.6
-
-    @property
-    def rod_z_mm(self) -> float:
-        """Height of the rod, or of the servo's wire, over the lever."""
-        return self.plate_z_mm + FLANGE_MM + 1.2
+    aperture_mm: float  # radius of the analyser's opening
+    piece_mm: float  # side of the square pockets in the ring
+    ring_mm: tuple[float, float]  # radii between which the ring's pockets lie
+    analyser_piece_mm: float  # side of the analyser's square pocket
+    turning_mm: float  # radius of the part of the analyser that turns in its plate
+    rod_z_mm: float  # height of the rod, or of the servo's wire, over the lever
 
 
 def film_mounts(d: RigDimensions) -> FilmMounts:
@@ -199,15 +168,23 @@ def film_mounts(d: RigDimensions) -> FilmMounts:
     gaps = np.diff(azimuths, append=azimuths[0] + math.tau)
     wide = (azimuths + gaps / 2)[gaps > 0.9 * gaps.max()]
     count = min(4, len(wide))
+    window, aperture = spread + 0.8 * max(hole.radius_mm for hole in d.holes), max(6.0, 3.2 + seen)
+    piece, analyser_piece, diagonal = 2 * window + 1.2, 2 * aperture + 1.4, math.sqrt(0.5)
+    away = [math.hypot(x, y) for x, y in middles.tolist()]
     mounts = FilmMounts(
         kind=films.kind,
         windows=tuple((float(x), float(y), axis) for (x, y), axis in zip(middles, axes, strict=True)),
-        window_mm=spread + 0.8 * max(hole.radius_mm for hole in d.holes),
+        window_mm=window,
         ring_z_mm=ring_z,
         ring_posts=_around(d.bore_mm - POST_MM - 0.7, [float(wide[k * len(wide) // count]) for k in range(count)]),
         plate_z_mm=plate_z,
         plate_posts=_around(_PLATE_POSTS_MM, np.deg2rad(_PLATE_POSTS_DEG).tolist()),
-        aperture_mm=max(6.0, 3.2 + seen),
+        aperture_mm=aperture,
+        piece_mm=piece,
+        ring_mm=(min(away) - (piece * diagonal + 1.2), max(away) + (piece * diagonal + 1.2)),
+        analyser_piece_mm=analyser_piece,
+        turning_mm=analyser_piece * diagonal + 1.6,
+        rod_z_mm=plate_z + FLANGE_MM + 1.2,
     )
     _check_room(d, mounts)
     return mounts

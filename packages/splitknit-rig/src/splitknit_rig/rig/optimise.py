@@ -71,10 +71,8 @@ from splitknit_simulator import (
     unit,
 )
 
-FIRST_SEED = 400
-"""Seeds of the fingers."""
-MAX_SLANT_DEG = 60.0
-"""The print is where the shape is flatter than this (``docs/explain/conventions.md``)."""
+FIRST_SEED = 400  # seeds of the fingers
+MAX_SLANT_DEG = 60.0  # the print is where the shape is flatter than this (``docs/explain/conventions.md``)
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 OBJECTIVES = {
     "rms": "surface_rms_mm", "ridges": "ridge_rms_um", "normals": "normals_mean_deg", "slopes": "slope_deviation"
@@ -135,8 +133,7 @@ class Study(Checked):
         return figures
 
 
-SLANTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
-"""Bounds of the bands of slant."""
+SLANTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)  # bounds of the bands of slant
 _FACET_MM, _FACET_ROUGHNESS = 1 / 37.85, 0.3
 """Side of the facet, a pixel of half the full resolution, and its GGX alpha."""
 
@@ -241,8 +238,7 @@ def sweep_rigs(
     out: Path, candidates: Sequence[RigCandidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates, keep each when finished, and return their records in order. `out` is new, or an earlier
-    sweep of the same study, whose failures are tried again. Raises BadInput if there are no candidates, none can be
-    built, or the folder holds something else.
+    sweep of the same study, whose failures are tried again. BadInput if none can be built, or it holds something else.
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")

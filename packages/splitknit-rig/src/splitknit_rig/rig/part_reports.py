@@ -108,8 +108,7 @@ def _led(hole: LedHole) -> dict[str, Any]:
     }
 
 
-_FACETS_MM = 0.1
-"""How much thinner facets make a round wall."""
+_FACETS_MM = 0.1  # how much thinner facets make a round wall
 
 
 def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) -> dict[str, Any]:
@@ -180,8 +179,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
 
 # What hangs in the air while a part is printed: steep faces, and what each layer has to bridge.
 
-_PITCH_MM = 0.25
-"""Spacing of the grid on which layers are drawn."""
+_PITCH_MM = 0.25  # spacing of the grid on which layers are drawn
 
 
 def _overhang(triangles: Triangles, limit_deg: float = sizes.MAX_OVERHANG_DEG) -> tuple[float, float, float, float]:
@@ -269,10 +267,8 @@ def _slice_mask(corners: Array, z: float, low: Array, shape: tuple[int, int], pi
 #
 # They look at the triangles that the STL file holds, not at the solid they came from.
 
-_SAMPLES = 4000
-"""Points on the surface at which walls are measured, beside one for each triangle."""
-_REACH_MM = 8.0
-"""Walls thicker than this are not looked at."""
+_SAMPLES = 4000  # points on the surface at which walls are measured, beside one for each triangle
+_REACH_MM = 8.0  # walls thicker than this are not looked at
 
 
 def _check_soundness(triangles: Triangles) -> tuple[int, int, float]:
@@ -314,8 +310,7 @@ def _thinnest_wall(triangles: Triangles) -> tuple[float, Array, int]:
 # Where short rays meet a triangle mesh: cell by cell of a grid, so that each looks at the triangles around it only.
 
 _TINY = 1e-12
-_AT_ONCE = 400_000
-"""Pairs of rays and triangles that are looked at together: what fits into the processor's cache."""
+_AT_ONCE = 400_000  # pairs of rays and triangles that are looked at together: what fits into the processor's cache
 
 
 def _first_hits(corners: Array, origins: Array, directions: Array, reach_mm: float) -> tuple[Array, NDArray[np.int64]]:

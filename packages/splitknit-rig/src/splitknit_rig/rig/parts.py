@@ -16,6 +16,7 @@ from splitknit import Array
 from splitknit_rig.rig import films
 from splitknit_rig.rig import part_settings as sizes
 from splitknit_rig.rig.dimensions import (
+    POCKET_MM,
     SCREWS_A_DEG,
     SCREWS_B_DEG,
     SIDE_FILM_AT_MM,
@@ -32,10 +33,8 @@ Shape = Any
 """A solid of build123d."""
 _Points = Sequence[tuple[float, float]]
 _Point = Sequence[float] | Array
-_LEVER_HALF_MM = 2.2
-"""Half the width of the analyser's lever."""
-_PEG_MM = 2.2
-"""Radius of the pegs that stop it."""
+_LEVER_HALF_MM = 2.2  # half the width of the analyser's lever
+_PEG_MM = 2.2  # radius of the pegs that stop it
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
 
@@ -43,7 +42,7 @@ _FAR_MM = 500.0
 def _base_part(d: RigDimensions) -> Shape:
     """The finger lies on its back in a round groove up to a low wall; pockets take mirror holders and the disc."""
     finger, end = d.settings.finger, d.stop_y_mm + d.settings.joint.wall_mm
-    low, rim = d.floor_z_mm - d.pocket_mm, d.groove_z_mm + finger.groove_depth_mm
+    low, rim = d.floor_z_mm - POCKET_MM, d.groove_z_mm + finger.groove_depth_mm
     groove, slack = (-d.groove_width_mm / 2, d.groove_width_mm / 2), sizes.JOINT_CLEARANCE_MM
     disc = _ring(d.disc_radius_mm - d.settings.joint.wall_mm - slack, d.disc_radius_mm + slack, low, d.floor_z_mm + 1.0)
     plate = _cut(_plate(d), [*_mirror_pockets(d), disc, *_feet(d, d.base_z_mm, 1.0)])
@@ -105,7 +104,7 @@ def _plate(d: RigDimensions) -> Shape:
 
 def _mirror_pockets(d: RigDimensions) -> list[Shape]:
     slack = sizes.JOINT_CLEARANCE_MM
-    half, z = sizes.MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
+    half, z = sizes.MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - POCKET_MM, d.floor_z_mm + 1.0)
     near, far = -slack, holder_depth(d.settings) + slack
     (right, middle, _), _, (_, tip, _) = holder_places(d)
     y = (middle - half, middle + half)
@@ -119,7 +118,7 @@ def _mirror_pockets(d: RigDimensions) -> list[Shape]:
 def _mirror_holder_part(d: RigDimensions) -> Shape:
     """Return the holder of one mirror, in the place of the right one; left and tip are the same, turned."""
     x, y, _ = holder_places(d)[0]
-    foot, half = d.floor_z_mm - d.pocket_mm, sizes.MIRROR_LONG_MM / 2
+    foot, half = d.floor_z_mm - POCKET_MM, sizes.MIRROR_LONG_MM / 2
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
     return _prism_y(outline, y - half, y + half)
 
@@ -272,7 +271,7 @@ def _disc_part(d: RigDimensions, depth: float) -> Shape:
     """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
     radius = d.settings.calibration.dot_mm / 2
     # Disc and skirt
-    outside, thick, foot = d.disc_radius_mm, sizes.DISC_MM, d.floor_z_mm - d.pocket_mm
+    outside, thick, foot = d.disc_radius_mm, sizes.DISC_MM, d.floor_z_mm - POCKET_MM
     inside = outside - d.settings.joint.wall_mm
     body = _turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
     half = d.block_mm + 2 * sizes.JOINT_CLEARANCE_MM

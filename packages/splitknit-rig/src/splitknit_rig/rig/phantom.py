@@ -31,8 +31,7 @@ RADIUS_MM, STEEPEST_DEG, ENDS_MM = 8.5, 62.0, (-14.5, 6.0)
 """Half cylinder: its radius, the steepest slope of its skirts, where it begins and where its round tip starts."""
 HEIGHTS_UM, PERIODS_MM, TURNS_DEG = (25.0, 50.0, 75.0, 100.0), (0.35, 0.45, 0.6), (0.0, 60.0, 120.0)
 """Ridges from valley to top, a row of fields each; the periods, and directions across the ridges, take turns."""
-FIELD_MM, APART_MM = 4.6, 5.2
-"""Side of a field of ridges, and between the middles of two, along the skin."""
+FIELD_MM, APART_MM = 4.6, 5.2  # side of a field of ridges, and between the middles of two, along the skin
 MARKS_MM = ((-3.5, 9.0), (0.6, 9.4), (3.0, 8.6), (-0.6, 10.8))
 """Across and along the skin: domes of 0.15 mm that no turn takes to each other."""
 

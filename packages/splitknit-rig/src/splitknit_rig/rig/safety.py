@@ -17,16 +17,11 @@ from splitknit import Array, Rig, require
 from splitknit_rig.rig.circuit import LedPart, Stage
 from splitknit_simulator import side_lights
 
-EYE_MM = 200.0
-"""Where lamps that light no rooms are judged (6.1); nearer where the drawing is nearer."""
-_SKIN_S = 10.0
-"""Longest time that the skin's limit is stated for (4.3.8): after it, heat hurts and the hand withdraws."""
-_ALPHA_MAX = 0.1
-"""Largest angle of a source that counts, rad (4.2.2): larger ones heat the retina no more."""
-_SMALL = 0.011
-"""Angle that eye movements spread a point over within 10 to 100 s, rad (4.2.2)."""
-_KM = 683.0
-"""Lumens of a watt at 555 nm."""
+EYE_MM = 200.0  # where lamps that light no rooms are judged (6.1); nearer where the drawing is nearer
+_SKIN_S = 10.0  # longest time that the skin's limit is stated for (4.3.8): after it, heat hurts and the hand withdraws
+_ALPHA_MAX = 0.1  # largest angle of a source that counts, rad (4.2.2): larger ones heat the retina no more
+_SMALL = 0.011  # angle that eye movements spread a point over within 10 to 100 s, rad (4.2.2)
+_KM = 683.0  # lumens of a watt at 555 nm
 _NM = np.arange(300.0, 3001.0)
 # IEC 62471:2006, table 4.2: the blue-light hazard from 380 to 500 nm; the burn hazard is ten times as large there
 _TABLE_NM = np.arange(380.0, 501.0, 5.0)
@@ -78,11 +73,9 @@ def _luminous(nm: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Hazard:
-    band: str
-    """``white``, ``nir``, ``side`` or ``all`` LEDs."""
+    band: str  # ``white``, ``nir``, ``side`` or ``all`` LEDs
     name: str
-    clause: str
-    """Clause of IEC 62471:2006."""
+    clause: str  # clause of IEC 62471:2006
     value: float
     limit: float
     unit: str

@@ -17,18 +17,15 @@ PRODUCER = b"/Producer (splitknit)"
 _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
 RULER_MM = 100.0
-_RULER_BELOW_MM = 10.0
-"""From its line to the boards: strokes and numbers."""
-DOT_MM = 1.5
-"""Diameter of a dot of the disc."""
-_DISC_RADIUS_MM = 45.0
-"""Where the disc is cut out."""
-_CARD_MARGIN_MM = 4.0
-"""White paper around a board, within the line along which it is cut out."""
-_PAGE_MARGIN_MM = 12.0
-"""Which printers leave free."""
-_DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM)
-"""Centre of the disc on the sheet."""
+_RULER_BELOW_MM = 10.0  # from its line to the boards: strokes and numbers
+DOT_MM = 1.5  # diameter of a dot of the disc
+_DISC_RADIUS_MM = 45.0  # where the disc is cut out
+_CARD_MARGIN_MM = 4.0  # white paper around a board, within the line along which it is cut out
+_PAGE_MARGIN_MM = 12.0  # which printers leave free
+RULER_Y_MM = A4_MM[1] - _PAGE_MARGIN_MM - 18  # where the ruler's line is
+_BOARDS_MM = RULER_Y_MM - _RULER_BELOW_MM - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
+"""Height of the sheet that is left for the boards, between ruler and disc."""
+_DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM)  # centre of the disc on the sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +58,9 @@ class TargetSettings:
         width, height = self.card_mm
         free = A4_MM[0] - 2 * _PAGE_MARGIN_MM
         require(
-            width <= free and height <= self.boards_height_mm,
+            width <= free and height <= _BOARDS_MM,
             f"a card of {width:g} x {height:g} mm does not fit on the sheet beside the disc ({free:g} x "
-            f"{self.boards_height_mm:g} mm are free); use smaller or fewer squares.",
+            f"{_BOARDS_MM:g} mm are free); use smaller or fewer squares.",
         )
 
     @property
@@ -78,21 +75,11 @@ class TargetSettings:
         return width + 2 * _CARD_MARGIN_MM, height + 2 * _CARD_MARGIN_MM
 
     @property
-    def boards_height_mm(self) -> float:
-        """Height of the sheet that is left for the boards, between ruler and disc."""
-        return self.ruler_y_mm - _RULER_BELOW_MM - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
-
-    @property
-    def ruler_y_mm(self) -> float:
-        """Where the ruler's line is."""
-        return A4_MM[1] - _PAGE_MARGIN_MM - 18
-
-    @property
     def copies(self) -> tuple[int, int]:
         """Boards across and down the sheet."""
         width, height = self.card_mm
         across = int((A4_MM[0] - 2 * _PAGE_MARGIN_MM + 3) // (width + 3))
-        return min(across, 6), min(int((self.boards_height_mm + 3) // (height + 3)), 6)
+        return min(across, 6), min(int((_BOARDS_MM + 3) // (height + 3)), 6)
 
 
 def target_pdf(settings: TargetSettings | None = None) -> bytes:
@@ -199,7 +186,7 @@ def _words(settings: TargetSettings) -> list[str]:
 
 
 def _ruler(settings: TargetSettings) -> list[str]:
-    x, y = (A4_MM[0] - RULER_MM) / 2, settings.ruler_y_mm
+    x, y = (A4_MM[0] - RULER_MM) / 2, RULER_Y_MM
     marks = [_line((x, y), (x + RULER_MM, y), 0.2)]
     for k in range(11):
         at, number = x + RULER_MM * k / 10, f"{RULER_MM * k / 10:g}"
@@ -217,7 +204,7 @@ def _squares(settings: TargetSettings) -> list[tuple[float, float, float, float]
 def _boards(settings: TargetSettings) -> list[str]:
     marks = []
     (across, down), (width, height) = settings.copies, settings.card_mm
-    free, top = A4_MM[0] - across * width, settings.ruler_y_mm - _RULER_BELOW_MM
+    free, top = A4_MM[0] - across * width, RULER_Y_MM - _RULER_BELOW_MM
     for row, column in itertools.product(range(down), range(across)):
         x = free * (column + 1) / (across + 1) + column * width
         y = top - (row + 1) * height - 3 * row

@@ -14,7 +14,6 @@ from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit import Camera, Checked, FloatArray, Led, Limits, PixelArray, require
@@ -23,39 +22,24 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.lighting import irradiance
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array
 
 
 class SightLines(NamedTuple):
     """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
 
-    x: Array
-    """(h, w) mm, where the line meets z = 0."""
+    x: Array  # (h, w) mm, where the line meets z = 0
     y: Array
-    slope_x: Array
-    """(h, w) mm sideways per mm downwards; zero for parallel rays."""
+    slope_x: Array  # (h, w) mm sideways per mm downwards; zero for parallel rays
     slope_y: Array
-
-
-def _sight(camera: Camera) -> SightLines:
-    height, width = camera.image_size
-    columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
-    if camera.model == "orthographic":
-        x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
-        return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
-    slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
-    return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFrame:
     """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
 
-    middle: Array
-    """(3,) mm."""
-    axes: Array
-    """(3, 3): the columns are u, v and n."""
+    middle: Array  # (3,) mm
+    axes: Array  # (3, 3): the columns are u, v and n
 
     def hit(self, sight: SightLines) -> tuple[Array, Array, Array]:
         """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
@@ -204,7 +188,14 @@ class GroundScene(ABC):
 
     @cached_property
     def _sight(self) -> SightLines:
-        return _sight(self.camera)
+        camera = self.camera
+        height, width = camera.image_size
+        columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+        if camera.model == "orthographic":
+            x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
+            return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
+        slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
+        return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
 
     @cached_property
     def _hit(self) -> tuple[Array, Array, Array]:
@@ -236,8 +227,7 @@ class GroundScene(ABC):
 class BaseScene(GroundScene):
     """The rig's base and what lies or stands on it."""
 
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    """Tilt of the base against the camera, about x, then y."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # tilt of the base against the camera, about x, then y
 
     @property
     def plane(self) -> PlaneFrame:

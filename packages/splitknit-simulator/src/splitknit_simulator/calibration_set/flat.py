@@ -10,7 +10,6 @@ import numpy as np
 
 from splitknit import BadInput, Camera, Checked, Limits, require
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BaseScene,
     GroundScene,
     PlaneFrame,
@@ -21,6 +20,7 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.camera.lens import px_per_mm_at
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -175,12 +175,9 @@ class DiscScene(BaseScene):
 _TRIES = 200
 _TILT_DEG = (10.0, 35.0)
 """Range of the board's tilt against the finger plane, about any axis in it; this and the next are drawn evenly."""
-_TURN_DEG = (-15.0, 15.0)
-"""Range of its turn about its own normal."""
-_MIDDLE_MM = (-5.0, 5.0)
-"""Range of its centre's z."""
-_EDGE = 0.02
-"""Fraction of the picture's height that stays free around the outer squares."""
+_TURN_DEG = (-15.0, 15.0)  # range of its turn about its own normal
+_MIDDLE_MM = (-5.0, 5.0)  # range of its centre's z
+_EDGE = 0.02  # fraction of the picture's height that stays free around the outer squares
 
 
 # How a person holds a checkerboard under the rig.

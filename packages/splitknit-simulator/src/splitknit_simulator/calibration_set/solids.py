@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from splitknit import Led, require
 from splitknit_simulator.calibration_set.bench import (
-    Array,
     BaseScene,
     SightLines,
     Window,
@@ -24,6 +23,7 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.light.lighting import UNIT, irradiance
+from splitknit_simulator.surface import Array
 
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""
@@ -33,10 +33,8 @@ Lines = tuple[Array, Array]
 class _SolidScene(BaseScene):
     """Something that stands on the base; its kinds define where it is seen and how bright it is."""
 
-    position_mm: tuple[float, float] = (0.0, 0.0)
-    """Where it stands on the base (x and y, before the base's tilt)."""
-    ground: float = 0.85
-    """Reflectance of the base."""
+    position_mm: tuple[float, float] = (0.0, 0.0)  # where it stands on the base (x and y, before the base's tilt)
+    ground: float = 0.85  # reflectance of the base
 
     @property
     @abstractmethod
@@ -156,9 +154,7 @@ class NailScene(_SolidScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[Array, float]) -> Array:
-        """Fraction of each pixel of the window inside the cone's shadow: the hull of the nail's foot and of its tip's
-        shadow.
-        """
+        """Fraction of each pixel of the window in the cone's shadow: the hull of the nail's foot and its tip's."""
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
         return edge_coverage(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
@@ -321,10 +317,7 @@ class SphereScene(_SolidScene):
         return self._ball, edge_coverage(inwards), seen
 
     def _seen(self, sight: SightLines) -> tuple[Lines, Array]:
-        """Where lines of sight meet the ball, its normals there, and by how much (mm) they pass inside its outline.
-
-        Lines that pass it are taken to touch it.
-        """
+        """Where lines of sight meet the ball or touch it, its normals there, and by how much (mm) they pass inside."""
         down = directions(sight)
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
         nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down  # of the line to the ball's middle
@@ -374,8 +367,7 @@ def _cut(sight: SightLines, window: Window) -> SightLines:
 
 # LEDs in a mirror: where lines of sight go after it, and whether they end on an LED's bright face.
 
-FINER = 12
-"""A pixel near a mirrored LED's rim is this many samples wide."""
+FINER = 12  # a pixel near a mirrored LED's rim is this many samples wide
 
 
 def unit(vectors: Array) -> Array:

@@ -46,24 +46,15 @@ class Clock:
         self.now_s += seconds
 
 
-_SHORTEST_S = 4 * 18.904e-6
-"""Shortest exposure time: four rows of the IMX219."""
-_LONGEST_S = 0.2
-"""Longest exposure time."""
-_HIGHEST_GAIN = 10.6
-"""Largest gain; the smallest is 1."""
-_LINE_S = 18.904e-6
-"""Time to read a row; exposures are whole numbers of it."""
-_READOUT_S = 0.0466
-"""From the first row to the last."""
-_FRAME_S = 0.0477
-"""Shortest time from frame to frame."""
-_TRANSFER_S = 0.07
-"""From the end of the readout until the program has the picture."""
-_LAG_FRAMES = 3
-"""Frames until a new exposure takes effect."""
-_PREVIEW_COLUMNS = 800
-"""Width of a preview in pixels, about: it is reduced by a whole number."""
+_SHORTEST_S = 4 * 18.904e-6  # shortest exposure time: four rows of the IMX219
+_LONGEST_S = 0.2  # longest exposure time
+_HIGHEST_GAIN = 10.6  # largest gain; the smallest is 1
+_LINE_S = 18.904e-6  # time to read a row; exposures are whole numbers of it
+_READOUT_S = 0.0466  # from the first row to the last
+_FRAME_S = 0.0477  # shortest time from frame to frame
+_TRANSFER_S = 0.07  # from the end of the readout until the program has the picture
+_LAG_FRAMES = 3  # frames until a new exposure takes effect
+_PREVIEW_COLUMNS = 800  # width of a preview in pixels, about: it is reduced by a whole number
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,17 +121,9 @@ class TwinCamera(Closing):
         self._scale = sensor_scale or binning_scale(scene.camera)
         self._seed, self._exposed, self._photographs = seed, 0, 0
         self._closed = False
+        self.image_size = scene.camera.image_size
+        self.exposures = ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
         self.lock(0.01, 1.0)
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return self._scene.camera.image_size
-
-    @property
-    def exposures(self) -> ExposureRange:
-        """See :class:`splitknit.devices.CameraDevice`."""
-        return ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.CameraDevice`."""

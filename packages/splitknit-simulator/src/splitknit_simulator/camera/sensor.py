@@ -21,12 +21,8 @@ RESPONSE: Mapping[str, tuple[float, float, float]] = {
 IMX219's quantum efficiency), and under 850 nm, where the colour filters are transparent; and
 each under an LED of its own colour (625, 525 and 465 nm)."""
 
-FULL_SIZE = (2200, 3200)
-"""Rows and columns of the full frame."""
-
-FULL_PX_PER_MM = 75.7
-"""Scale of the thesis's rig, full frame."""
-
+FULL_SIZE = (2200, 3200)  # rows and columns of the full frame
+FULL_PX_PER_MM = 75.7  # scale of the thesis's rig, full frame
 ROWS_AT_A_TIME = 64
 
 

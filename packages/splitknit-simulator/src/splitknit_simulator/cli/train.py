@@ -101,8 +101,7 @@ class TrainSeparationJob(TrainJob):
     # fmt: on
 
     def _task(self) -> Task:
-        from splitknit_simulator.training.separation import SeparationSettings, train_separation
-        from splitknit_simulator.training.separation_data import SeparationData
+        from splitknit_simulator.training.separation import SeparationData, SeparationSettings, train_separation
 
         return train_separation, SeparationData, SeparationSettings
 
@@ -131,8 +130,7 @@ class TrainReliefJob(TrainJob):
 
     def _task(self) -> Task:
         from splitknit_simulator.training.fields import train_fields
-        from splitknit_simulator.training.relief import TASK, ReliefSettings
-        from splitknit_simulator.training.relief_data import ReliefData
+        from splitknit_simulator.training.relief import TASK, ReliefData, ReliefSettings
 
         return partial(train_fields, task=TASK), ReliefData, ReliefSettings
 
@@ -158,8 +156,7 @@ class TrainShapeJob(TrainJob):
 
     def _task(self) -> Task:
         from splitknit_simulator.training.fields import train_fields
-        from splitknit_simulator.training.shape import TASK, ShapeNetSettings
-        from splitknit_simulator.training.shape_data import ShapeData
+        from splitknit_simulator.training.shape import TASK, ShapeData, ShapeNetSettings
 
         return partial(train_fields, task=TASK), ShapeData, ShapeNetSettings
 

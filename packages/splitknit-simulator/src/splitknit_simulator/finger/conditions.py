@@ -18,14 +18,10 @@ from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit_simulator.surface import Coat, Film, SimulatedSurface
+from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface
 
-Array = NDArray[np.float64]
-
-KERATIN = 1.55
-"""Refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)."""
-MAX_PLATES = 4
-"""Horny plates with air between them in the thickest scale."""
+KERATIN = 1.55  # refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)
+MAX_PLATES = 4  # horny plates with air between them in the thickest scale
 
 
 # Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the skin.
@@ -35,12 +31,9 @@ MAX_PLATES = 4
 class _Weathered:
     """Skin after what happened to it, on the master print's grid."""
 
-    displacement: Array
-    """(H, W) mm."""
-    fraction: Array
-    """(H, W) 0 to 1: how far a place is affected (in a scar; under a scale)."""
-    reflectance: Array | None = None
-    """(H, W) diffuse white reflectance of the scales."""
+    displacement: Array  # (H, W) mm
+    fraction: Array  # (H, W) 0 to 1: how far a place is affected (in a scar; under a scale)
+    reflectance: Array | None = None  # (H, W) diffuse white reflectance of the scales
 
 
 def _scale_reflectance(plates: Array) -> Array:
@@ -147,14 +140,10 @@ def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.
 class _Water:
     """How much water there is; everything follows from the severity."""
 
-    meniscus_mm: float
-    """Radius of curvature of the water's surface: the larger, the fuller the valleys."""
-    over_ridges_um: float
-    """Thickness of the film over the ridges' tops."""
-    levelled_mm: float
-    """Standard deviation over which the film has levelled out; 0 where none closes over the ridges."""
-    fraction: float
-    """Fraction of the skin that is wet."""
+    meniscus_mm: float  # radius of curvature of the water's surface: the larger, the fuller the valleys
+    over_ridges_um: float  # thickness of the film over the ridges' tops
+    levelled_mm: float  # standard deviation over which the film has levelled out; 0 where none closes over the ridges
+    fraction: float  # fraction of the skin that is wet
 
 
 def _water_of(severity: float) -> _Water:
@@ -242,17 +231,14 @@ def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap)
 
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-_WATER_ROUGHNESS = 0.05
-"""GGX alpha of a water surface at rest on skin: smooth but for what floats on it."""
+_WATER_ROUGHNESS = 0.05  # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
 _MOIST_ROUGHNESS = 0.18
-"""Roughness of hydrated skin between drops of water, as in a population's moist sessions (Dabrowska et al. 2016:
-smoother)."""
+"""Roughness of hydrated skin between drops of water, as in moist sessions (Dabrowska et al. 2016: smoother)."""
 _DRY_ROUGHNESS, _SCAR_ROUGHNESS = 0.5, 0.15
 _SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
 """A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment (Tseng et al. 2012
 measured that they differ; how far is our choice)."""
-_TOP_MM = 0.006
-"""The skin is sought from 8 um above the body on: nothing may stand higher."""
+_TOP_MM = 0.006  # the skin is sought from 8 um above the body on: nothing may stand higher
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from splitknit import require
 from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.surface import Array
 
-Array = NDArray[np.float64]
-
-SAMPLES_PER_SMOOTH = 4
-"""Grid points per length of smoothing: a cubic spline of them misses less than a thousandth."""
+SAMPLES_PER_SMOOTH = 4  # grid points per length of smoothing: a cubic spline of them misses less than a thousandth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,14 +24,10 @@ class Deformation:
     The shift is given where the skin arrives, so that a map of the ridges is pulled back without solving anything.
     """
 
-    u_mm: Array
-    """(W,) grid, rising."""
-    v_mm: Array
-    """(H,) grid, rising."""
-    shift_mm: Array
-    """(2, H, W) along u and v."""
-    stretch: float = 0.0
-    """Relative stretch of a swollen finger's skin."""
+    u_mm: Array  # (W,) grid, rising
+    v_mm: Array  # (H,) grid, rising
+    shift_mm: Array  # (2, H, W) along u and v
+    stretch: float = 0.0  # relative stretch of a swollen finger's skin
     _splines: tuple[RectBivariateSpline, RectBivariateSpline] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,8 +64,7 @@ def draw_deformation(
 ) -> Deformation:
     """Draw a smooth shift over the whole map of a print, of `amplitude_mm` at most; BadInput if it could fold the skin.
 
-    `smooth_mm`: standard deviation of the Gaussian that smooths it; its correlation falls to exp(-1/4) over that
-    length.
+    `smooth_mm`: standard deviation of its Gaussian; the shift's correlation falls to exp(-1/4) over that length.
     """
     require(
         0 <= amplitude_mm <= 0.15 * smooth_mm,

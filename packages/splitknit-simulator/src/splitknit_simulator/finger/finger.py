@@ -17,9 +17,7 @@ from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSett
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit_simulator.finger.shape import FingerBody, FingerShape
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 FREQUENCIES = {
     "arch": 0.037,
@@ -92,8 +90,7 @@ class _Trait:
     spread: float
     low: float
     high: float
-    sided: bool = False
-    """Whether the left hand has it mirrored."""
+    sided: bool = False  # whether the left hand has it mirrored
 
 
 TRAITS: Mapping[str, _Trait] = {

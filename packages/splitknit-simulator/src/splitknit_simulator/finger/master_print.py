@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from splitknit import Checked, Limits, check_fields, require
+from splitknit import Checked, FloatArray, Limits, check_fields, require
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
     OrientationField,
@@ -26,17 +26,14 @@ from splitknit_simulator.finger.ridges import (
     phase_singularities,
     smooth_noise,
 )
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
-
+from splitknit_simulator.surface import Array
 
 # Sweat pores: small dips along the crests of the ridges.
 
 
 def scatter_pores(
-    rng: np.random.Generator, wave: Array32, pitch_mm: float, period_mm: float, pores_mm: tuple[float, float]
-) -> Array32:
+    rng: np.random.Generator, wave: FloatArray, pitch_mm: float, period_mm: float, pores_mm: tuple[float, float]
+) -> FloatArray:
     """Return (H, W) pore depth in [0, 1] on the grid of `wave`; `pores_mm`: their spacing and their diameter.
 
     Candidates lie on a jittered grid, climb onto the nearest crest of `wave`, and are thinned so that neighbours keep
@@ -67,7 +64,7 @@ def scatter_pores(
     return _stamp((rows, columns), x + sideways[0], y + sideways[1], sigma, depth)
 
 
-def _sample(image: Array32, x: Array, y: Array) -> Array:
+def _sample(image: FloatArray, x: Array, y: Array) -> Array:
     return np.asarray(image[np.rint(y).astype(np.intp), np.rint(x).astype(np.intp)], dtype=np.float64)
 
 
@@ -85,7 +82,7 @@ def _thin(points: Array, order: NDArray[np.intp], distance: float) -> NDArray[np
     return keep
 
 
-def _stamp(shape: tuple[int, int], x: Array, y: Array, sigma: Array, depth: Array) -> Array32:
+def _stamp(shape: tuple[int, int], x: Array, y: Array, sigma: Array, depth: Array) -> FloatArray:
     reach = 6
     image = np.zeros((shape[0] + 2 * reach + 2, shape[1] + 2 * reach + 2), dtype=np.float64)
     column, row = np.rint(x).astype(np.intp), np.rint(y).astype(np.intp)
@@ -103,12 +100,9 @@ PROXIMAL_WIDENING = 0.14
 """How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer per area)."""
 FAN_WIDENING = 0.8
 """How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far as they can."""
-_ROUGHNESS = 0.06
-"""Standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude."""
-_PORE_SPACING_MM = 0.65
-"""Mean distance of the pores along a ridge (9 to 18 a centimetre)."""
-_PORE_DIAMETER_MM = 0.13
-"""Mean full width at half depth of a pore."""
+_ROUGHNESS = 0.06  # standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude
+_PORE_SPACING_MM = 0.65  # mean distance of the pores along a ridge (9 to 18 a centimetre)
+_PORE_DIAMETER_MM = 0.13  # mean full width at half depth of a pore
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,22 +144,17 @@ class MasterPrint:
 
     pattern: str
     seed: int
-    ridge: Array32
-    """(H, W) skin height without pores: about 0 in valleys, below but near 1 on the flat tops of ridges."""
-    pores: Array32
-    """(H, W) 1 at the bottom of a pore, 0 on plain skin."""
-    u_mm: Array
-    """(W,) coordinate of the columns."""
-    v_mm: Array
-    """(H,) coordinate of the rows; falls with the row."""
-    period_mm: float
-    """This finger's mean ridge period around the core."""
-    cores_mm: tuple[tuple[float, float], ...]
-    """(u, v) of the cores."""
-    deltas_mm: tuple[tuple[float, float], ...]
-    """(u, v) of the deltas."""
+    ridge: (
+        FloatArray  # (H, W) skin height without pores: about 0 in valleys, below but near 1 on the flat tops of ridges
+    )
+    pores: FloatArray  # (H, W) 1 at the bottom of a pore, 0 on plain skin
+    u_mm: Array  # (W,) coordinate of the columns
+    v_mm: Array  # (H,) coordinate of the rows; falls with the row
+    period_mm: float  # this finger's mean ridge period around the core
+    cores_mm: tuple[tuple[float, float], ...]  # (u, v) of the cores
+    deltas_mm: tuple[tuple[float, float], ...]  # (u, v) of the deltas
+    # (N, 3) u_mm, v_mm and direction (rad, counter-clockwise from u) towards the side that has one more ridge
     minutiae: Array
-    """(N, 3) u_mm, v_mm and direction (rad, counter-clockwise from u) towards the side that has one more ridge."""
 
 
 def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None = None) -> MasterPrint:
@@ -249,7 +238,7 @@ def _periods(
     return mean, mean * np.exp(logs)
 
 
-def twice_as_fine(wave: Array32) -> Array32:
+def twice_as_fine(wave: FloatArray) -> FloatArray:
     """Band-limited interpolation to half the pitch (the wave is periodic on its grid)."""
     rows, columns = wave.shape
     spectrum = scipy.fft.rfft2(wave)
@@ -260,7 +249,7 @@ def twice_as_fine(wave: Array32) -> Array32:
     return np.asarray(4.0 * scipy.fft.irfft2(padded, s=(2 * rows, 2 * columns)), dtype=np.float32)
 
 
-def ridge_profile(rng: np.random.Generator, wave: Array32, settings: MasterPrintSettings) -> Array32:
+def ridge_profile(rng: np.random.Generator, wave: FloatArray, settings: MasterPrintSettings) -> FloatArray:
     """Flat ridges and narrower valleys: a soft step of the wave, its duty varying over the finger.
 
     The last blur takes the harmonics that the map's pitch cannot carry; edges stay steeper than skin's.
@@ -310,7 +299,7 @@ def master_of_print(
     turned = np.ascontiguousarray(image[:, ::-1], dtype=np.float32)
     grey = np.asarray(cv2.resize(turned, (columns, rows), interpolation=how), dtype=np.float32) / np.float32(255)
 
-    def mean(field: Array32, sigma_mm: float) -> Array32:
+    def mean(field: FloatArray, sigma_mm: float) -> FloatArray:
         return np.asarray(cv2.GaussianBlur(field, (0, 0), sigma_mm / settings.pitch_mm), dtype=np.float32)
 
     band = mean(grey, _NOISE_MM) - mean(grey, settings.period_mm)
@@ -336,12 +325,9 @@ def master_of_print(
     return MasterPrint("print", seed, laid, flat, u_mm, v_mm, settings.period_mm, (), (), np.zeros((0, 3)))
 
 
-_PAD_MM = 13.5
-"""Height of the middle of a pressed pad above the first crease."""
-_NOISE_MM = 0.05
-"""Standard deviation of the Gaussian mean that takes a scanner's noise from a print."""
-_FAINTEST = 0.02
-"""Contrast of ridges, relative to white, below which an image shows none."""
+_PAD_MM = 13.5  # height of the middle of a pressed pad above the first crease
+_NOISE_MM = 0.05  # standard deviation of the Gaussian mean that takes a scanner's noise from a print
+_FAINTEST = 0.02  # contrast of ridges, relative to white, below which an image shows none
 
 
 def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:

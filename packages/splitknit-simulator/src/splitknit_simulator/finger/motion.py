@@ -19,22 +19,14 @@ from splitknit_simulator.finger.deformation import Deformation, deformed, draw_d
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface
 
-Array = NDArray[np.float64]
-
-_SHOT_S = 0.5
-"""Time from shot to shot; the thesis takes 14 in 7 s."""
-EXPOSURE_S = 0.02
-"""Time that a shot takes; tremor blurs it."""
-_TREMOR_HZ = (8.0, 12.0)
-"""Physiological tremor (Elble and Koller 1990)."""
-_ROLL_DEG_PER_MM = 1.5
-"""Largest difference of roll about the finger's axis between two shots, for each mm of amplitude."""
-_SLIP = 0.1
-"""Largest slip of the skin between two shots, over the amplitude."""
-_SLIP_SMOOTH_MM = 5.0
-"""Length over which the slip is smooth."""
+_SHOT_S = 0.5  # time from shot to shot; the thesis takes 14 in 7 s
+EXPOSURE_S = 0.02  # time that a shot takes; tremor blurs it
+_TREMOR_HZ = (8.0, 12.0)  # physiological tremor (Elble and Koller 1990)
+_ROLL_DEG_PER_MM = 1.5  # largest difference of roll about the finger's axis between two shots, for each mm of amplitude
+_SLIP = 0.1  # largest slip of the skin between two shots, over the amplitude
+_SLIP_SMOOTH_MM = 5.0  # length over which the slip is smooth
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +47,12 @@ class HandMotion(Checked):
 class _MotionPath:
     """Where the finger is in each of N shots, against the reference shot, whose values are zero."""
 
-    time_s: Array
-    """(N,)"""
-    shift_mm: Array
-    """(N, 2): x right, y up."""
-    speed_mm_per_s: Array
-    """(N, 2) of the tremor, at the middle of the exposure."""
-    yaw_rad: Array
-    """(N,)"""
-    roll_rad: Array
-    """(N,)"""
-    slip: Array
-    """(N, 2): fractions of two drawn fields of slip."""
+    time_s: Array  # (N,)
+    shift_mm: Array  # (N, 2): x right, y up
+    speed_mm_per_s: Array  # (N, 2) of the tremor, at the middle of the exposure
+    yaw_rad: Array  # (N,)
+    roll_rad: Array  # (N,)
+    slip: Array  # (N, 2): fractions of two drawn fields of slip
     reference: int
 
 
@@ -109,8 +95,7 @@ def _spread(path: Array) -> float:
     return float(np.linalg.norm(path[:, None] - path[None], axis=-1).max())
 
 
-TRUTH_STEP_MM = 0.5
-"""Pitch of the grid on which the truth records where the skin went."""
+TRUTH_STEP_MM = 0.5  # pitch of the grid on which the truth records where the skin went
 
 
 # The surfaces of a moving finger, one for each shot, and where its skin goes in the pictures.

@@ -16,18 +16,13 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit import Camera, Checked, Limits, check_fields, require
+from splitknit import Camera, Checked, FloatArray, Limits, check_fields, require
 from splitknit_simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
 from splitknit_simulator.finger.ridges import grow_ridges, smooth_noise
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
-
-STEP_MM = 0.25
-"""Distance between the points of a line."""
-TOGETHER = 3.0
-"""Exponent of the norm that joins grooves: deeper than each where they cross, less than their sum."""
+STEP_MM = 0.25  # distance between the points of a line
+TOGETHER = 3.0  # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
 
 
 # Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a map.
@@ -37,12 +32,9 @@ TOGETHER = 3.0
 class _PalmLine:
     """One groove."""
 
-    points_mm: Array
-    """(N, 2) x and y along its bottom."""
-    depth_mm: Array
-    """(N,) depth; it fades out at the ends."""
-    width_mm: Array
-    """(N,) standard deviation of its profile."""
+    points_mm: Array  # (N, 2) x and y along its bottom
+    depth_mm: Array  # (N,) depth; it fades out at the ends
+    width_mm: Array  # (N,) standard deviation of its profile
 
 
 def _draw_lines(
@@ -173,16 +165,12 @@ def _dense(line: _PalmLine) -> tuple[Array, Array, Array, Array]:
 class _PalmShape:
     """Height of the sheet: a tilted quadric and round pads."""
 
-    tilt: tuple[float, float]
-    """Slopes along x and y in the middle."""
-    curvature_per_mm: tuple[float, float]
-    """Along the two principal axes; positive is domed."""
-    axis_rad: float
-    """Direction of the first principal axis, counter-clockwise from x."""
+    tilt: tuple[float, float]  # slopes along x and y in the middle
+    curvature_per_mm: tuple[float, float]  # along the two principal axes; positive is domed
+    axis_rad: float  # direction of the first principal axis, counter-clockwise from x
+    # x, y, height (negative is a hollow) and standard deviation of each, all in mm
     pads: tuple[tuple[float, float, float, float], ...]
-    """x, y, height (negative is a hollow) and standard deviation of each, all in mm."""
-    top_mm: float = 0.0
-    """Subtracted from the height."""
+    top_mm: float = 0.0  # subtracted from the height
 
     def on_grid(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
         """Height and its slopes along x and y, (H, W) on the axes `x_mm` (W,) and `y_mm` (H,)."""
@@ -225,18 +213,12 @@ def _draw_shape(
     return replace(shape, top_mm=top)
 
 
-_PERIOD_VARIATION = 0.06
-"""Relative standard deviation of the ridge period within a palm, over distances of about 5 mm."""
-_TURN_PER_MM = 0.02
-"""Standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis."""
-_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)
-"""Depth of the principal lines and of the finer ones."""
-_DARKENING = (0.05, 0.25)
-"""Loss of diffuse reflectance at the bottom of a line of 0.2 mm."""
-_MOTTLING = (0.01, 0.06)
-"""Standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm."""
-FLATTENED_MM = 0.12
-"""Ridges flatten inside grooves of about this depth."""
+_PERIOD_VARIATION = 0.06  # relative standard deviation of the ridge period within a palm, over distances of about 5 mm
+_TURN_PER_MM = 0.02  # standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
+_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)  # depth of the principal lines and of the finer ones
+_DARKENING = (0.05, 0.25)  # loss of diffuse reflectance at the bottom of a line of 0.2 mm
+_MOTTLING = (0.01, 0.06)  # standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm
+FLATTENED_MM = 0.12  # ridges flatten inside grooves of about this depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,24 +226,18 @@ class _Palm:
     """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the middle."""
 
     seed: int
-    period_mm: float
-    """Mean ridge period."""
-    ridge_depth_um: float
-    """Mean height of ridges over valleys."""
+    period_mm: float  # mean ridge period
+    ridge_depth_um: float  # mean height of ridges over valleys
     shape: _PalmShape
     lines: tuple[_PalmLine, ...]
-    x_mm: Array
-    """(W,) of the columns."""
-    y_mm: Array
-    """(H,) of the rows; falls with the row."""
-    angle_rad: Array32
-    """(H, W) direction of the ridges, counter-clockwise from x, defined up to pi."""
-    relief_mm: Array32
-    """(H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines."""
-    pigment: Array32
-    """(H, W) multiplier of the diffuse reflectance."""
-    triradius_mm: tuple[float, float] | None = None
-    """x and y of the triradius, where the patch has one."""
+    x_mm: Array  # (W,) of the columns
+    y_mm: Array  # (H,) of the rows; falls with the row
+    angle_rad: FloatArray  # (H, W) direction of the ridges, counter-clockwise from x, defined up to pi
+    relief_mm: (
+        FloatArray  # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
+    )
+    pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
+    triradius_mm: tuple[float, float] | None = None  # x and y of the triradius, where the patch has one
 
 
 def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
@@ -379,7 +355,7 @@ def _direction(
     return angle, (float(at[0]), float(at[1]))
 
 
-def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> Array32:
+def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> FloatArray:
     """(H, W) wave of the ridges on the coarse grid."""
     pitch = 2.0 * settings.pitch_mm
     logs = _PERIOD_VARIATION * np.clip(smooth_noise(rng, angle.shape, 4.0 / pitch), -2.5, 2.5)
@@ -387,11 +363,11 @@ def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, peri
     return grow_ridges(noise, angle, period_mm * np.exp(logs) / pitch)
 
 
-def _where(seen: NDArray[np.bool_], values: Array, beside: float) -> Array32:
+def _where(seen: NDArray[np.bool_], values: Array, beside: float) -> FloatArray:
     return np.where(seen, values, beside).astype(np.float32)
 
 
-def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> Array32:
+def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> FloatArray:
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.where(seen[..., None], normals, 0.0).astype(np.float32)

@@ -10,14 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, require
+from splitknit import BoolArray, Camera, FloatArray, require
 from splitknit_simulator.camera.lens import slopes_of_pixels
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Triple = tuple[Array, Array, Array]
 
 
@@ -28,11 +26,10 @@ Triple = tuple[Array, Array, Array]
 class _Rays:
     """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
 
-    x: Array
-    """(N,) where they meet the finger plane."""
+    x: Array  # (N,) where they meet the finger plane
     y: Array
+    # (N,) each: how far they move along x and y per mm downwards; None: they are parallel to z
     slopes: tuple[Array, Array] | None = None
-    """(N,) each: how far they move along x and y per mm downwards; None: they are parallel to z."""
 
     def some(self, which: NDArray[np.intp] | BoolArray) -> _Rays:
         """The rays with these indices."""
@@ -158,10 +155,8 @@ _NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the i
 class Placement:
     """Where the finger's frame lies in the camera's: camera = rotation @ finger + shift."""
 
-    rotation: Array
-    """(3, 3)."""
-    shift: Array
-    """(3,) mm."""
+    rotation: Array  # (3, 3)
+    shift: Array  # (3,) mm
 
     def to_finger(self, x: Array, y: Array, z: Array) -> Triple:
         """Camera coordinates to the finger's frame."""
@@ -194,8 +189,7 @@ class CoarseHits(NamedTuple):
     step: int
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
-    seen: BoolArray
-    """(rows, columns)."""
+    seen: BoolArray  # (rows, columns)
 
 
 def coarse_hits(
@@ -226,7 +220,7 @@ def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice
 _SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,), (), ())
 _EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
 """What :func:`cast_rays` returns: the shape of a ray's values, and what stands where a ray meets nothing."""
-Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | Array32]]]
+Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | FloatArray]]]
 
 
 def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> SimulatedSurface:
@@ -262,7 +256,7 @@ def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> Simula
     body, placement = finger.body, finger.placement
     box = _hits(body, placement, camera)
 
-    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], Sequence[Array | Array32]]:
+    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], Sequence[Array | FloatArray]]:
         rays = rays_of(camera, down, _range(box[1]))
         part = slice(int(down[0]), int(down[-1]) + 1)
         return cast_rays(finger, rays, _first_guess(body, placement, camera, (part, box[1])))
@@ -274,7 +268,7 @@ def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> Simula
 
 def cast_rays(
     finger: PlacedFinger, rays: _Rays, start: Array, *, bottom: float | None = None
-) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
+) -> tuple[NDArray[np.intp], tuple[Array | FloatArray, ...]]:
     """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
     and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
 

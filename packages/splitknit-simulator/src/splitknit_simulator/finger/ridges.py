@@ -13,14 +13,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from splitknit import require
+from splitknit import FloatArray, require
+from splitknit_simulator.surface import Array
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Point = tuple[float, float]
 
 PATTERNS = ("arch", "tented_arch", "left_loop", "right_loop", "whorl", "twin_loop")
@@ -30,12 +28,9 @@ PATTERNS = ("arch", "tented_arch", "left_loop", "right_loop", "whorl", "twin_loo
 class OrientationField:
     """Ridge directions on a grid, and the singular points they turn about."""
 
-    angle_rad: Array
-    """(H, W) direction of the ridges, counter-clockwise from u, defined up to pi."""
-    cores_mm: tuple[Point, ...]
-    """(u, v) of the cores: the direction turns by +pi around each."""
-    deltas_mm: tuple[Point, ...]
-    """(u, v) of the deltas: the direction turns by -pi around each."""
+    angle_rad: Array  # (H, W) direction of the ridges, counter-clockwise from u, defined up to pi
+    cores_mm: tuple[Point, ...]  # (u, v) of the cores: the direction turns by +pi around each
+    deltas_mm: tuple[Point, ...]  # (u, v) of the deltas: the direction turns by -pi around each
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
@@ -161,8 +156,7 @@ def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Poi
     return float(u_mm[column]), float(v_mm[row])
 
 
-_STIFFNESS = 0.02
-"""Holds the logarithm of a ridge period small, against its fit to the divergence of the ridges."""
+_STIFFNESS = 0.02  # holds the logarithm of a ridge period small, against its fit to the divergence of the ridges
 
 
 def fan_log_period(angle_rad: Array, pitch_mm: float) -> Array:
@@ -214,15 +208,12 @@ def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_
 
 # Ridges grown from noise: repeated filtering along a field of directions and periods.
 
-_BANDWIDTH = 0.2
-"""Standard deviation of a ring filter over its frequency."""
-_SPACING = 1.16
-"""Ratio between the frequencies of neighbouring ring filters, at most."""
-_REACH = 1.1
-"""Standard deviation of the smoothing along ridges, in periods."""
+_BANDWIDTH = 0.2  # standard deviation of a ring filter over its frequency
+_SPACING = 1.16  # ratio between the frequencies of neighbouring ring filters, at most
+_REACH = 1.1  # standard deviation of the smoothing along ridges, in periods
 
 
-def grow_ridges(noise: Array32, angle_rad: Array, period_px: Array, *, iterations: int = 5) -> Array32:
+def grow_ridges(noise: FloatArray, angle_rad: Array, period_px: Array, *, iterations: int = 5) -> FloatArray:
     """Grow a ridge pattern (H, W) from seeded `noise` by an iterated, spatially varying Gabor-like filter.
 
     Every pass smooths along the ridges (a kernel bent along the streamlines of `angle_rad`, counter-clockwise from the
@@ -255,7 +246,7 @@ def grow_ridges(noise: Array32, angle_rad: Array, period_px: Array, *, iteration
     return np.asarray(wave, dtype=np.float32)
 
 
-def _streamline_maps(angle_rad: Array, distance_px: float, steps: int) -> list[tuple[Array32, Array32]]:
+def _streamline_maps(angle_rad: Array, distance_px: float, steps: int) -> list[tuple[FloatArray, FloatArray]]:
     """Sampling positions (x, y) at `distance_px` forwards and backwards along the field."""
     doubled = [f(2.0 * angle_rad).astype(np.float32) for f in (np.cos, np.sin)]
     rows, columns = angle_rad.shape
@@ -277,7 +268,7 @@ def _streamline_maps(angle_rad: Array, distance_px: float, steps: int) -> list[t
     return maps
 
 
-def _ring_bank(shape: tuple[int, ...], period_px: Array) -> list[tuple[Array32, Array32]]:
+def _ring_bank(shape: tuple[int, ...], period_px: Array) -> list[tuple[FloatArray, FloatArray]]:
     """Ring filters at geometrically spaced frequencies, each with the (H, W) weights that blend it with neighbours."""
     low, high = float(np.log(period_px.min())), float(np.log(period_px.max()))
     count = max(2, int(np.ceil((high - low) / np.log(_SPACING))) + 1)
@@ -292,7 +283,7 @@ def _ring_bank(shape: tuple[int, ...], period_px: Array) -> list[tuple[Array32, 
     return bank
 
 
-def phase_singularities(wave: Array32, angle_rad: Array) -> Array:
+def phase_singularities(wave: FloatArray, angle_rad: Array) -> Array:
     """Find the minutiae of a zero-mean ridge pattern (H, W): the points about which its phase turns by 2 pi.
 
     `angle_rad`: ridge direction, counter-clockwise from the columns' direction, rows pointing down. Returns (N, 3):

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Checked, Limits
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit import Checked, Limits
+from splitknit import Checked, FloatArray, Limits
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +58,13 @@ class SkinRelief(Checked):
 class SkinMap:
     """Displacement over the chart as a cubic spline, and pigment."""
 
+    # (H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops
     coefficients: Array
-    """(H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops."""
-    pigment: Array32
-    """(H, W) multiplier of the diffuse reflectance."""
+    pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
     u0_mm: float
     v0_mm: float
     pitch_mm: float
-    crease_lines: tuple[Array, ...]
-    """(N, 2) u, v along the main groove of every crease."""
+    crease_lines: tuple[Array, ...]  # (N, 2) u, v along the main groove of every crease
 
     def displacement(self, u: Array, v: Array) -> Array:
         """Displacement (mm, negative inwards) at chart points; the map continues by reflection."""
@@ -81,21 +76,19 @@ class SkinMap:
         step = 1e-4
         return ((self.displacement(u + step, v) - here) / step, (self.displacement(u, v + step) - here) / step)
 
-    def pigment_at(self, u: Array, v: Array) -> Array32:
+    def pigment_at(self, u: Array, v: Array) -> FloatArray:
         """Pigment at chart points."""
         places = (self.v0_mm - v) / self.pitch_mm, (u - self.u0_mm) / self.pitch_mm
         return np.asarray(ndimage.map_coordinates(self.pigment, places, order=1, mode="mirror"), dtype=np.float32)
 
 
-_UNDULATION_MM = 1.6
-"""Standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`."""
+_UNDULATION_MM = 1.6  # standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`
 
 
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
-    Ridges flatten inside the grooves. All draws (depth variation, lines beside the creases) follow from the master
-    print's seed.
+    Ridges flatten inside the grooves. All draws (depths, lines beside creases) follow from the master print's seed.
     """
     settings = settings or SkinRelief()
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)]

@@ -17,13 +17,10 @@ MAX_MG_PER_CM2 = 0.64
 MEDIAN_UM = 20.0
 """Median diameter of the grains, by number; with the spread below the mean by area is 47 um. Dust under 100 um sticks
 to skin, above 250 um it does not (Cao et al. 2012)."""
-SPREAD = 1.8
-"""Geometric standard deviation of the diameters."""
+SPREAD = 1.8  # geometric standard deviation of the diameters
 LARGEST_UM = 250.0
-DENSITY_MG_PER_MM3 = 2.0
-"""Density of soil and house dust: 1.5 to 2.6."""
-ALBEDO = (0.08, 0.6)
-"""Albedo of single grains, uniform between these: soot and soil to flour and skin scales."""
+DENSITY_MG_PER_MM3 = 2.0  # density of soil and house dust: 1.5 to 2.6
+ALBEDO = (0.08, 0.6)  # albedo of single grains, uniform between these: soot and soil to flour and skin scales
 
 
 # Dust: how many grains of what size, and where they and their shadows lie in the picture.

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Checked, FloatArray, Led, Limits, Rig
 from splitknit_simulator.light.lighting import Patch, arriving
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
+from splitknit_simulator.surface import Array
 
-Array = NDArray[np.float64]
 Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 
@@ -76,12 +76,9 @@ class Films:
     """Films as they are mounted: what passes them under each LED."""
 
     settings: FilmSettings
-    polariser_rad: Array
-    """(2, L) axes of the LEDs' films in both series, as the camera sees them."""
-    analyser_rad: Array
-    """(2,) axes of the camera's film."""
-    shift_px: Array
-    """(2,) columns and rows by which the crossed series is shifted."""
+    polariser_rad: Array  # (2, L) axes of the LEDs' films in both series, as the camera sees them
+    analyser_rad: Array  # (2,) axes of the camera's film
+    shift_px: Array  # (2,) columns and rows by which the crossed series is shifted
 
     def specular(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What passes of the light that the surface reflects, over what it reflects of unpolarised light.
@@ -109,9 +106,8 @@ class Films:
 
     @property
     def ambient(self) -> NDArray[np.float32]:
-        """(3,) what passes of light that meets the camera's film only, over what two films leave of depolarised light.
-
-        Without the tint that :meth:`on_camera` adds.
+        """(3,) what passes of light that meets the camera's film only, over what two films leave; no :meth:`on_camera`
+        tint.
         """
         leak = 1.0 / self.settings.extinction
         return np.asarray(2.0 / (1.0 + leak) / np.array(self.settings.transmission), dtype=np.float32)

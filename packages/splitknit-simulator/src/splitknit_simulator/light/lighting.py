@@ -15,8 +15,7 @@ from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.surface import SimulatedSurface
 
-UNIT = 1e4
-"""Irradiance of an LED of intensity one at 100 mm."""
+UNIT = 1e4  # irradiance of an LED of intensity one at 100 mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,26 +24,20 @@ class Patch:
 
     window: tuple[slice, slice]
     mask: NDArray[np.bool_]
-    x: FloatArray
-    """(1, w) mm; (h, w) for a perspective camera."""
-    y: FloatArray
-    """(h, 1) mm; (h, w) for a perspective camera."""
+    x: FloatArray  # (1, w) mm; (h, w) for a perspective camera
+    y: FloatArray  # (h, 1) mm; (h, w) for a perspective camera
     z: FloatArray
     nx: FloatArray
     ny: FloatArray
     nz: FloatArray
+    # (h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)
     view: tuple[FloatArray, FloatArray, FloatArray] | None
-    """(h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)."""
-    nv: FloatArray
-    """Cosine between the normal and the direction to the camera."""
-    px_per_mm: float
-    """On the surface, at its mean distance."""
+    nv: FloatArray  # cosine between the normal and the direction to the camera
+    px_per_mm: float  # on the surface, at its mean distance
+    # (h, w) each: rise towards the camera of the skin without ridges along x and along y (up)
     slopes: tuple[FloatArray, FloatArray]
-    """(h, w) each: rise towards the camera of the skin without ridges along x and along y (up)."""
-    area: FloatArray
-    """(h, w) area of the skin's facets over that of the same skin without ridges."""
-    shadows: bool = False
-    """Whether lights that stand low cast shadows of it on itself: seen directly, not in a mirror."""
+    area: FloatArray  # (h, w) area of the skin's facets over that of the same skin without ridges
+    shadows: bool = False  # whether lights that stand low cast shadows of it on itself: seen directly, not in a mirror
 
     @property
     def pitch_mm(self) -> float:
@@ -131,8 +124,7 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
     return entering, gloss
 
 
-LED_RADIUS_MM = 1.5
-"""Radius of an LED's emitting face; it widens the specular reflection."""
+LED_RADIUS_MM = 1.5  # radius of an LED's emitting face; it widens the specular reflection
 LOW = 0.7
 """Sine of the elevation below which a light casts shadows of the finger on itself: those of a ring do so in creases."""
 
@@ -167,8 +159,7 @@ def angular_size(led: Led, radius_mm: float) -> float:
     return 0.0 if led.position_mm is None else radius_mm / (2.0 * float(np.linalg.norm(led.position_mm)))
 
 
-_GRAZING = 0.12
-"""Cosine to the camera: facets that lean away further are not resolved by the picture's pixels."""
+_GRAZING = 0.12  # cosine to the camera: facets that lean away further are not resolved by the picture's pixels
 _LARGEST = 3.0
 """Area of a facet over that of the smooth skin: larger ones are walls of pores, a small part of their pixel."""
 

@@ -51,12 +51,9 @@ class RenderSettings(Checked):
 class BandLight:
     """Radiance of the finger inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame."""
-    diffuse: FloatArray
-    """(L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)."""
-    glare: FloatArray
-    """(L, h, w) light that the surface alone reflects, the same in all channels."""
+    window: tuple[slice, slice]  # rows and columns of the frame
+    diffuse: FloatArray  # (L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)
+    glare: FloatArray  # (L, h, w) light that the surface alone reflects, the same in all channels
 
 
 def render_band(
@@ -64,8 +61,7 @@ def render_band(
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
-    Jensen et al. 2001, equation (5), for the subsurface term; Walter et al. 2007, equations (20), (33), (34), for the
-    surface reflection.
+    Jensen et al. 2001, equation (5) (subsurface term); Walter et al. 2007, equations (20), (33), (34) (reflection).
     """
     settings = settings or RenderSettings()
     if any(led.also for led in leds):
@@ -139,8 +135,7 @@ def render_ambient(
 ) -> FloatArray:
     """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white card `level`.
 
-    A facet that is tilted by t against the middle of the hemisphere, `up` (3,) or the z axis, sees the fraction
-    (1 + cos t) / 2 of it.
+    A facet tilted by t against the hemisphere's middle, `up` (3,) or the z axis, sees the fraction (1 + cos t) / 2.
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)
@@ -258,7 +253,8 @@ class _Sheet:
         here = _sampled(mask.astype(np.float32), row, column, cv2.INTER_NEAREST) > 0
         steps = np.arange(np.floor(down[here].min()), np.ceil(down[here].max()) + 1)
         self._row = np.stack([np.interp(steps, line, np.arange(rows)) for line in down.T], axis=1).astype(np.float32)
-        u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self._row.shape)
+        self.shape = self._row.shape  # rows and columns of the plane, in pixels as large as those of the picture
+        u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self.shape)
         self._column = _sampled(column, self._row, u, cv2.INTER_LINEAR)
         self._there = _sampled(mask.astype(np.float32), self._row, self._column, cv2.INTER_NEAREST)
         self._u = (across[inner] - places[0]).astype(np.float32)
@@ -266,11 +262,6 @@ class _Sheet:
         self._v = _sampled((down - steps[0]).astype(np.float32), at, self._u, cv2.INTER_LINEAR)
         nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
         self._nearest = np.ravel_multi_index(tuple(nearest), mask.shape)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the plane, in pixels as large as those of the picture."""
-        return self._row.shape[0], self._row.shape[1]
 
     def laid_out(self, field: FloatArray) -> FloatArray:
         """A field of the picture (h', w') on the plane, zero where no skin is seen."""

@@ -22,10 +22,7 @@ from splitknit import Checked, FloatArray, Led, Limits, check_fields, require
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
-from splitknit_simulator.surface import SimulatedSurface
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array, SimulatedSurface
 
 # Patterns that a projector throws on the skin, and where they fall.
 
@@ -78,11 +75,11 @@ class Checkerboard(Checked):
         u, v = u - shift_mm[0], v - shift_mm[1]
         width = float(np.hypot(pitch_mm, self.edge_mm))
         if self.alpha == 0.5:
-            signs = _wave(u, self.period_mm, self.check_mm, width) * _wave(v, self.period_mm, self.check_mm, width)
+            signs = _wave(u, self.check_mm, width) * _wave(v, self.check_mm, width)
             lit = 0.5 + 0.5 * signs
         else:
             side = self.period_mm * float(np.sqrt(min(self.alpha, 1.0 - self.alpha)))
-            waves = (_wave(u, self.period_mm, side, width), _wave(v, self.period_mm, side, width))
+            waves = (_wave(u, side, width, self.period_mm), _wave(v, side, width, self.period_mm))
             square = (0.5 + 0.5 * waves[0]) * (0.5 + 0.5 * waves[1])
             lit = square if self.alpha < 0.5 else 1.0 - square
         return np.asarray(self.dark + (1.0 - self.dark) * lit, dtype=np.float32)
@@ -96,13 +93,9 @@ def _turn(x: Array, y: Array, angle_rad: float) -> tuple[Array, Array]:
     return cosine * x + sine * y, cosine * y - sine * x
 
 
-def _square_wave(u: Array, check_mm: float, width_mm: float) -> Array:
-    """+1 on one check, -1 on the next, an edge at u = 0, linear over `width_mm` at the edges."""
-    return _wave(u, 2.0 * check_mm, check_mm, width_mm)
-
-
-def _wave(u: Array, period: float, lit: float, width: float) -> Array:
-    """+1 over `lit` of each `period` from u = 0 on, else -1, linear over `width` at the edges."""
+def _wave(u: Array, lit: float, width: float, period: float | None = None) -> Array:
+    """+1 over `lit` of each `period` (twice that) from u = 0 on, else -1, linear over `width` at the edges."""
+    period = 2.0 * lit if period is None else period
     middle = np.abs((u - 0.5 * lit + 0.5 * period) % period - 0.5 * period)
     return np.asarray(np.clip((0.5 * lit - middle) * (2.0 / width), -1.0, 1.0))
 
@@ -157,18 +150,13 @@ Phases = Literal["all", "centred"]
 class Separated:
     """Light of one surface under one light, inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]
-    """Rows and columns of the frame."""
+    window: tuple[slice, slice]  # rows and columns of the frame
+    # (C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light included
     direct: FloatArray
-    """(C, h, w) brightest minus darkest over all phases of a checkerboard of `check_mm`, specular light included."""
-    global_: FloatArray
-    """(C, h, w) white minus direct."""
-    glare: FloatArray
-    """(h, w) light that the surface alone reflects, the same in all channels."""
-    white: FloatArray
-    """(C, h, w) under full light."""
-    check_mm: float
-    """Side of the checks that `direct` is defined with."""
+    global_: FloatArray  # (C, h, w) white minus direct
+    glare: FloatArray  # (h, w) light that the surface alone reflects, the same in all channels
+    white: FloatArray  # (C, h, w) under full light
+    check_mm: float  # side of the checks that `direct` is defined with
 
 
 def separate_truth(
@@ -294,10 +282,10 @@ class _Scene:
         """
         steps = max(int(np.ceil(check_mm / self.pitch_mm - 1e-6)), 1)
         shifts = check_mm / steps * np.arange(steps)
-        rows = [_square_wave(self.y - shift, check_mm, self.pitch_mm).astype(np.float32) for shift in shifts]
+        rows = [_wave(self.y - shift, check_mm, self.pitch_mm).astype(np.float32) for shift in shifts]
         largest = np.zeros((len(self.out), *self.glare.shape), dtype=np.float32)
         for shift in shifts:
-            across = _square_wave(self.x - shift, check_mm, self.pitch_mm).astype(np.float32)
+            across = _wave(self.x - shift, check_mm, self.pitch_mm).astype(np.float32)
             for along in rows:
                 chi = across * along
                 gloss = self.glare * chi[self.inner]
@@ -316,7 +304,7 @@ class _Scene:
         kernel = scipy.fft.irfft2(transfer, self.diffusion.fft_shape)
         offsets = (scipy.fft.fftfreq(count, 1.0 / count) * self.pitch_mm for count in self.diffusion.fft_shape)
         down, across = (
-            _square_wave(offset + 0.5 * check_mm, check_mm, self.pitch_mm).astype(np.float32) for offset in offsets
+            _wave(offset + 0.5 * check_mm, check_mm, self.pitch_mm).astype(np.float32) for offset in offsets
         )
         kernel *= down[:, None] * across[None, :]
         return np.asarray(scipy.fft.rfft2(kernel))

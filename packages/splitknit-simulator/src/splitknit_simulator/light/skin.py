@@ -36,14 +36,11 @@ BAND_CHANNELS: Mapping[str, tuple[Channel, ...]] = {"white": ("red", "green", "b
 class _EffectiveBand:
     """What one channel sees: wavelengths in nm and absorption in 1/mm of the pure substances there."""
 
-    scattering_nm: float
-    """Centroid of the channel under the LED: scattering varies slowly."""
+    scattering_nm: float  # centroid of the channel under the LED: scattering varies slowly
+    # where the channel's light is absorbed: the peak of a white LED's blue line for the blue channel
     absorption_nm: float
-    """Where the channel's light is absorbed: the peak of a white LED's blue line for the blue channel."""
-    oxygenated: float
-    """Whole blood of 150 g/l haemoglobin, all of it oxygenated."""
-    deoxygenated: float
-    """Whole blood of 150 g/l haemoglobin, none of it oxygenated."""
+    oxygenated: float  # whole blood of 150 g/l haemoglobin, all of it oxygenated
+    deoxygenated: float  # whole blood of 150 g/l haemoglobin, none of it oxygenated
     water: float
 
     @property
@@ -70,13 +67,11 @@ EFFECTIVE: Mapping[Channel, _EffectiveBand] = {
 class ChannelOptics:
     """One medium as the renderer needs it."""
 
-    scattering_per_mm: float
-    """Reduced scattering coefficient."""
+    scattering_per_mm: float  # reduced scattering coefficient
     absorption_per_mm: float
+    # relative change of the diffuse light per micrometre of relief, under light along the skin's normal
     relief_gain_per_um: float
-    """Relative change of the diffuse light per micrometre of relief, under light along the skin's normal."""
-    oblique_gain_per_um: float = 0.0
-    """What is added to it under light at the angle t to the normal, over ln(1 / cos t)."""
+    oblique_gain_per_um: float = 0.0  # what is added to it under light at the angle t to the normal, over ln(1 / cos t)
 
     @property
     def attenuation_per_mm(self) -> float:
@@ -192,14 +187,10 @@ class SkinOptics(Checked):
 class Medium:
     """A finger's skin as the light of one band meets it."""
 
-    optics: Sequence[ChannelOptics]
-    """C media, one a channel: red, green and blue, or near infrared."""
-    roughness: float
-    """GGX alpha of the surface."""
-    glare: float = 1.0
-    """Weight of the surface reflection, 1 = Fresnel."""
-    boundary: Boundary = field(default_factory=Boundary)
-    """How light enters, where nothing lies on the skin."""
+    optics: Sequence[ChannelOptics]  # C media, one a channel: red, green and blue, or near infrared
+    roughness: float  # GGX alpha of the surface
+    glare: float = 1.0  # weight of the surface reflection, 1 = Fresnel
+    boundary: Boundary = field(default_factory=Boundary)  # how light enters, where nothing lies on the skin
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -280,10 +271,9 @@ def diffuse_transmittance(ratio: float = REFRACTIVE_INDEX) -> float:
 class WalkTable(NamedTuple):
     """Histogram of random walks without absorption, in mean free paths."""
 
+    # (radii, lengths): fraction of all walks that leave at a radius and after a length within the bins
     counts: NDArray[np.float64]
-    """(radii, lengths): fraction of all walks that leave at a radius and after a length within the bins."""
-    lengths: NDArray[np.float64]
-    """(lengths,) mean length of the walks in each bin of lengths."""
+    lengths: NDArray[np.float64]  # (lengths,) mean length of the walks in each bin of lengths
 
 
 @lru_cache(maxsize=1)
@@ -299,10 +289,8 @@ def load_walks() -> WalkTable:
 class Profile:
     """The diffusion profile of one medium: light leaves ring k, between two radii, with weight `weights[k]`."""
 
-    radii_mm: NDArray[np.float64]
-    """(rings + 1,) edges of the rings."""
-    weights: NDArray[np.float64]
-    """(rings,) their sum is the albedo."""
+    radii_mm: NDArray[np.float64]  # (rings + 1,) edges of the rings
+    weights: NDArray[np.float64]  # (rings,) their sum is the albedo
 
     @property
     def albedo(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from splitknit import Checked, Limits, check_fields, require
+from splitknit import Checked, Limits, require
 from splitknit_simulator.finger.finger import TRAITS, SimulatedFinger, crease_of, relief_of, shape_of
 from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerShape
@@ -21,7 +21,6 @@ from splitknit_simulator.finger.skin_map import SkinRelief as ReliefSettings
 from splitknit_simulator.light.skin import SkinOptics, SkinRanges
 
 Five = tuple[float, float, float, float, float]
-
 DIGITS, SIDES = ("thumb", "index", "middle", "ring", "little"), ("right", "left")
 
 ARCHES: Mapping[str, Five] = {"right": (0.03, 0.17, 0.07, 0.02, 0.01), "left": (0.05, 0.17, 0.08, 0.03, 0.02)}
@@ -72,6 +71,14 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 
 # From what hands are drawn.
 
+_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05  # of the length from tip to first crease: men's over women's, relative
+_PERSON_SHARE = 0.8  # fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
+_PERIOD_OWN_SPREAD = 0.02  # relative standard deviation of the ridge period between the fingers of a hand
+_PATTERN_SHARES = 0.35, 0.25
+"""How far a person's fingers, and the two fingers of one name, tend to one class of print: of the latent variance."""
+_BLOOD_OWN_SPREAD, _GAIN_OWN_SPREAD = 0.10, 0.05
+"""Logarithmic standard deviations of blood content and relief gain between the fingers of a person."""
+
 
 @dataclass(frozen=True, slots=True)
 class PeopleRanges(Checked):
@@ -87,14 +94,8 @@ class PeopleRanges(Checked):
     """Mean length from tip to first crease."""
     width_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.14
     """Men's over women's breadth."""
-    length_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.09
-    """Men's over women's length from tip to first crease; 0.8 to 1.4."""
     width_spread: Annotated[float, Limits(0.0, 0.12)] = 0.055
     """Relative standard deviation of the breadth between people of one sex."""
-    length_spread: Annotated[float, Limits(0.0, 0.12)] = 0.05
-    """Relative standard deviation of that length between people of one sex; 0 to 0.12."""
-    person_share: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Fraction of the variance of breadth and length, within a sex, that all ten fingers have in common."""
     period_mm: Annotated[float, Limits(0.38, 0.5)] = 0.435
     """Mean ridge period, both sexes: 23 ridges per cm, as in the thesis."""
     period_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.10
@@ -103,27 +104,10 @@ class PeopleRanges(Checked):
     """The digits' ridge periods, relative."""
     period_spread: Annotated[float, Limits(0.0, 0.12)] = 0.045
     """Between people of one sex, relative."""
-    period_own_spread: Annotated[float, Limits(0.0, 0.12)] = 0.02
-    """Between the fingers of a hand."""
-    pattern_person_share: Annotated[float, Limits(0.0, 1.0)] = 0.35
-    """How far a person's fingers tend to one class of print: fraction of the latent variance."""
-    pattern_digit_share: Annotated[float, Limits(0.0, 1.0)] = 0.25
-    """The same for the two fingers of one name."""
     optics: SkinRanges = field(default_factory=SkinRanges)
     """Skin of a person; the fingers differ little."""
-    blood_own_spread: Annotated[float, Limits(0.0, 0.5)] = 0.10
-    """Logarithmic standard deviation of the blood content between the fingers of a person; 0 to 0.5."""
-    relief_gain_own_spread: Annotated[float, Limits(0.0, 0.5)] = 0.05
-    """The same for the relief gain; 0 to 0.5."""
     habit_roll_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 3.0
     """How far a finger is rolled whenever its owner lays it down."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(
-            self.pattern_person_share + self.pattern_digit_share <= 1,
-            "people.pattern_person_share and people.pattern_digit_share must not exceed 1 together.",
-        )
 
 
 FINGERS = tuple(f"{side}_{digit}" for side in SIDES for digit in DIGITS)
@@ -134,8 +118,7 @@ class OwnFinger:
     """One finger of a person."""
 
     name: str
-    finger: SimulatedFinger
-    """Shape at rest, print, relief."""
+    finger: SimulatedFinger  # shape at rest, print, relief
     optics: SkinOptics
     habit_roll_deg: float
 
@@ -144,12 +127,9 @@ class OwnFinger:
 class Person:
     """Somebody with ten fingers."""
 
-    number: int
-    """From 1."""
-    sex: str
-    """``man`` or ``woman``."""
-    fingers: Mapping[str, OwnFinger]
-    """By name, as in :data:`FINGERS`."""
+    number: int  # from 1
+    sex: str  # ``man`` or ``woman``
+    fingers: Mapping[str, OwnFinger]  # by name, as in :data:`FINGERS`
 
 
 def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> Person:
@@ -165,7 +145,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
     for place, name in enumerate(FINGERS):
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
-        pattern = _pattern_class(own, hand.pattern_score(place, ranges), SIDES[side], DIGITS[digit])
+        pattern = _pattern_class(own, hand.score("pattern", place, *_PATTERN_SHARES), SIDES[side], DIGITS[digit])
         settings = _print_settings(own, hand, place, man, ranges)
         shape, relief = _shape_and_relief(own, hand, place, man, ranges)
         print_seed = int(print_seeds[place].generate_state(1, np.uint32)[0])
@@ -196,12 +176,9 @@ class _Hand:
         z = np.sqrt(person) * self._person[k] + np.sqrt(digit) * self._digit[place % len(DIGITS), k]
         return float(z + np.sqrt(max(1.0 - person - digit, 0.0)) * self._own[place, k])
 
-    def pattern_score(self, place: int, ranges: PeopleRanges) -> float:
-        return self.score("pattern", place, ranges.pattern_person_share, ranges.pattern_digit_share)
-
-    def size(self, name: str, place: int, person: float) -> float:
+    def size(self, name: str, place: int) -> float:
         """Score of breadth or length; most of what is not the person's is common to both hands."""
-        return float(np.clip(self.score(name, place, person, 0.7 * (1.0 - person)), -2.2, 2.2))
+        return float(np.clip(self.score(name, place, _PERSON_SHARE, 0.7 * (1.0 - _PERSON_SHARE)), -2.2, 2.2))
 
     def trait(self, name: str, place: int) -> float:
         """Value of a trait, mirrored on the left hand where it has a side."""
@@ -216,7 +193,7 @@ def _print_settings(
 ) -> MasterPrintSettings:
     sex = (0.5 if man else -0.5) * np.log(ranges.period_sex_ratio)
     person = hand.score("period", place, 1.0, 0.0)
-    own = ranges.period_own_spread * np.clip(rng.standard_normal(), -2.2, 2.2)
+    own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)
     logs = sex + ranges.period_spread * np.clip(person, -2.2, 2.2) + own
     period = ranges.period_mm * ranges.period_digit[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
@@ -229,13 +206,13 @@ def _shape_and_relief(
 
     def size(name: str, means: Five, ratio: float, spread: float) -> float:
         sex = ratio ** (0.5 if man else -0.5)
-        return float(means[digit] * sex * (1.0 + spread * hand.size(name, place, ranges.person_share)))
+        return float(means[digit] * sex * (1.0 + spread * hand.size(name, place)))
 
     def trait(name: str) -> float:
         return hand.trait(name, place)
 
     width = size("width", ranges.width_mm, ranges.width_sex_ratio, ranges.width_spread)
-    length = size("length", ranges.length_mm, ranges.length_sex_ratio, ranges.length_spread)
+    length = size("length", ranges.length_mm, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
     shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
     shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))
     first, second = (
@@ -257,7 +234,7 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
 
 def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
     draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
-    blood = skin.blood * float(np.exp(ranges.blood_own_spread * draws[0]))
-    gain = skin.relief_gain * float(np.exp(ranges.relief_gain_own_spread * draws[1]))
+    blood = skin.blood * float(np.exp(_BLOOD_OWN_SPREAD * draws[0]))
+    gain = skin.relief_gain * float(np.exp(_GAIN_OWN_SPREAD * draws[1]))
     low, high = ranges.optics.relief_gain
     return replace(skin, blood=blood, relief_gain=float(np.clip(gain, low, high)))

@@ -29,6 +29,13 @@ from splitknit_simulator.twin import photograph
 # What changes from one session to the next: how a finger is laid down, its skin, the camera and the lights.
 
 Range = tuple[float, float]
+_PARTIAL_INSERTION_MM = (18.0, 22.0)  # from the lower image border to the tip of a finger that is laid down too short
+_SWELLING_COMMON, _MOISTURE_COMMON, _BLOOD_COMMON = 0.8, 0.6, 0.8
+"""Fractions of the variances that a person's fingers have in common in a session."""
+_BLOOD_SD = 0.25  # logarithmic standard deviation of the blood content (warmth, pressure)
+_LED_DRIFT_SD = (
+    0.007  # relative change of each LED's intensity since it was calibrated, which the rig file does not know
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,32 +56,22 @@ class SessionRanges(Checked):
     """From the lower image border to the tip; cut to what the picture holds."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
     """Fraction of impressions that are laid down too short."""
-    partial_insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (18.0, 22.0)
-    """From the lower image border to the tip of those; 12 to 40."""
     height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
     """z of the pad's highest point."""
     swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
     """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
-    swelling_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Fraction of its variance that all fingers of a person have in common."""
     flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
     """What a resting finger gains in breadth and loses in thickness."""
     deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
     """Largest shift of the skin against the body."""
     deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
     """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
-    moisture_common: Annotated[float, Limits(0.0, 1.0)] = 0.6
-    """Fraction of the variance of the moisture that a person's fingers have in common. 0 dry, 1 moist."""
     glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
     """Weight of the surface reflection of dry and of moist skin."""
     roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
     """GGX alpha of dry and of moist skin."""
     ridge_contrast: Annotated[Range, Limits(0.2, 1.5)] = (0.88, 1.08)
     """Depth of ridges and pores relative to the finger's own, dry and moist."""
-    blood_sd: Annotated[float, Limits(0.0, 0.6)] = 0.25
-    """Logarithmic standard deviation of the blood content (warmth, pressure)."""
-    blood_common: Annotated[float, Limits(0.0, 1.0)] = 0.8
-    """Fraction of its variance that a person's fingers have in common."""
     oxygenation: Annotated[Range, Limits(0.3, 1.0)] = (0.6, 0.85)
     """Oxygenated fraction of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
     exposure: Annotated[Range, Limits(0.1, 0.95)] = (0.5, 0.8)
@@ -83,8 +80,6 @@ class SessionRanges(Checked):
     """Electrons at full scale: fewer with a higher gain."""
     read_noise_e: Annotated[Range, Limits(0.0, 50.0)] = (2.5, 4.0)
     """Standard deviation of the noise of reading out, electrons; 0 to 50."""
-    led_drift_sd: Annotated[float, Limits(0.0, 0.05)] = 0.007
-    """Change of each LED's intensity since it was calibrated, relative; the rig file does not know it."""
     ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
     """Ambient light relative to one LED."""
     hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
@@ -103,8 +98,7 @@ class _Impression:
     x_mm: float
     insertion_mm: float
     height_mm: float
-    partial: bool
-    """Whether it was laid down too short."""
+    partial: bool  # whether it was laid down too short
     swelling: float
     flattening: float
     deformation_mm: float
@@ -151,43 +145,32 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
         both = np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
         return float(np.clip(both, -2.0, 2.0))
 
-    swelling = ranges.swelling_sd * shared(ranges.swelling_common)
-    moisture = float(ndtr(shared(ranges.moisture_common)))
+    swelling = ranges.swelling_sd * shared(_SWELLING_COMMON)
+    moisture = float(ndtr(shared(_MOISTURE_COMMON)))
     full_well, read_noise = (between(limits, day.random()) for limits in (ranges.full_well_e, ranges.read_noise_e))
     partial = bool(rng.random() < ranges.partial_share)
-    full, short = even(ranges.insertion_mm), even(ranges.partial_insertion_mm)
+    full, short = even(ranges.insertion_mm), even(_PARTIAL_INSERTION_MM)
     _, lower, upper = picture_on_plane(camera)
     return _Impression(
         yaw_deg=ranges.yaw_sd_deg * normal(),
         pitch_deg=ranges.pitch_sd_deg * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
-        x_mm=even(ranges.x_mm),
         insertion_mm=min(short if partial else full, upper - lower - 0.6),
-        height_mm=even(ranges.height_mm),
         partial=partial,
         swelling=swelling,
-        flattening=even(ranges.flattening),
-        deformation_mm=even(ranges.deformation_mm),
+        **{name: even(getattr(ranges, name)) for name in ("x_mm", "height_mm", "flattening", "deformation_mm")},
         moisture=moisture,
-        glare=between(ranges.glare, moisture),
-        roughness=between(ranges.roughness, moisture),
-        ridge_contrast=between(ranges.ridge_contrast, moisture),
-        blood_factor=float(np.exp(ranges.blood_sd * shared(ranges.blood_common))),
+        **{name: between(getattr(ranges, name), moisture) for name in ("glare", "roughness", "ridge_contrast")},
+        blood_factor=float(np.exp(_BLOOD_SD * shared(_BLOOD_COMMON))),
         oxygenation=between(ranges.oxygenation, day.random()),
-        exposure=even(ranges.exposure),
         full_well_e=full_well,
         read_noise_e=read_noise,
-        ambient=even(ranges.ambient),
-        hand_shadow=even(ranges.hand_shadow),
-        dust_per_cm2=even(ranges.dust_per_cm2),
+        **{name: even(getattr(ranges, name)) for name in ("exposure", "ambient", "hand_shadow", "dust_per_cm2")},
     )
 
 
-DRAWS = 1
-"""Version of the draws: it rises when the same settings give other captures."""
-
-LARGE = ("normals", "glare_white", "glare_nir")
-"""Arrays of the truth that only ``truth = "full"`` keeps."""
+DRAWS = 1  # version of the draws: it rises when the same settings give other captures
+LARGE = ("normals", "glare_white", "glare_nir")  # arrays of the truth that only ``truth = "full"`` keeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,8 +206,7 @@ class _Shown:
 
     capture: Capture
     truth: dict[str, NDArray[Any]]
-    facts: dict[str, Any]
-    """Who, which finger and session, how it lay, how its skin was: plain numbers and words."""
+    facts: dict[str, Any]  # who, which finger and session, how it lay, how its skin was: plain numbers and words
 
 
 def population_capture(
@@ -244,7 +226,7 @@ def population_capture(
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
-    lit = _drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
+    lit = _drifted(rig, np.random.default_rng(drift_seed), _LED_DRIFT_SD)
     skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
     capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from splitknit import Cloud, FloatArray, require
 from splitknit_simulator.scanners.views import View, between_neighbours, cloud_of
 
-_LEAST = 0.2
-"""By which the peak of sharpness rises over its mean through the stack, as a fraction of the peak."""
+_LEAST = 0.2  # by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
 
 
 def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BoolArray, Cloud, FloatArray, require
-from splitknit_simulator.scanners.views import Array, View, cloud_of
+from splitknit_simulator.scanners.views import View, cloud_of
+from splitknit_simulator.surface import Array
 
 _ROUNDS, _LARGEST_STEP_PX = 4, 0.5
 

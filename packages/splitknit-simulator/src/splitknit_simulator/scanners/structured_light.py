@@ -21,20 +21,16 @@ from numpy.typing import NDArray
 from splitknit import BoolArray, Cloud, FloatArray, require
 from splitknit_simulator.scanners.views import View, cloud_of, on_planes
 
-_NOISE_PX = 7
-"""Side of the square over which the residuals of the sinusoids are averaged."""
+_NOISE_PX = 7  # side of the square over which the residuals of the sinusoids are averaged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """Which row of the projector lights each pixel."""
 
-    row: FloatArray
-    """(H, W) in the projector's pixels; NaN where the fringes are too faint."""
-    sigma: FloatArray
-    """(H, W) its standard deviation, from the residuals of the sinusoids."""
-    modulation: FloatArray
-    """(F, H, W) amplitude of the fringes over the mean light."""
+    row: FloatArray  # (H, W) in the projector's pixels; NaN where the fringes are too faint
+    sigma: FloatArray  # (H, W) its standard deviation, from the residuals of the sinusoids
+    modulation: FloatArray  # (F, H, W) amplitude of the fringes over the mean light
 
 
 def fringes(row: NDArray[np.floating], period: float, step: int, steps: int) -> FloatArray:

@@ -8,20 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Cloud, FloatArray, require
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """A pinhole as OpenCV has it: x right, y down, z away from it; pixel = matrix @ (rotation @ X + shift_mm)."""
 
-    matrix: Array
-    """(3, 3) of the camera, pixels."""
-    rotation: Array
-    """(3, 3) from the scene's frame to the view's."""
-    shift_mm: Array
-    """(3,)."""
+    matrix: Array  # (3, 3) of the camera, pixels
+    rotation: Array  # (3, 3) from the scene's frame to the view's
+    shift_mm: Array  # (3,)
 
     @property
     def centre_mm(self) -> Array:

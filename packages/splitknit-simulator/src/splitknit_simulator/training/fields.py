@@ -38,12 +38,9 @@ from splitknit_simulator.training.trainer import (
 )
 from splitknit_simulator.training.trainer import Sample as Stored
 
-FIELDS = 32
-"""Fields that a network sees, the first of a sample."""
-LAST_RATE = 0.02
-"""Learning rate at the end of a training, relative to its maximum."""
-_TRIES = 2000
-"""Patches that are drawn before a training is given up for want of skin."""
+FIELDS = 32  # fields that a network sees, the first of a sample
+LAST_RATE = 0.02  # learning rate at the end of a training, relative to its maximum
+_TRIES = 2000  # patches that are drawn before a training is given up for want of skin
 
 Sample = NDArray[np.floating[Any]]
 """(channels, h, w), any float type."""
@@ -56,31 +53,23 @@ class FieldsTask:
     """What a network of fields learns, and how it is judged."""
 
     kind: NetworkKind
-    channels: int
-    """How many channels a sample has."""
-    symmetry: Symmetry
-    """Symmetry of a sample."""
+    channels: int  # how many channels a sample has
+    symmetry: Symmetry  # symmetry of a sample
+    # the parts of the loss, torch scalars, of what the network made of patches, and these
     losses: Callable[[Any, Any], dict[str, Any]]
-    """The parts of the loss, torch scalars, of what the network made of patches, and these."""
+    # figures of a network on a sample, in the network's units; its sides fit the stride
     judge: Callable[[Run, Sample, int], Entry]
-    """Figures of a network on a sample, in the network's units; its sides fit the stride."""
-    in_units: Callable[[Entry], Entry]
-    """The same in the card's units."""
-    held_out: str
-    """What the figures are of, after the number of fingers."""
+    in_units: Callable[[Entry], Entry]  # the same in the card's units
+    held_out: str  # what the figures are of, after the number of fingers
+    # lines of the chart, with their unit: from an entry of the learning curve to a value
     lines: Mapping[str, Callable[[Entry], float]]
-    """Lines of the chart, with their unit: from an entry of the learning curve to a value."""
     unit: str
-    min_weight: float
-    """Patches with a smaller mean weight are not used: they hold next to no skin."""
-    min_deviation: float
-    """A smaller standard deviation of a field counts as this."""
-    scale_patches: int
-    """That the fields' standard deviations are taken of."""
+    min_weight: float  # patches with a smaller mean weight are not used: they hold next to no skin
+    min_deviation: float  # a smaller standard deviation of a field counts as this
+    scale_patches: int  # that the fields' standard deviations are taken of
+    # samples of a subject, its kind and number, for ranges of scenes
     shoot: Callable[[str, int, Any], Sequence[Stored]]
-    """Samples of a subject, its kind and number, for ranges of scenes."""
-    of_nir: tuple[int, ...] = ()
-    """Fields that a fraction of the patches has zero, as without near-infrared images."""
+    of_nir: tuple[int, ...] = ()  # fields that a fraction of the patches has zero, as without near-infrared images
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,6 +40,13 @@ from splitknit_simulator.surface import SimulatedSurface, Texture
 from splitknit_simulator.twin import master_of_print_file, photograph
 
 Range = tuple[float, float]
+_LAYERS_SPREAD = 0.35
+"""Standard deviation of the logarithm of each channel's absorption, by which layers depart from one medium."""
+_BLURRED = 0.15  # part of the fingers whose light spreads across the picture, as in an image that is blurred
+_MATT, _RIDGELESS = 0.12, 0.08  # parts of the fingers without any surface reflection, and without ridges
+_SWEAT = (0.0, 0.6)  # relative standard deviation of the surface reflection over 0.4 to 2 mm
+_LED_TWIST_RAD = (-0.45, 0.45)  # by which the circle of lights is turned
+_LED_JITTER_MM = 1.0  # standard deviation of each light's place, every way
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +59,10 @@ class SceneRanges(Checked):
     """Log-uniform; multiplies Jacques's scattering. Jensen's skin has 0.2 to 0.5 of it."""
     scattering_power: Range = (0.4, 1.6)
     """Exponent of the wavelength in it."""
-    layers_spread: Annotated[float, Limits(0, 1)] = 0.35
-    """Standard deviation of the logarithm of each channel's absorption, by which layers depart from one medium."""
     refraction: Annotated[Range, Limits(0, 1)] = (0.0, 1.0)
     """See :class:`splitknit_simulator.light.skin.Boundary`; small values more often, as forward scattering leaves."""
     entry_power: Range = (-0.3, 1.1)
     """The same."""
-    blurred_share: Annotated[float, Limits(0, 1)] = 0.15
-    """Part of the fingers whose light spreads across the picture, as in an image that is blurred."""
     melanin: Range = (0.0002, 0.015)
     """Log-uniform volume fraction."""
     blood: Range = (0.002, 0.015)
@@ -74,14 +77,10 @@ class SceneRanges(Checked):
     """GGX alpha of the skin's surface, 0.05 to 1."""
     glare: Range = (0.0, 1.6)
     """Weight of the surface reflection, 0 to 5; 1 is bare skin."""
-    matt_share: Annotated[float, Limits(0, 1)] = 0.12
-    """Part of the fingers without any surface reflection."""
     relief_gain: Range = (0.3, 2.2)
     """Log-uniform."""
     ridge_depth_um: Annotated[Range, Limits(0, above=True)] = (25.0, 110.0)
     """Mean height of ridges over valleys, positive."""
-    ridgeless_share: Annotated[float, Limits(0, 1)] = 0.08
-    """Part of the fingers without ridges."""
     prints_folder: str = ""
     """Folder of real prints of 500 pixels an inch (PNG) whose ridges some of the fingers have; empty: none."""
     prints_share: Annotated[float, Limits(0, 1)] = 0.3
@@ -98,8 +97,6 @@ class SceneRanges(Checked):
     """Standard deviation of the skin's brightness at the scale of ridges that is no relief."""
     mottling: Annotated[Range, Limits(0, 1)] = (0.0, 0.2)
     """Standard deviation of the logarithm of green light under mottled blood, over 0.5 to 3 mm."""
-    sweat: Annotated[Range, Limits(0, 1)] = (0.0, 0.6)
-    """Relative standard deviation of the surface reflection over 0.4 to 2 mm."""
     grain: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)
     """Relative standard deviation, from pixel to pixel and in each channel for itself, of what all images share."""
     full_well_e: Annotated[Range, Limits(100)] = (500.0, 5000.0)
@@ -114,10 +111,6 @@ class SceneRanges(Checked):
     """Radius of the circle of lights, positive."""
     led_height_mm: Annotated[Range, Limits(20, above=True)] = (120.0, 165.0)
     """Height of lights and camera above the finger."""
-    led_twist_rad: Range = (-0.45, 0.45)
-    """By which the circle of lights is turned."""
-    led_jitter_mm: float = 1.0
-    """Standard deviation of each light's place, every way."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -149,8 +142,7 @@ class TrainingScene:
     finger: SimulatedFinger
     rig: Rig
     settings: TwinSettings
-    textured_by: SceneRanges | None = None
-    """Ranges of what varies over the skin; None: it is even."""
+    textured_by: SceneRanges | None = None  # ranges of what varies over the skin; None: it is even
 
     def facts(self, truth: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """What was drawn, for the file that goes with the finger; the skin is in the `truth` of its photographs."""
@@ -170,9 +162,9 @@ class TrainingScene:
 
 def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinOptics:
     """The parts of the skin that the simulator's own ranges do not draw; matt skin has no glare in it."""
-    layers = np.exp(np.clip(rng.normal(0.0, data.layers_spread, 4), -1.2, 1.2))
+    layers = np.exp(np.clip(rng.normal(0.0, _LAYERS_SPREAD, 4), -1.2, 1.2))
     boundary = Boundary(blurred=True)
-    if rng.random() >= data.blurred_share:
+    if rng.random() >= _BLURRED:
         low, high = data.refraction
         refraction = low + (high - low) * float(rng.random()) ** 2
         boundary = Boundary(refraction, float(rng.uniform(*data.entry_power)))
@@ -182,7 +174,7 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinOptics:
         scattering_power=float(rng.uniform(*data.scattering_power)),
         layers=(float(layers[0]), float(layers[1]), float(layers[2]), float(layers[3])),
         boundary=boundary,
-        glare=0.0 if rng.random() < data.matt_share else 1.0,
+        glare=0.0 if rng.random() < _MATT else 1.0,
     )
 
 
@@ -210,7 +202,7 @@ def textured(surface: SimulatedSurface, rng: np.random.Generator, data: SceneRan
 
     pigment = even_noise(float(rng.uniform(*data.pigment)), (0.04, 0.25))
     blood = even_noise(float(rng.uniform(*data.mottling)), (0.5, 3.0))
-    gloss = np.maximum(1 + even_noise(float(rng.uniform(*data.sweat)), (0.4, 2.0)), 0)
+    gloss = np.maximum(1 + even_noise(float(rng.uniform(*_SWEAT)), (0.4, 2.0)), 0)
     marked = np.asarray(surface.pigment * (1 + np.clip(pigment, -0.3, 0.3)), dtype=np.float32)
     grain = rng.standard_normal((len(CHANNELS), *surface.mask.shape), dtype=np.float32)
     grain = 1 + np.float32(rng.uniform(*data.grain)) * np.clip(grain, -4, 4)
@@ -220,7 +212,7 @@ def textured(surface: SimulatedSurface, rng: np.random.Generator, data: SceneRan
 def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> SimulatedFinger:
     """The finger `number` with ridges of any depth in the range."""
     finger = draw_finger(number, print_settings=MasterPrintSettings(steepness=data.steepness, duty=data.duty))
-    depth_um = 0.0 if rng.random() < data.ridgeless_share else float(rng.uniform(*data.ridge_depth_um))
+    depth_um = 0.0 if rng.random() < _RIDGELESS else float(rng.uniform(*data.ridge_depth_um))
     thick, long = np.exp(np.clip(rng.normal(0.0, data.form, 2), -0.3, 0.3))
     shape = replace(
         finger.shape,
@@ -241,13 +233,13 @@ def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> 
 def moved_rig(rig: Rig, rng: np.random.Generator, data: SceneRanges) -> Rig:
     """The rig with its lights on another circle, each a little off it."""
     radius, height, twist = (
-        float(rng.uniform(*limits)) for limits in (data.led_radius_mm, data.led_height_mm, data.led_twist_rad)
+        float(rng.uniform(*limits)) for limits in (data.led_radius_mm, data.led_height_mm, _LED_TWIST_RAD)
     )
     leds = []
     for led in rig.leds:
         assert led.position_mm is not None
         azimuth = math.atan2(led.position_mm[1], led.position_mm[0]) + twist
-        x, y, z = rng.normal(0.0, data.led_jitter_mm, 3)
+        x, y, z = rng.normal(0.0, _LED_JITTER_MM, 3)
         place = (float(radius * math.cos(azimuth) + x), float(radius * math.sin(azimuth) + y), float(height + z))
         leds.append(replace(led, position_mm=place))
     return replace(rig, leds=tuple(leds), camera=replace(rig.camera, height_mm=height))
@@ -288,8 +280,7 @@ def photograph_scene(scene: TrainingScene) -> tuple[Capture, Mapping[str, NDArra
     return photograph(surface, scene.rig, skin, photo_seed, settings=settings)
 
 
-TRUTH_FRACTION = 0.999
-"""Blocks of pixels of which a smaller fraction lies on the finger have no truth."""
+TRUTH_FRACTION = 0.999  # blocks of pixels of which a smaller fraction lies on the finger have no truth
 
 
 class TruthOnGrid:

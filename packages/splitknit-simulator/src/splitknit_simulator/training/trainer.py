@@ -54,14 +54,10 @@ if TYPE_CHECKING:
 
 Chart = Callable[[Sequence[float], Mapping[str, Sequence[float]], str, str], bytes]
 """Draws a learning curve as SVG: x, lines by name, labels of x and y."""
-HELD_OUT_FROM = 1_000_000
-"""Fingers and palms from this number on are never trained on."""
-FREE = ("threads", "device", "precision")
-"""Settings that may change when a training is resumed: where it runs."""
-_MAX_BYTES = 2_000_000_000
-"""A checkpoint has three times the network's bytes."""
-_DATA_PART = 0.4
-"""Fraction of the progress bar for the data."""
+HELD_OUT_FROM = 1_000_000  # fingers and palms from this number on are never trained on
+FREE = ("threads", "device", "precision")  # settings that may change when a training is resumed: where it runs
+_MAX_BYTES = 2_000_000_000  # a checkpoint has three times the network's bytes
+_DATA_PART = 0.4  # fraction of the progress bar for the data
 _MAX_DIFFERENCE = 0.02
 """Largest difference of the exported network, of the output's range: its weights are stored in half precision."""
 
@@ -96,10 +92,8 @@ class Step(NamedTuple):
 
     batch: Any
     learning_rate: float
-    weight: float
-    """Weight of its loss in the mean over an entry of the learning curve."""
-    progress: float
-    """Fraction of the training, 0 to 1."""
+    weight: float  # weight of its loss in the mean over an entry of the learning curve
+    progress: float  # fraction of the training, 0 to 1
 
 
 class Trainer(ABC):
@@ -383,14 +377,10 @@ Entry = dict[str, float]
 class LearningCurve:
     """What is measured during a training, and drawn."""
 
-    stretch: int
-    """Epochs or iterations between two entries."""
-    judge: Callable[[], Entry]
-    """Figures of the network as it is on held-out data."""
-    lines: Mapping[str, Callable[[Entry], float]]
-    """Lines of the chart by their names: from an entry to a value."""
-    unit: str
-    """Unit of these values."""
+    stretch: int  # epochs or iterations between two entries
+    judge: Callable[[], Entry]  # figures of the network as it is on held-out data
+    lines: Mapping[str, Callable[[Entry], float]]  # lines of the chart by their names: from an entry to a value
+    unit: str  # unit of these values
 
 
 def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: LearningCurve) -> None:
@@ -426,8 +416,7 @@ class NetworkKind:
 
     name: str
     what: str
-    channels: tuple[int, int]
-    """Channels of input and output."""
+    channels: tuple[int, int]  # channels of input and output
 
 
 def packed(
