@@ -90,9 +90,8 @@ def _names_of(capture: str) -> dict[str, str]:
     {'finger': 'S01/right_index', 'subject': 'S01', 'session': '2'}
     """
     subject, session, finger = parts if len(parts := capture.split("/")) == 3 else ("", "", "")
-    require(
-        bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; run the batch again."
-    )
+    cure = "run the batch again."
+    require(bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; {cure}")
     return {"finger": f"{subject}/{finger}", "subject": subject, "session": session.removeprefix("session_")}
 
 
@@ -157,10 +156,8 @@ def run_batch(
     cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
     people, folder = location(population), location(out)
     for one in (people, folder):
-        require(
-            not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
-            f"'{one}' is known to this process alone; take `jobs` 1 and no cluster, or another place.",
-        )
+        fault = f"'{one}' is known to this process alone; take `jobs` 1 and no cluster,"
+        require(not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None), f"{fault} or another place.")
     into = folder / "csv" if csv is None else csv
     tables = {
         (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers

@@ -52,17 +52,13 @@ class Cluster:
     def __post_init__(self) -> None:
         found = re.fullmatch(r"(tls|tcp)://(?:([^\s:/\[\]]+)|\[([0-9A-Fa-f:.]+)\]):([0-9]{1,5})", self.address)
         if found is None or not 0 < int(found[4]) < 65536:
-            raise BadInput(
-                f"'{self.address}' is not the address of a cluster: name tls://HOST:PORT, or tcp://127.0.0.1:PORT for "
-                "one on this computer."
-            )
+            fault = f"'{self.address}' is not the address of a cluster"
+            raise BadInput(f"{fault}: name tls://HOST:PORT, or tcp://127.0.0.1:PORT for one on this computer.")
         require(self.cert_file is not None or self.key_file is None, "a cluster's key needs its certificate as well.")
         if found[1] == "tls":
             return
-        require(
-            self.ca_file is None and self.cert_file is None,
-            f"certificates are for tls://, but the cluster is '{self.address}'; name tls://HOST:PORT.",
-        )
+        fault = f"certificates are for tls://, but the cluster is '{self.address}'"
+        require(self.ca_file is None and self.cert_file is None, f"{fault}; name tls://HOST:PORT.")
         require(
             self.insecure or _is_loopback(found[2] or found[3]),
             f"the cluster '{self.address}' is on another computer, without encryption: anyone who reaches its port can "
@@ -82,10 +78,9 @@ def connected(cluster: Cluster) -> Iterator[Any]:
     try:
         client = _client(distributed, cluster.address, security)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise BadInput(
-            f"the cluster '{cluster.address}' cannot be reached ({_cause(error)}); start a scheduler and workers, with "
-            "certificates of the same CA for tls:// (docs/guide/batch.md), and name the scheduler's address."
-        ) from error
+        fault = f"the cluster '{cluster.address}' cannot be reached ({_cause(error)})"
+        cure = "start a scheduler and workers, with certificates of the same CA for tls:// (docs/guide/batch.md),"
+        raise BadInput(f"{fault}; {cure} and name the scheduler's address.") from error
     try:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -199,15 +194,10 @@ def _security(distributed: Any, cluster: Cluster) -> Any:
         security = distributed.Security(require_encryption=True, tls_ciphers=None, tls_min_version=None, **files)
         certain = security.get_connection_args("client")["ssl_context"] is not None
     except (OSError, ValueError) as error:
-        raise BadInput(
-            f"the certificates for '{cluster.address}' cannot be used ({_cause(error)}); name PEM files of the CA, the "
-            "certificate and its key."
-        ) from error
-    require(
-        certain,
-        f"'{cluster.address}' needs certificates: name `cluster_ca`, `cluster_cert` and `cluster_key`, or set them in "
-        "Dask's configuration (docs/guide/batch.md).",
-    )
+        cure = "name PEM files of the CA, the certificate and its key."
+        raise BadInput(f"the certificates for '{cluster.address}' cannot be used ({_cause(error)}); {cure}") from error
+    fault = f"'{cluster.address}' needs certificates: name `cluster_ca`, `cluster_cert` and `cluster_key`,"
+    require(certain, f"{fault} or set them in Dask's configuration (docs/guide/batch.md).")
     return security
 
 
@@ -261,10 +251,9 @@ def _result(distributed: Any, future: Any) -> Any:
     try:
         return future.result()
     except distributed.KilledWorker as error:
-        raise BadInput(
-            "one task was given to several workers and each of them was killed, perhaps for want of memory; what is "
-            "finished is kept: give the workers more memory and run the same again."
-        ) from error
+        fault = "one task was given to several workers and each of them was killed, perhaps for want of memory"
+        cure = "what is finished is kept: give the workers more memory and run the same again."
+        raise BadInput(f"{fault}; {cure}") from error
     except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
         raise BadInput("the cluster was lost; what is finished is kept: start it and run the same again.") from error
 

@@ -89,11 +89,8 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
     scheme, found, rest = text.partition("://")
     if not found:
         return Path(text)
-    require(
-        scheme in SCHEMES,
-        f"'{scheme}://' is no object storage that a batch may lie in; use {', '.join(f'{one}://' for one in SCHEMES)}, "
-        "or a folder.",
-    )
+    cure = f"use {', '.join(f'{one}://' for one in SCHEMES)}, or a folder."
+    require(scheme in SCHEMES, f"'{scheme}://' is no object storage that a batch may lie in; {cure}")
     bucket, _, below = rest.strip("/").partition("/")
     require(
         "@" not in bucket and "?" not in rest and "#" not in rest,
@@ -247,10 +244,8 @@ def _copy(population: Objects, name: str, root: Path) -> None:
     source, target = population / name, inside(root, name, f"'{population}'", "the name of a capture")
     target.mkdir(parents=True)
     sizes = {file: size for file, size in _sizes(source, deep=True).items() if file not in _UNREAD}
-    require(
-        sum(sizes.values()) <= _MAX_CAPTURE_BYTES,
-        f"'{source}' is too large for a capture: {sum(sizes.values())} bytes, at most {_MAX_CAPTURE_BYTES} are read.",
-    )
+    fault = f"'{source}' is too large for a capture: {sum(sizes.values())} bytes,"
+    require(sum(sizes.values()) <= _MAX_CAPTURE_BYTES, f"{fault} at most {_MAX_CAPTURE_BYTES} are read.")
     (target / "truth.npz").touch()
     with _refusing(source, "read"):
         fs, path = _of(source)
@@ -285,7 +280,6 @@ def _refusing(place: Objects, what: str) -> Iterator[None]:
         package = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs"}.get(scheme, "fsspec")
         raise BadInput(f"{scheme}:// needs {package}, which cannot be imported; pip install {package}.") from error
     except Exception as error:
-        raise BadInput(
-            f"'{place}' cannot be {what} ({type(error).__name__}); check the bucket, its rights, the address of the "
-            "server and the credentials in the environment, and run the same again."
-        ) from error
+        fault = f"'{place}' cannot be {what} ({type(error).__name__})"
+        cure = "check the bucket, its rights, the address of the server and the credentials in the environment,"
+        raise BadInput(f"{fault}; {cure} and run the same again.") from error

@@ -68,11 +68,8 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
         known = has(PLAN_FILE)
     except (OSError, ValueError):
         known = False
-    require(
-        known,
-        f"'{folder}' is no population: it holds no {PLAN_FILE}; name a folder of 'splitknit simulate population' or of "
-        "an enrolment.",
-    )
+    cure = "name a folder of 'splitknit simulate population' or of an enrolment."
+    require(known, f"'{folder}' is no population: it holds no {PLAN_FILE}; {cure}")
     plan = open_enrolment(plan_folder).plan
     captures = []
     for number, (subject, finger, session) in enumerate(

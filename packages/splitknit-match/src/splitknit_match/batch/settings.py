@@ -25,10 +25,8 @@ class Case:
     """From ``stage.field`` to a value."""
 
     def __post_init__(self) -> None:
-        require(
-            re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name) is not None,
-            f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits, dots, - and _.",
-        )
+        fault = f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits,"
+        require(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name) is not None, f"{fault} dots, - and _.")
         object.__setattr__(self, "changes", dict(self.changes))
         self.settings()
 

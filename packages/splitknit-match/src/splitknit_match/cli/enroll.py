@@ -90,9 +90,8 @@ class EnrollJob(Job):
         from splitknit_match.gallery.warm import enroll
 
         require(self.workers is None, "`workers` is for `population`.")
-        require(
-            len(self.sources) == 1 or not how.where.given, "`mask` and `box` are for one photograph; name one source."
-        )
+        cure = "name one source."
+        require(len(self.sources) == 1 or not how.where.given, f"`mask` and `box` are for one photograph; {cure}")
         if self.person is None or self.finger is None:
             raise BadInput("name whose finger it is: `person` NAME `finger` right_index (or `population` FOLDER).")
         found = enroll(

@@ -133,9 +133,8 @@ class RemoveJob(_OfGallery):
         """Remove it."""
         from splitknit_match.gallery.entry import check_person
 
-        require(
-            (self.person is None) != (not self.row), "name whose fingers are to be removed: `person` NAME, or `row` N."
-        )
+        fault = "name whose fingers are to be removed"
+        require((self.person is None) != (not self.row), f"{fault}: `person` NAME, or `row` N.")
         alone = not self.row or (self.finger is None and self.session is None)
         require(alone, "`row` goes without `finger` and `session`.")
         with self.opened() as gallery:

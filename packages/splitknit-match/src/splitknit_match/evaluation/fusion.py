@@ -96,10 +96,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     settings = settings or FusionSettings()
     aligned = _aligned(systems)
     first = aligned[0]
-    require(
-        settings.weights == () or len(settings.weights) == len(aligned),
-        f"{len(aligned)} systems need as many weights, but there are {len(settings.weights)}.",
-    )
+    good = settings.weights == () or len(settings.weights) == len(aligned)
+    require(good, f"{len(aligned)} systems need as many weights, but there are {len(settings.weights)}.")
     table = np.stack([one.score for one in aligned], axis=1)
     by, ids = _named(first)
     fold = _deal(ids, settings.folds, settings.seed)
@@ -138,11 +136,9 @@ def _cross_fit(
         seen = ~np.isin(fold, (i, j)).any(axis=1)
         known = ~np.isnan(table[seen]).all(axis=1)
         both = genuine[seen][known]
-        require(
-            both.size > 0 and bool(both.any()) and not bool(both.all()),
-            "without the subjects of two folds no genuine or no impostor scores are left to learn from; give more "
-            "subjects, or fewer folds.",
-        )
+        fault = "without the subjects of two folds no genuine or no impostor scores are left to learn from"
+        cure = "give more subjects, or fewer folds."
+        require(both.size > 0 and bool(both.any()) and not bool(both.all()), f"{fault}; {cure}")
         models[i, j] = fit(table[seen], genuine[seen])
         fused[chosen] = models[i, j](table[chosen])
     return models, fused
@@ -165,10 +161,8 @@ def _aligned(systems: Sequence[Scores]) -> list[Scores]:
         alike = (systems[0].finger is None) == (other.finger is None)  # else several fingers would count as one
         wrong = "" if alike and paired is not None else mismatch(systems[0], other)
         if wrong or paired is None:
-            raise BadInput(
-                f"'{systems[0].name}' and '{other.name}' did not score the same pairs: {wrong}; give every pair once "
-                "in both, with a blank score where there is none."
-            )
+            cure = "give every pair once in both, with a blank score where there is none."
+            raise BadInput(f"'{systems[0].name}' and '{other.name}' did not score the same pairs: {wrong}; {cure}")
         aligned.append(paired)
     return aligned
 
@@ -178,10 +172,8 @@ def _named(scores: Scores) -> tuple[str, Ids]:
         return "subject", scores.subject
     if scores.finger is not None:
         return "finger", scores.finger
-    raise BadInput(
-        f"{scores.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b), so as never to be "
-        "trained on those that it is tested on."
-    )
+    fault = f"{scores.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b),"
+    raise BadInput(f"{fault} so as never to be trained on those that it is tested on.")
 
 
 # How the scores of several systems become one: a weighted sum of normalised scores, and a logistic regression.

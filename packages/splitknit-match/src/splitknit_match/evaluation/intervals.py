@@ -271,10 +271,8 @@ def _clusters(scores: Scores, method: str) -> _Units:
     if ids is None:
         raise BadInput(f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.")
     units = _cluster_units(scores.label, ids)
-    require(
-        units.clusters >= 3,
-        f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are {units.clusters}.",
-    )
+    fault = f"{scores.name}: a bootstrap by {method} needs three of them at least,"
+    require(units.clusters >= 3, f"{fault} but there are {units.clusters}.")
     return units
 
 

@@ -153,10 +153,8 @@ def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> tuple[Scores, in
     gone = np.zeros(scores.label.shape, dtype=np.bool_)
     unknown = []
     for one in exclusions:
-        require(
-            one.session is None or scores.session is not None,
-            f"{scores.name}: the list of exclusions names sessions, but there are no columns for them.",
-        )
+        fault = f"{scores.name}: the list of exclusions names sessions,"
+        require(one.session is None or scores.session is not None, f"{fault} but there are no columns for them.")
         hit = scores.finger.codes == place.get(one.finger, -1)
         if one.session is not None and scores.session is not None:
             hit &= scores.session.codes == when.get(one.session, -1)

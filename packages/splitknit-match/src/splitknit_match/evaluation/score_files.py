@@ -155,10 +155,8 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
                 yield line, _header(row, name, line)
                 continue
             if len(row) != columns:
-                raise BadInput(
-                    f"{name}, line {line}: {columns} fields are expected, as in the line of column names, "
-                    f"but there are {len(row)}."
-                )
+                fault = f"{name}, line {line}: {columns} fields are expected,"
+                raise BadInput(f"{fault} as in the line of column names, but there are {len(row)}.")
             yield line, row
     except csv.Error as error:
         raise BadInput(f"{name} is not a CSV file: line {reader.line_num}: {error}.") from error
@@ -167,18 +165,12 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
 
 def _check_columns(header: Sequence[str], name: str, line: int) -> None:
     for column in ("label", "score"):
-        require(
-            column in header,
-            f"{name}, line {line}: there is no column '{column}'; columns 'label' (1 genuine, 0 impostor) and "
-            "'score' are needed.",
-        )
+        cure = "columns 'label' (1 genuine, 0 impostor) and 'score' are needed."
+        require(column in header, f"{name}, line {line}: there is no column '{column}'; {cure}")
     for kind in IDS:
         given = [side for side in "ab" if f"{kind}_{side}" in header]
-        require(
-            len(given) != 1,
-            f"{name}, line {line}: there is a column '{kind}_{(given or 'a')[0]}' alone; both '{kind}_a' and "
-            f"'{kind}_b' are needed.",
-        )
+        cure = f"both '{kind}_a' and '{kind}_b' are needed."
+        require(len(given) != 1, f"{name}, line {line}: there is a column '{kind}_{(given or 'a')[0]}' alone; {cure}")
 
 
 def _header(row: Sequence[str], name: str, line: int) -> list[str]:
@@ -186,11 +178,8 @@ def _header(row: Sequence[str], name: str, line: int) -> list[str]:
     twice = next((field for k, field in enumerate(header) if field in header[:k]), None)
     require(twice is None, f"{name}, line {line}: there are two columns '{_short(twice or '')}'; name each once.")
     known = {"label", "score", "finger"} & set(header)
-    require(
-        bool(known),
-        f"{name}, line {line}: a line of column names apart by commas is expected, with 'label' and 'score' among "
-        f"them, but it is '{_short(','.join(row))}'.",
-    )
+    fault = f"{name}, line {line}: a line of column names apart by commas is expected,"
+    require(bool(known), f"{fault} with 'label' and 'score' among them, but it is '{_short(','.join(row))}'.")
     return header
 
 
@@ -209,10 +198,8 @@ def _score(text: str, name: str, line: int) -> float:
         if value is not None:
             return value
     if value is None or not abs(value) <= LARGEST:
-        raise BadInput(
-            f"{name}, line {line}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to "
-            f"acquire, but it is '{_short(text)}'."
-        )
+        fault = f"{name}, line {line}: a score is a finite number (of at most {LARGEST:g}),"
+        raise BadInput(f"{fault} or blank for a failure to acquire, but it is '{_short(text)}'.")
     return value
 
 

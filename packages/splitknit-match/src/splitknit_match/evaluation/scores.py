@@ -24,10 +24,8 @@ class Ids:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        require(
-            self.codes.ndim == 2 and self.codes.shape[1] == 2,
-            f"ids must have the shape (N, 2), but they have {self.codes.shape}.",
-        )
+        fault = "ids must have the shape (N, 2),"
+        require(self.codes.ndim == 2 and self.codes.shape[1] == 2, f"{fault} but they have {self.codes.shape}.")
         inside = self.codes.size == 0 or (self.codes.min() >= 0 and self.codes.max() < len(self.names))
         require(bool(inside), "ids must be places in their list of names.")
 
@@ -80,11 +78,9 @@ class Scores:
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        require(
-            self.label.ndim == 1 and self.label.shape == self.score.shape,
-            f"{self.name}: labels and scores must be of one length, but they are {self.label.shape} and "
-            f"{self.score.shape}.",
-        )
+        good = self.label.ndim == 1 and self.label.shape == self.score.shape
+        fault = f"{self.name}: labels and scores must be of one length,"
+        require(good, f"{fault} but they are {self.label.shape} and {self.score.shape}.")
         require(self.label.dtype == np.bool_, f"{self.name}: labels must be boolean, true where genuine.")
         require(
             not bool(np.isinf(self.score).any()), f"{self.name}: scores must be finite, or NaN where there is none."
@@ -94,10 +90,8 @@ class Scores:
         for words, label in (("genuine (label 1)", True), ("impostor (label 0)", False)):
             chosen = self.score[self.label == label]
             require(chosen.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
-            require(
-                not bool(np.isnan(chosen).all()),
-                f"{self.name} holds no {words} score: all {chosen.size} are failures to acquire.",
-            )
+            fault = f"{self.name} holds no {words} score"
+            require(not bool(np.isnan(chosen).all()), f"{fault}: all {chosen.size} are failures to acquire.")
         wrong = contradiction(self.label, self.finger, self.subject)
         require(wrong is None, f"{self.name}: comparison {wrong} and its label contradict each other: check its ids.")
 

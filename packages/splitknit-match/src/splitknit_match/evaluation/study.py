@@ -102,10 +102,8 @@ def evaluate_scores(
         systems, notes = [*systems, one.scores], notes + _notes(one, method)
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
-    require(
-        count <= MAX_SYSTEMS,
-        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
-    )
+    fault = f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}"
+    require(count <= MAX_SYSTEMS, f"{fault}; give fewer files.")
     notes += said
     read_s = time.perf_counter() - started
     results, compared = _figures(groups, settings, progress)
@@ -160,11 +158,8 @@ def _figures(
         for one in group:
             methods = _methods(one)
             wanted = settings.cluster
-            require(
-                wanted == "auto" or wanted in methods,
-                f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
-                f"{one.name} does not have.",
-            )
+            fault = f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least,"
+            require(wanted == "auto" or wanted in methods, f"{fault} which {one.name} does not have.")
             by_method = {}
             for method in methods:
                 by_method[method] = bootstrap(one, method, settings.bootstrap, step)
@@ -209,9 +204,8 @@ def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> Fused:
     """Fuse all systems. Raises BadInput if there is one system only, or as
     :func:`splitknit_match.evaluation.fusion.fuse`.
     """
-    require(
-        len(systems) >= 2, "`fuse` needs two systems at least; give several score files, or one with a column system."
-    )
+    cure = "give several score files, or one with a column system."
+    require(len(systems) >= 2, f"`fuse` needs two systems at least; {cure}")
     how: Mapping[str, Any] = (
         {"method": "linear", "normalisation": "minmax"} if method == "minmax" else {"method": method}
     )
@@ -268,10 +262,8 @@ def _read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], s
         if scores.subject is not None and scores.finger is not None:
             subject = entry.get("subject", "")
             fitting = [one for one in scores.finger.names if one.endswith(f"/{name}")]
-            require(
-                bool(subject) or len(fitting) < 2,
-                f"{path}: several subjects have a finger '{name}', so that the list needs its subject.",
-            )
+            fault = f"{path}: several subjects have a finger '{name}',"
+            require(bool(subject) or len(fitting) < 2, f"{fault} so that the list needs its subject.")
             name = f"{subject}/{name}" if subject else (fitting or [name])[0]
         listed.append(Exclusion(name, entry.get("session") or None, entry.get("reason", "")))
     return listed, sha256

@@ -101,11 +101,8 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
     rig = capture.rig
-    require(
-        bool(rig.mirrors),
-        "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take `shape` nir or "
-        "white.",
-    )
+    fault = "the rig has no mirrors, so that the shape cannot come from them"
+    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
     views, grey = found_views(capture, mask)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)

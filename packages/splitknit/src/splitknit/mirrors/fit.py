@@ -513,24 +513,18 @@ def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
         if name in mirrors and mirrors[name].from_tip:
             continue
         size = float(np.median(np.abs(misfit)))
-        require(
-            size < _MISFIT_MM,
-            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
-            "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
-        )
+        fault = f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'"
+        cure = "check that the rig file's mirrors are the ones in the picture and that one finger alone is in view."
+        require(size < _MISFIT_MM, f"{fault}; {cure}")
     thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
-    require(
-        THICKNESS[0] < thickness < THICKNESS[1],
-        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as thick as it is broad in "
-        "front; check that one finger alone is in view.",
-    )
+    fault = "the views do not fit one finger"
+    cure = f"in the mirrors it would be {thickness:.2f} times as thick as it is broad in front;"
+    require(THICKNESS[0] < thickness < THICKNESS[1], f"{fault}: {cure} check that one finger alone is in view.")
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
-        require(
-            worst < MAX_DEG,
-            f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
-            "file; check that one finger alone is in view, or correct the rig file.",
-        )
+        fault = "the views do not fit one finger"
+        cure = f"the {name} mirror would be {worst:.0f} deg off its place in the rig file;"
+        require(worst < MAX_DEG, f"{fault}: {cure} check that one finger alone is in view, or correct the rig file.")
 
 
 def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:

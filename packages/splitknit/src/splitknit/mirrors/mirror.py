@@ -311,11 +311,8 @@ def _by_thesis(views: Views, rig: Rig, axis: Array, front: OutlineRows) -> Mirro
     name, mirror = next(iter(_mirrors_of(views, rig, axis)[1].items()))
     _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis)
     side = pad_side(mirror, lateral)
-    require(
-        not is_cut(lateral, side),
-        f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in "
-        "the middle, so that the mirror shows all of its pad.",
-    )
+    fault = f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in the middle,"
+    require(not is_cut(lateral, side), f"{fault} so that the mirror shows all of its pad.")
     outward = 1.0 if side == "right" else -1.0
     model = _ellipses(front, lateral, outward)
     facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}

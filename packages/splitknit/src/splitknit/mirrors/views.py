@@ -45,13 +45,7 @@ def view_binning(px_per_mm: float) -> int:
     return max(1, round(px_per_mm / _PX_PER_MM))
 
 
-def find_views(
-    image: FloatArray,
-    rig: Rig,
-    find_finger: FindFinger,
-    binning: int,
-    find_outline: FindOutline,
-) -> Views:
+def find_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: int, find_outline: FindOutline) -> Views:
     """Find the finger itself and its mirror images.
 
     The front view is what `find_finger` sees of the image without the mirrors' nominal outlines; each mirror's view is
@@ -72,10 +66,8 @@ def find_views(
     views = _outlined(image, rig, _rough_views(small, rig, find_finger, binning * factor), find_outline, factor)
     for name, view in views.mirrors.items():
         px_per_mm = rig.camera.px_per_mm / views.binning
-        require(
-            int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2,
-            f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.",
-        )
+        good = int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2
+        require(good, f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.")
     return views
 
 
@@ -128,11 +120,8 @@ def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutli
 def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning: int) -> Views:
     """Front view and what mirrors show."""
     found = {name: view for name, view in seen.items() if view is not None}
-    require(
-        bool(found),
-        "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or take the shape "
-        "from light (`shape` nir or white).",
-    )
+    fault = "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture,"
+    require(bool(found), f"{fault} or take the shape from light (`shape` nir or white).")
     return Views(front, found, binning)
 
 
@@ -174,8 +163,5 @@ def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_pe
     other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~grown(front, 1.5 * px_per_mm)
     _, _, stats, _ = cv2.connectedComponentsWithStats(other.astype(np.uint8))
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
-    require(
-        largest < 0.25 * float(front.sum()),
-        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one finger there at a "
-        "time, and name all mirrors.",
-    )
+    fault = "there are two fingers in the picture, or a mirror that the rig file does not name"
+    require(largest < 0.25 * float(front.sum()), f"{fault}: lay one finger there at a time, and name all mirrors.")

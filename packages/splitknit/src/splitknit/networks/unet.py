@@ -52,11 +52,9 @@ class Card:
         limits = {"channels_in": (1, 4096), "channels_out": (1, 4096), "stride": (1, 256), "reach": (0, 4096)}
         for name, (low, high) in limits.items():
             value = getattr(self, name)
-            require(
-                isinstance(value, int) and not isinstance(value, bool) and low <= value <= high,
-                f"the card of network '{self.name}' gives {name} as {value!r}; "
-                f"it must be a whole number from {low} to {high}.",
-            )
+            fault = f"the card of network '{self.name}' gives {name} as {value!r}"
+            cure = f"it must be a whole number from {low} to {high}."
+            require(isinstance(value, int) and not isinstance(value, bool) and low <= value <= high, f"{fault}; {cure}")
 
 
 def _shipped_names() -> list[str]:
@@ -102,11 +100,8 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (splitknit train)"
     known = _shipped_names()
-    require(
-        text in known,
-        f"there is no network '{text}' in this installation; "
-        f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file.",
-    )
+    cure = f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file."
+    require(text in known, f"there is no network '{text}' in this installation; {cure}")
     return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
 
 
@@ -122,10 +117,8 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
     with refusing(f"the card '{file}' is damaged; {remedy}."):
         require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
         document = json.loads(data)
-        require(
-            document["format"] == FORMAT and document["version"] == 1,
-            f"'{file}' is not the card of a network (format {FORMAT}, version 1); {remedy}.",
-        )
+        fault = f"'{file}' is not the card of a network (format {FORMAT},"
+        require(document["format"] == FORMAT and document["version"] == 1, f"{fault} version 1); {remedy}.")
         sizes = {key: document[key] for key in ("channels_in", "channels_out", "stride", "reach")}
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
@@ -176,11 +169,9 @@ def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     if device != "cpu":
         offered = _onnxruntime().get_available_providers()
         known = "CUDAExecutionProvider" in offered
-        require(
-            known or device == "auto",
-            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install onnxruntime-gpu in "
-            "place of onnxruntime, or take `device` cpu.",
-        )
+        fault = f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only"
+        cure = "install onnxruntime-gpu in place of onnxruntime, or take `device` cpu."
+        require(known or device == "auto", f"{fault}; {cure}")
         device = "cuda" if known else "cpu"
     _running = Running(device, threads)
     return device
@@ -219,11 +210,9 @@ def network_of(card: Card, weights: bytes) -> Network:
     `weights`, in a file that no hash covers: ONNX keeps that place under the key ``location`` (onnx.proto,
     TensorProto.external_data), a string stored as it is; ONNX Runtime's own format (``ORTM``) has further ways.
     """
-    require(
-        b"location" not in weights and weights[4:8] != b"ORTM",
-        f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover; save "
-        "it as one ONNX file, and name no part of it 'location'.",
-    )
+    fault = f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover"
+    cure = "save it as one ONNX file, and name no part of it 'location'."
+    require(b"location" not in weights and weights[4:8] != b"ORTM", f"{fault}; {cure}")
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
     # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
@@ -256,11 +245,9 @@ def _onnxruntime() -> Any:
     from the user's cache folder. The variable is read when loaded; ``disable_telemetry_events()`` comes too late for
     the files.
     """
-    require(
-        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
-        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; "
-        f"set the environment variable {NO_TELEMETRY}=1 before that import.",
-    )
+    fault = "onnxruntime was imported with its telemetry on, before splitknit could turn it off"
+    cure = f"set the environment variable {NO_TELEMETRY}=1 before that import."
+    require(sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1", f"{fault}; {cure}")
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
     with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
         import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
@@ -305,10 +292,8 @@ def _infer(network: Network, image: FloatArray) -> FloatArray:
     except Exception as error:  # as above
         raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
     expected = (1, card.channels_out, *image.shape[2:])
-    require(
-        made.shape == expected,
-        f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.",
-    )
+    good = made.shape == expected
+    require(good, f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.")
     return made
 
 
@@ -316,20 +301,14 @@ def _checked(images: Any, card: Card) -> FloatArray:
     stack = np.asarray(images, dtype=np.float32)
     if stack.ndim == 3:
         stack = stack[:, None]
-    require(
-        stack.ndim == 4 and stack.size > 0,
-        f"images must have the shape (N, H, W) or (N, C, H, W), but they have {np.shape(images)}.",
-    )
+    fault = "images must have the shape (N, H, W) or (N, C, H, W),"
+    require(stack.ndim == 4 and stack.size > 0, f"{fault} but they have {np.shape(images)}.")
     _, channels, height, width = stack.shape
-    require(
-        channels in (1, card.channels_in),
-        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
-    )
-    require(
-        min(height, width) >= card.stride,
-        f"images of {height} x {width} pixels are too small for network '{card.name}': "
-        f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}.",
-    )
+    fault = f"network '{card.name}' takes images of {card.channels_in} channels,"
+    require(channels in (1, card.channels_in), f"{fault} but these have {channels}.")
+    fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
+    cure = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
+    require(min(height, width) >= card.stride, f"{fault}: {cure}")
     require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
     return stack
 

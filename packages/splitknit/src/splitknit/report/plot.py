@@ -45,10 +45,8 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
         axes = rows[0]
     else:
         axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-        require(
-            axes.size == len(names),
-            f"{axes.size} axes are given for {len(names)} panels ({', '.join(names)}); name a panel for each.",
-        )
+        fault = f"{axes.size} axes are given for {len(names)} panels ({', '.join(names)})"
+        require(axes.size == len(names), f"{fault}; name a panel for each.")
     for one, name in zip(axes, names, strict=True):
         _draw(one, result, name)
     return axes[0] if axes.size == 1 else axes

@@ -66,10 +66,8 @@ def direct_light(
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
-    require(
-        stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
-        f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
-    )
+    fault = "images must have the shape (N, H, W) or (N, 3, H, W),"
+    require(stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3), f"{fault} but they have {stack.shape}.")
     require(stack.size > 0, f"images are empty: shape {stack.shape}.")
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
@@ -91,10 +89,8 @@ def direct_of_enhanced(
     (:func:`direct_light`).
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
-    require(
-        grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
-        f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
-    )
+    good = grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:])
+    require(good, f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.")
     direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))

@@ -87,11 +87,8 @@ def separate_polarised_folders(
         series.append(photographs_in(folder, folder / "lights.txt")[0])
         check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
     count = len(series[0])
-    require(
-        0 < count == len(series[1]),
-        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one photograph a "
-        "light, in the same order.",
-    )
+    cure = "both series need one photograph a light, in the same order."
+    require(0 < count == len(series[1]), f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; {cure}")
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
     hashes, sums, first = {}, [np.zeros(1, np.float32)] * 2, None

@@ -102,15 +102,11 @@ def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSett
     require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
     first = images[0].shape
     for k, image in enumerate(images):
-        require(
-            image.shape == first,
-            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
-        )
+        cure = "all must be of one size and kind."
+        require(image.shape == first, f"image {k} has the shape {image.shape}, but image 0 has {first}; {cure}")
     grey = len(first) == 2
-    require(
-        (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
-        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
-    )
+    fault = "an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels,"
+    require((grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0, f"{fault} but it has {first}.")
     light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
     for k, image in enumerate(images):
         light[k] = image[..., None] if grey else image
@@ -125,20 +121,15 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings)
     usual = float(np.median(peaks))
     require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
-    require(
-        bool(peaks[k] > _BLACK_IMAGE * usual),
-        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
-        f"lights nothing, capture it again or leave it out.",
-    )
+    fault = f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}"
+    cure = "its pattern lights nothing, capture it again or leave it out."
+    require(bool(peaks[k] > _BLACK_IMAGE * usual), f"{fault}; {cure}")
     brightest = light.max(axis=(0, -1))
     if settings.clip_level is None or float(brightest.max()) > 1.0001:
         return
     fraction = float((brightest[mask] >= settings.clip_level).mean())
-    require(
-        fraction <= _MAX_CLIPPED,
-        f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
-        f"brightest image; capture again with a shorter exposure.",
-    )
+    fault = f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more)"
+    require(fraction <= _MAX_CLIPPED, f"{fault} in their brightest image; capture again with a shorter exposure.")
 
 
 def check_fraction(value: float, name: str) -> float:
@@ -202,10 +193,8 @@ def check_contrast(
     if fraction <= settings.constant_share:
         return
     row, column = np.argwhere(constant)[0]
-    raise BadInput(
-        f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
-        f"by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}."
-    )
+    fault = f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column})"
+    raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}.")
 
 
 def check_repeats(
@@ -232,10 +221,8 @@ def check_repeats(
     similar[pairs] = relative <= limit * reference
     twins = odd_twins(similar)
     if twins is not None:
-        raise BadInput(
-            f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
-            f"missing; capture the stack again or remove one of them."
-        )
+        fault = f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated,"
+        raise BadInput(f"{fault} and another one may be missing; capture the stack again or remove one of them.")
 
 
 def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
@@ -288,10 +275,8 @@ def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any
     """
     require(bool(np.isfinite(check_px)) and check_px >= 1, f"check_px must be at least 1, but it is {check_px}.")
     shifts = np.asarray(shifts_px, dtype=np.float64)
-    require(
-        shifts.ndim == 2 and shifts.shape[1] == 2 and bool(np.isfinite(shifts).all()),
-        f"shifts_px must have the shape (N, 2) and be finite, but it has {shifts.shape}.",
-    )
+    good = shifts.ndim == 2 and shifts.shape[1] == 2 and bool(np.isfinite(shifts).all())
+    require(good, f"shifts_px must have the shape (N, 2) and be finite, but it has {shifts.shape}.")
     rows = [_square_wave(size[0], check_px, float(shift)) for shift in shifts[:, 0]]
     columns = [_square_wave(size[1], check_px, float(shift)) for shift in shifts[:, 1]]
     waves = [row[:, None] * column[None, :] for row, column in zip(rows, columns, strict=True)]
@@ -337,10 +322,8 @@ def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
     table = table[:, None] if table.ndim == 1 else table
     good = table.ndim == 2 and table.shape[1] in (1, 2) and bool(np.isfinite(table).all())
     require(good, f"shifts must have the shape (N,) or (N, 2) and be finite, but it has {np.shape(shifts)}.")
-    require(
-        len(table) == count,
-        f"there are {len(table)} shifts for {count} images: a shift or an image is missing or extra.",
-    )
+    fault = f"there are {len(table)} shifts for {count} images"
+    require(len(table) == count, f"{fault}: a shift or an image is missing or extra.")
     if period is not None:
         length = np.broadcast_to(np.asarray(period, dtype=np.float64), (table.shape[1],))
         require(bool((length > 0).all()), f"period must be positive, but it is {period}.")
@@ -358,11 +341,9 @@ def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
         gaps = np.diff(ends)
         if gaps.size > 1:
             gap = int(np.argmax(gaps))
-            require(
-                bool(gaps[gap] < 1.5 * np.median(gaps)),
-                f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once: the "
-                f"shifts between are missing; capture them too.",
-            )
+            fault = f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once"
+            cure = "the shifts between are missing; capture them too."
+            require(bool(gaps[gap] < 1.5 * np.median(gaps)), f"{fault}: {cure}")
 
 
 def _words(row: tuple[float, ...]) -> str:
@@ -407,11 +388,7 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
     best = np.argmax(likeness, axis=1)
     for k, found in enumerate(best):
-        require(
-            likeness[k, k] > 0.02,
-            f"image {k} does not show its pattern at all; check that images and patterns belong together.",
-        )
-        require(
-            found == k or likeness[k, found] < likeness[k, k] + 0.02,
-            f"image {k} shows pattern {found} instead of its own: a shift is repeated, missing or out of order.",
-        )
+        cure = "check that images and patterns belong together."
+        require(likeness[k, k] > 0.02, f"image {k} does not show its pattern at all; {cure}")
+        fault = f"image {k} shows pattern {found} instead of its own: a shift is repeated,"
+        require(found == k or likeness[k, found] < likeness[k, k] + 0.02, f"{fault} missing or out of order.")

@@ -147,11 +147,9 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
         _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
     )
     if capture is not None:
-        require(
-            any(entry.capture is not None for entry in entries),
-            f"'{capture}' is not the capture that this was made from: no capture.json in it has the hash that the "
-            "result's report.json states.",
-        )
+        fault = f"'{capture}' is not the capture that this was made from"
+        cure = "no capture.json in it has the hash that the result's report.json states."
+        require(any(entry.capture is not None for entry in entries), f"{fault}: {cure}")
     return Catalogue(names[0] if len(names) == 1 else roots[0].name, entries, chosen)
 
 

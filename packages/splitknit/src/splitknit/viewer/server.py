@@ -122,9 +122,8 @@ def start(service: Answering, port: int) -> _ViewerServer:
         return _ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
     except OSError as error:
         reason = error.strerror or str(error)
-        raise BadInput(
-            f"port {port} cannot be used ({reason}); choose another `port`, or leave it out for any free one."
-        ) from error
+        cure = "choose another `port`, or leave it out for any free one."
+        raise BadInput(f"port {port} cannot be used ({reason}); {cure}") from error
 
 
 def show(save: Callable[[Path], object], block: bool | None = None) -> str:

@@ -239,9 +239,8 @@ def json_reply(document: Any) -> Reply:
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
-        raise BadInput(
-            "a figure of this answer is NaN or infinite: the result is damaged; reconstruct the capture again."
-        ) from error
+        cure = "reconstruct the capture again."
+        raise BadInput(f"a figure of this answer is NaN or infinite: the result is damaged; {cure}") from error
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 

@@ -206,11 +206,7 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
 
 
 def _places(
-    arrays: Mapping[str, NDArray[Any]],
-    size: tuple[int, int],
-    box: tuple[slice, slice],
-    pitch_mm: float,
-    turn: _Values,
+    arrays: Mapping[str, NDArray[Any]], size: tuple[int, int], box: tuple[slice, slice], pitch_mm: float, turn: _Values
 ) -> tuple[FloatArray, FloatArray]:
     """Upright x and y (h, w) of the pixels."""
     rows, columns = (np.arange(side.start, side.stop, dtype=np.float64) for side in box)
