@@ -23,8 +23,7 @@ def load(module: str, extra: str) -> Any:
 
 SUFFIX = ".parquet"
 _KEY = b"splitknit"
-_MAX_BYTES = 2_000_000_000
-"""Largest file, and largest columns in it: surfaces of forty captures."""
+_MAX_BYTES = 2_000_000_000  # largest file, and largest columns in it: surfaces of forty captures
 _MAX_ROWS, _MAX_COLUMNS = 10_000_000, 1000
 _TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
 _FLAGS = {"acquired", "genuine", "compared"}

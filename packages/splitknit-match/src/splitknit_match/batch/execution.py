@@ -26,10 +26,8 @@ _KILLED = (
     "a worker was killed, perhaps for want of memory; what is finished is kept: run the same again, with fewer jobs if "
     "memory was short."
 )
-AHEAD = 3
-"""Tasks that the scheduler is given for each thread of the cluster: one under way, two waiting."""
-PATIENCE_S = 30.0
-"""How long a cluster is waited for."""
+AHEAD = 3  # tasks that the scheduler is given for each thread of the cluster: one under way, two waiting
+PATIENCE_S = 30.0  # how long a cluster is waited for
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,14 +145,10 @@ def peak_memory_mb() -> float:
 class TaskDone:
     """What a task of a batch did."""
 
-    size: int
-    """Reconstructions, comparisons, or chunks."""
-    seconds: float = 0.0
-    """Time of one core, where it is counted."""
-    failures: tuple[str, ...] = ()
-    """Case, capture and sentence of each failure to acquire."""
-    peak_memory_mb: float = field(default_factory=peak_memory_mb)
-    """Peak memory of the process that did it."""
+    size: int  # reconstructions, comparisons, or chunks
+    seconds: float = 0.0  # time of one core, where it is counted
+    failures: tuple[str, ...] = ()  # case, capture and sentence of each failure to acquire
+    peak_memory_mb: float = field(default_factory=peak_memory_mb)  # peak memory of the process that did it
 
 
 def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, device: str) -> Iterator[Done]:

@@ -34,8 +34,7 @@ from splitknit_match.matching.template import pack
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
 BANDS = ("white", "nir")
-VERSION = 1
-"""Version of a chunk's columns."""
+VERSION = 1  # version of a chunk's columns
 _EMPTY = "the ridge band that could be acquired is too small for a template."
 
 

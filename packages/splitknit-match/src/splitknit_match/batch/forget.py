@@ -47,8 +47,7 @@ from splitknit_match.gallery.shards import files_of_shards
 from splitknit_simulator import POPULATION_FILE
 from splitknit_simulator import TABLE_FILE as POPULATION_TABLE
 
-_WHO = ("person", "subject", "subject_a", "subject_b")
-"""Columns of our tables."""
+_WHO = ("person", "subject", "subject_a", "subject_b")  # columns of our tables
 _MAX_TABLE, _MAX_TEXT = 1_000_000_000, 20_000_000
 _UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")
 
@@ -57,8 +56,7 @@ _UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")
 class _Held:
     """Something about the person."""
 
-    what: str
-    """Such as "gallery"."""
+    what: str  # such as "gallery"
     path: Path
     records: int
     erase: Callable[[], object]

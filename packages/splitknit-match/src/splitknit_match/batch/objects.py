@@ -20,13 +20,10 @@ from typing import IO, Any, BinaryIO
 from splitknit import BadInput, atomic_file, inside, open_file, read_bytes, require
 
 MEMORY = "memory"
-SCHEMES = ("s3", "gs", "az", MEMORY)
-"""Schemes of URLs that are accepted; nothing else on a network is ever contacted."""
+SCHEMES = ("s3", "gs", "az", MEMORY)  # schemes of URLs that are accepted; nothing else on a network is ever contacted
 _MAX_CAPTURE_BYTES = 20_000_000_000
-_SMALL_BYTES = 1 << 16
-"""What is read at least at a time; an object that is no longer in one piece."""
-_UNREAD = frozenset({"truth.npz", "impression.json"})
-"""Files of a simulated capture that nobody reconstructs from."""
+_SMALL_BYTES = 1 << 16  # what is read at least at a time; an object that is no longer in one piece
+_UNREAD = frozenset({"truth.npz", "impression.json"})  # files of a simulated capture that nobody reconstructs from
 _NO_METADATA = "AWS_EC2_METADATA_DISABLED"
 
 
@@ -34,8 +31,7 @@ _NO_METADATA = "AWS_EC2_METADATA_DISABLED"
 class Objects:
     """A folder or a file among objects, used as a :class:`pathlib.Path` is."""
 
-    url: str
-    """``s3://bucket/people``, without an end."""
+    url: str  # ``s3://bucket/people``, without an end
 
     def __truediv__(self, name: str) -> Objects:
         """Return what is called `name` below this."""
@@ -55,20 +51,16 @@ class Objects:
         return PurePosixPath(self.name).stem
 
 
-Location = Path | Objects
-"""Where a population, a store, or a file in it is."""
+Location = Path | Objects  # where a population, a store, or a file in it is
 
 
 @dataclass(slots=True)
 class Moved:
     """What this process asked of object storage so far."""
 
-    gets: int = 0
-    """Requests that read: of an object, a range of it, its size, a listing."""
-    puts: int = 0
-    """Objects that were written."""
-    read: int = 0
-    """Bytes."""
+    gets: int = 0  # requests that read: of an object, a range of it, its size, a listing
+    puts: int = 0  # objects that were written
+    read: int = 0  # bytes
     written: int = 0
 
 

@@ -22,16 +22,12 @@ _SIMULATED = "population.json"
 class CaptureRef:
     """One capture folder of a population."""
 
-    name: str
-    """Path of its folder, relative to the population: ``S01/session_1/right_index``."""
+    name: str  # path of its folder, relative to the population: ``S01/session_1/right_index``
     subject: str
-    finger: str
-    """The finger, unique in the world: ``S01/right_index``."""
+    finger: str  # the finger, unique in the world: ``S01/right_index``
     session: str
-    place: int
-    """In the order of subjects, fingers and sessions of the plan, captured or not."""
-    number: int = 0
-    """Number of the finger in that order, the same in every session."""
+    place: int  # in the order of subjects, fingers and sessions of the plan, captured or not
+    number: int = 0  # number of the finger in that order, the same in every session
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +35,9 @@ class Population:
     """A population on disk, or among objects."""
 
     folder: Location
-    sha256: str
-    """Hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``."""
+    sha256: str  # hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``
     planned: int
-    captures: tuple[CaptureRef, ...]
-    """Those that are complete, in the order of the plan."""
+    captures: tuple[CaptureRef, ...]  # those that are complete, in the order of the plan
 
 
 def read_population(folder: Location) -> Population:
@@ -104,18 +98,15 @@ def _hash(folder: Path) -> str:
 class Blocks:
     """How many captures stand together."""
 
-    database: int
-    """Captures of the earlier session, kept ready for the whole block."""
-    query: int
-    """Captures of the later session, taken one after the other."""
+    database: int  # captures of the earlier session, kept ready for the whole block
+    query: int  # captures of the later session, taken one after the other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """The comparisons of one block."""
 
-    number: int
-    """In the order of all blocks of the plan."""
+    number: int  # in the order of all blocks of the plan
     pairs: Comparisons
 
 

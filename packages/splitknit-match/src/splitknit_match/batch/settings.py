@@ -18,11 +18,9 @@ MATCHERS = ("ridge", "thesis", "thesis-code", "minutiae", "voted", "minutiae3d",
 class Case:
     """One method of reconstruction: a preset and what is changed in it."""
 
-    name: str
-    """Name of the folder in the store: letters, digits, ``.``, ``-`` and ``_``."""
+    name: str  # name of the folder in the store: letters, digits, ``.``, ``-`` and ``_``
     preset: str
-    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    """From ``stage.field`` to a value."""
+    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # from ``stage.field`` to a value
 
     def __post_init__(self) -> None:
         fault = f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits,"

@@ -18,16 +18,11 @@ from splitknit_match.evaluation.scores import Scores
 class Cmc:
     """How often the right finger is among the best."""
 
-    rate: NDArray[np.float64]
-    """(G,) fraction of probes whose finger is among the first 1 ... G of the gallery."""
-    rank: NDArray[np.int64]
-    """(P,) of each probe; 0 where it gave no score with its own finger (a failure: never found)."""
-    probe_finger: NDArray[np.int64]
-    """(P,) code of its finger."""
-    gallery: int
-    """Fingers in the smallest gallery; ranks are given up to it."""
-    left_out: int
-    """Probes that were not compared with their whole gallery, or have no finger in it."""
+    rate: NDArray[np.float64]  # (G,) fraction of probes whose finger is among the first 1 ... G of the gallery
+    rank: NDArray[np.int64]  # (P,) of each probe; 0 where it gave no score with its own finger (a failure: never found)
+    probe_finger: NDArray[np.int64]  # (P,) code of its finger
+    gallery: int  # fingers in the smallest gallery; ranks are given up to it
+    left_out: int  # probes that were not compared with their whole gallery, or have no finger in it
 
 
 def cmc(scores: Scores) -> Cmc | None:
@@ -102,8 +97,7 @@ class Result:
     """One system with its intervals."""
 
     scores: Scores
-    primary: str
-    """The scheme of drawing whose intervals stand in the first place."""
+    primary: str  # the scheme of drawing whose intervals stand in the first place
     by_method: Mapping[str, Intervals]
 
     @property

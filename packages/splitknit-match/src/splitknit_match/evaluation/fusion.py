@@ -22,8 +22,7 @@ from splitknit import BadInput, Checked, Limits, require
 from splitknit_match.evaluation.protocol import mismatch, pair_up
 from splitknit_match.evaluation.scores import Ids, Scores
 
-_PENALTY = 1e-3
-"""Weight of the penalty of ``trained``, half the sum of the squared weights."""
+_PENALTY = 1e-3  # weight of the penalty of ``trained``, half the sum of the squared weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,18 +184,15 @@ Table = NDArray[np.float64]
 class _Model:
     """What was learned of one training part."""
 
-    weight: Table
-    """(S,) of the systems' normalised scores; ones where log-likelihood ratios count as they are."""
-    scored: Callable[[Table], Table]
-    """(N,) from scores (N, S)."""
+    weight: Table  # (S,) of the systems' normalised scores; ones where log-likelihood ratios count as they are
+    scored: Callable[[Table], Table]  # (N,) from scores (N, S)
 
     def __call__(self, scores: Table) -> Table:
         """(N,) from scores (N, S), NaN where all are missing."""
         return np.where(np.isnan(scores).all(axis=1), np.nan, self.scored(scores))
 
 
-_BINS = 1024
-"""Bins of the densities of scores."""
+_BINS = 1024  # bins of the densities of scores
 
 
 def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _Model:

@@ -23,8 +23,7 @@ from splitknit_match.evaluation.scores import Ids, Scores
 # are few enough. Point estimates never come from cells.
 
 
-CELLS = 60_000
-"""At most about so many."""
+CELLS = 60_000  # at most about so many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +93,7 @@ def _moments(cell: NDArray[np.int64], values: NDArray[np.float64], count: int) -
 # nothing failed the rule of three.
 
 
-FEW = 5
-"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
+FEW = 5  # fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone
 
 
 def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
@@ -138,8 +136,7 @@ METHODS = ("plain", "finger", "subject")
 Progress = Callable[[float], None]
 
 
-CONFIDENCE = 0.95
-"""Fraction of the resampled figures that an interval spans, between 0 and 1."""
+CONFIDENCE = 0.95  # fraction of the resampled figures that an interval spans, between 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,10 +305,8 @@ Row = NDArray[np.float64]
 class _Layout:
     """Which number of a replicate's row is what."""
 
-    targets: tuple[float, ...]
-    """FARs at which the GAR is asked."""
-    curve: tuple[float, ...] = ()
-    """FARs of the band around the ROC."""
+    targets: tuple[float, ...]  # FARs at which the GAR is asked
+    curve: tuple[float, ...] = ()  # FARs of the band around the ROC
 
     @property
     def names(self) -> list[str]:
@@ -393,26 +388,19 @@ def _dot(a: Row, b: Row) -> float:
 # Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
 
 Weights = NDArray[np.float64]
-BATCH = 1_000_000
-"""Numbers held at a time for one side, about."""
+BATCH = 1_000_000  # numbers held at a time for one side, about
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Units:
     """What is drawn, for both sides: each comparison belongs to a unit."""
 
-    genuine: NDArray[np.int64]
-    """(N,) unit of each genuine comparison"""
-    impostor: NDArray[np.int64]
-    """(M,)"""
-    clusters: int
-    """Things that are drawn: comparisons of the smaller side, fingers or subjects."""
-    sizes: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-    """Plain: comparisons in each unit, of both sides."""
-    cluster: NDArray[np.int64] | None = None
-    """Clustered: (U,) cluster of each unit of genuine comparisons."""
-    pairs: NDArray[np.int64] | None = None
-    """Clustered: (V, 2) clusters of each unit of impostor comparisons."""
+    genuine: NDArray[np.int64]  # (N,) unit of each genuine comparison
+    impostor: NDArray[np.int64]  # (M,)
+    clusters: int  # things that are drawn: comparisons of the smaller side, fingers or subjects
+    sizes: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None  # plain: comparisons in each unit, of both sides
+    cluster: NDArray[np.int64] | None = None  # clustered: (U,) cluster of each unit of genuine comparisons
+    pairs: NDArray[np.int64] | None = None  # clustered: (V, 2) clusters of each unit of impostor comparisons
 
     def draw(self, generator: np.random.Generator, count: int) -> tuple[Weights, Weights]:
         """How often each unit counts in `count` replicates: (U, count) and (V, count)."""

@@ -44,8 +44,7 @@ from splitknit_match.matching.template import make_template
 
 Array = NDArray[np.float64]
 
-STEP_MM = 0.05
-"""Pixels on which is compared, at least."""
+STEP_MM = 0.05  # pixels on which is compared, at least
 BANDS_MM = {
     "relief": (0.0, 1.7),
     "below 0.25 mm": (0.0, 0.25),
@@ -58,18 +57,15 @@ BANDS_MM = {
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 """Standard deviation of a Gaussian that halves waves of length one (ISO 16610-61)."""
 SLANTS_DEG = {"0 to 40": (0.0, 40.0), "0 to 20": (0.0, 20.0), "20 to 40": (20.0, 40.0), "40 to 60": (40.0, 60.0)}
-ELASTIC_MM = 2.5
-"""Longest wavelength that is compared on skin that may shift."""
+ELASTIC_MM = 2.5  # longest wavelength that is compared on skin that may shift
 _BLOCK_MM, _FEW, _REPLICATES = 2.0, 6, 1000
-_LEAST_SIMILARITY = 0.4
-"""Least similarity of the ridges of one finger; ridges of two fingers have about 0.2."""
+_LEAST_SIMILARITY = 0.4  # least similarity of the ridges of one finger; ridges of two fingers have about 0.2
 _EDGE_MM = 0.4
 _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
 _ROLL_STEP_MM, _ROLL_BLOCK_MM, _ROLL_REPLICATES, _ROLL_ERROR_DEG = 0.1, 4.0, 50, 0.9
 """Pixels, blocks and draws of :func:`roll_between`, and the error of the shape (``validation/thesis/rolls.py``)."""
-_STEPS, _ORDER = 25, 9
-"""Steps of the rigid fit; order of the polynomial for the slow shape."""
+_STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
 PROTOCOLS = {
     "powder-5": ((2.6, 1.06), (1.0, 1.07), (1.5, 1.08), (1.0, 1.01), (1.1, 1.0), (0.7, 1.0)),
@@ -346,11 +342,9 @@ def roll_between(a: Reconstruction, b: Reconstruction) -> tuple[float, float]:
 class _Fields:
     """Both surfaces on one grid."""
 
-    heights: tuple[FloatArray, FloatArray]
-    """(H, W) each, mm."""
+    heights: tuple[FloatArray, FloatArray]  # (H, W) each, mm
     valid: BoolArray
-    cosine: FloatArray
-    """From heights to distances along the normal."""
+    cosine: FloatArray  # from heights to distances along the normal
     slant_deg: FloatArray
 
 

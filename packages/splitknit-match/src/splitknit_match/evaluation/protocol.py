@@ -18,10 +18,8 @@ from splitknit_match.evaluation.scores import Ids, Scores
 class Comparisons:
     """Which captures to compare, as places in the list of captures."""
 
-    a: NDArray[np.int64]
-    """(N,) the capture of the earlier session."""
-    b: NDArray[np.int64]
-    """(N,)"""
+    a: NDArray[np.int64]  # (N,) the capture of the earlier session
+    b: NDArray[np.int64]  # (N,)
     genuine: NDArray[np.bool_]
 
 
@@ -136,8 +134,7 @@ class Exclusion:
     """A finger, or its capture of one session, that is left out, and by which rule."""
 
     finger: str
-    session: str | None = None
-    """None: of all sessions."""
+    session: str | None = None  # none: of all sessions
     reason: str = ""
 
 

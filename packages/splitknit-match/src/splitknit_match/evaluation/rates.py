@@ -55,8 +55,7 @@ Counting = Literal["all", "made"]
 class _Side:
     """The scores of one class."""
 
-    scores: Scores1D
-    """(n,) rising, without failures."""
+    scores: Scores1D  # (n,) rising, without failures
     failures: int
 
     def attempts(self, counting: Counting) -> int:
@@ -76,8 +75,7 @@ def _sort_scores(scores: Any, name: str = "scores") -> _Side:
     return _Side(array[:known], array.size - known)
 
 
-SLACK = 1e-12
-"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
+SLACK = 1e-12  # relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +84,7 @@ class Roc:
     once where genuine and impostor scores tie.
     """
 
-    threshold: Scores1D
-    """Falling, the first infinite: nobody is accepted."""
+    threshold: Scores1D  # falling, the first infinite: nobody is accepted
     far: Scores1D
     gar: Scores1D
 
@@ -101,12 +98,10 @@ class Roc:
 class _EqualError:
     """Where FAR and FRR meet."""
 
-    value: float
-    """(FAR + FRR) / 2 at `threshold`."""
+    value: float  # (FAR + FRR) / 2 at `threshold`
     far: float
     frr: float
-    threshold: float | None
-    """None where accepting nobody comes closest."""
+    threshold: float | None  # none where accepting nobody comes closest
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +110,11 @@ class _OperatingPoint:
 
     target: float
     gar: float
-    far: float
-    """The FAR that is reached, at most the target."""
-    threshold: float | None
-    """Lowest score that is accepted there; None if none is."""
+    far: float  # the FAR that is reached, at most the target
+    threshold: float | None  # lowest score that is accepted there; None if none is
     false_accepts: int
-    resolved: bool
-    """Whether there are impostors enough for one false accept at the target."""
-    far_upper: float | None
-    """Where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)."""
+    resolved: bool  # whether there are impostors enough for one false accept at the target
+    far_upper: float | None  # where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)
 
 
 def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:

@@ -23,12 +23,10 @@ from splitknit import BadInput, plain_text, read_bytes, require
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
-LARGEST = 1e150
-"""Largest score whose square is still a number."""
+LARGEST = 1e150  # largest score whose square is still a number
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 _EXPECTED = "a line of column names and a line for each comparison are expected"
-_MAX_BYTES = 500_000_000
-"""Ten million comparisons."""
+_MAX_BYTES = 500_000_000  # ten million comparisons
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,8 +19,7 @@ Codes = NDArray[np.int64]
 class Ids:
     """One kind of name for both sides of every comparison."""
 
-    codes: Codes
-    """(N, 2), places in `names`; column 0 is the probe, 1 the reference."""
+    codes: Codes  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -67,12 +66,9 @@ def score_table(
 class Scores:
     """N comparisons; a higher score means more similar."""
 
-    label: NDArray[np.bool_]
-    """(N,) true where genuine: both sides are one finger."""
-    score: NDArray[np.float64]
-    """(N,) NaN where a comparison gave none (failure to acquire)."""
-    finger: Ids | None = None
-    """Fingers of the world: the index fingers of two people have two names."""
+    label: NDArray[np.bool_]  # (N,) true where genuine: both sides are one finger
+    score: NDArray[np.float64]  # (N,) NaN where a comparison gave none (failure to acquire)
+    finger: Ids | None = None  # fingers of the world: the index fingers of two people have two names
     subject: Ids | None = None
     session: Ids | None = None
     name: str = "scores"

@@ -23,8 +23,7 @@ from splitknit_match.evaluation.scores import Ids, Scores, contradiction
 if TYPE_CHECKING:
     from splitknit_match.evaluation.gallery_scores import GalleryScores
 
-SCORES_FILE = "scores.csv"
-"""Where the scores of a gallery are written, beside the report."""
+SCORES_FILE = "scores.csv"  # where the scores of a gallery are written, beside the report
 MAX_SYSTEMS = 12
 
 
@@ -50,27 +49,21 @@ class Difference:
 
     first: str
     second: str
-    method: str
-    """The scheme of drawing."""
-    figures: Mapping[str, Interval]
-    """``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on."""
+    method: str  # the scheme of drawing
+    figures: Mapping[str, Interval]  # ``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
     """What an evaluation found."""
 
-    results: tuple[Result, ...]
-    """Scores, error rates and their intervals for every system and variant."""
+    results: tuple[Result, ...]  # scores, error rates and their intervals for every system and variant
     differences: tuple[Difference, ...]
-    notes: tuple[str, ...]
-    """For the reader."""
-    fused: Mapping[str, Fused]
-    """The systems' fusions that were asked for, by method."""
+    notes: tuple[str, ...]  # for the reader
+    fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
     settings: EvaluationSettings
     inputs_sha256: Mapping[str, str]
-    tables: Mapping[str, bytes]
-    """Files beside the report, by name."""
+    tables: Mapping[str, bytes]  # files beside the report, by name
     timings_s: Mapping[str, float]
 
 

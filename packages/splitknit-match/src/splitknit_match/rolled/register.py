@@ -40,25 +40,18 @@ def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
 
 Array = NDArray[np.float64]
 
-KNOT_MM = 2.5
-"""Distance of the knots of the correction of the surface."""
+KNOT_MM = 2.5  # distance of the knots of the correction of the surface
 POSE_PRIOR = (0.004, 0.002, 0.05)
 """Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
-DEPTH_PRIOR_MM = 0.15
-"""Standard deviation of the surface against where it is taken to be."""
-UNSEEN_PRIOR_MM = 0.03
-"""The same where no two views show it."""
+DEPTH_PRIOR_MM = 0.15  # standard deviation of the surface against where it is taken to be
+UNSEEN_PRIOR_MM = 0.03  # the same where no two views show it
 OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
 """The same where the front's outline determines the surface, this near to a right angle from the front."""
-BEND_PRIOR_MM = 0.04
-"""Standard deviation of the correction's second difference from knot to knot."""
-CORRELATED_MM = 0.3
-"""Ridges are independent at about this distance."""
-ROBUST = 1.0
-"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
+BEND_PRIOR_MM = 0.04  # standard deviation of the correction's second difference from knot to knot
+CORRELATED_MM = 0.3  # ridges are independent at about this distance
+ROBUST = 1.0  # difference of two views' ridges, of unit contrast, from which it counts less and less
 ROUNDS = 12
-FEW = 500
-"""Pixels that both views show; with fewer a mirror is left as it is."""
+FEW = 500  # pixels that both views show; with fewer a mirror is left as it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,10 +98,8 @@ class ViewRidges:
     """A view's ridges on the chart."""
 
     sight: Sight
-    band: FloatArray
-    """(n, m) ridge band, zero where the view does not show the finger."""
-    known: BoolArray
-    """(n, m) where it does; of a mirror, where the front does, too."""
+    band: FloatArray  # (n, m) ridge band, zero where the view does not show the finger
+    known: BoolArray  # (n, m) where it does; of a mirror, where the front does, too
 
 
 def align(
@@ -252,18 +243,13 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-_SEARCHED = 6000
-"""So many pixels show which of many guesses is best."""
-APART_MM = 0.15
-"""Moves that differ by less than this lead to the same place."""
-OUTER = 0.9
-"""How much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation."""
-LIKE_PLACES, MOVE_MM = 20.0, 0.05
-"""A move counts as so many measured ones, each with this standard deviation."""
+_SEARCHED = 6000  # so many pixels show which of many guesses is best
+APART_MM = 0.15  # moves that differ by less than this lead to the same place
+OUTER = 0.9  # how much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation
+LIKE_PLACES, MOVE_MM = 20.0, 0.05  # a move counts as so many measured ones, each with this standard deviation
 _DOUBT = 0.01
 """Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
-MIN_CORRELATION = 0.2
-"""Correlation below which nothing is changed."""
+MIN_CORRELATION = 0.2  # correlation below which nothing is changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,12 +278,9 @@ class RidgeSearchSettings(Checked):
 class _ViewMatch:
     """Surface and pose at which two views' ridges lie on each other."""
 
-    radius_mm: Array
-    """(n, m) to be added to the surface."""
-    pose: tuple[float, float, float]
-    """Turns (rad) and shift (mm) of the mirror."""
-    correlation: float
-    """Correlation of the ridges in the overlap."""
+    radius_mm: Array  # (n, m) to be added to the surface
+    pose: tuple[float, float, float]  # turns (rad) and shift (mm) of the mirror
+    correlation: float  # correlation of the ridges in the overlap
 
 
 def search(

@@ -13,8 +13,7 @@ from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.key import Key, key_of
 from splitknit_match.matching.template import unpack
 
-_GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)
-"""Deep valley to high ridge: ridges dark, as in a print."""
+_GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)  # deep valley to high ridge: ridges dark, as in a print
 
 
 class People:

@@ -11,8 +11,7 @@ from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, Positive, Progress, path
 
-Columns = dict[str, Any]
-"""Columns of the table, (N,) each."""
+Columns = dict[str, Any]  # columns of the table, (N,) each
 _NUMBER = r"[-+]?(?:\d{1,5}\.?\d{0,9}|\.\d{1,9})"
 _LEFT, _TOP, _WIDE, _TALL = 90, 30, 900, 260
 

@@ -19,34 +19,29 @@ POLARISATIONS = ("", "parallel", "crossed")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
 _MAX_IMAGES = 1000
-_AS_NEAR = 0.01
-"""Difference of cosines below which a light is equally near to two others."""
+_AS_NEAR = 0.01  # difference of cosines below which a light is equally near to two others
 
 
 @dataclass(frozen=True, slots=True)
 class BandPlan:
     """One band as the document describes it."""
 
-    band: Band
-    """Without pixels; its files are relative to the folder."""
+    band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
     ambient: Path | None
     flat: tuple[Path, ...]
-    exposed: bool
-    """Whether the document states the exposures."""
+    exposed: bool  # whether the document states the exposures
 
 
 @dataclass(frozen=True, slots=True)
 class CapturePlan:
     """A whole capture as the document describes it; all paths lie inside the folder."""
 
-    capture: Capture
-    """Without images."""
+    capture: Capture  # without images
     rig_file: Path
     bands: dict[str, BandPlan]
     mask: Path | None
-    documents: dict[Path, bytes]
-    """The JSON files and what was read from them."""
+    documents: dict[Path, bytes]  # the JSON files and what was read from them
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ from splitknit.model import FloatArray
 
 MAX_POINTS = 40_000_000
 UNITS_MM = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
-FAR_MM = 500.0
-"""A cloud that begins further from the origin is moved there: single precision would not do."""
+FAR_MM = 500.0  # a cloud that begins further from the origin is moved there: single precision would not do
 _COARSEST_MM = 0.01
 """Steps of coordinates that are still fine enough for ridges: 100 m from the origin in single precision."""
 _MAX_BYTES = 4_000_000_000

@@ -23,8 +23,7 @@ _BRIGHT_QUANTILE = 0.999
 """Which pixels are "bright": all but the brightest thousandth, so that hot pixels do not count as light."""
 _FULL_SCALE = 0.995
 """A stored value from here on counts as clipped (254 of 255; 10- and 12-bit data shifted to 16 bits end above)."""
-_LIT_FRACTION = 0.02
-"""Pixels above this (black level taken off) are lit: the finger, not its black background."""
+_LIT_FRACTION = 0.02  # pixels above this (black level taken off) are lit: the finger, not its black background
 _SATURATED_FRACTION = 0.2
 """Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
 _SATURATED_AREA = 0.005

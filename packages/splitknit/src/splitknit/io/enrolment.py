@@ -29,8 +29,7 @@ _FORMAT, _VERSION = "splitknit-enrolment", 1
 
 @dataclass(frozen=True, slots=True)
 class _EnrolmentPlan:
-    subjects: int = 17
-    """The thesis has 17, with all ten fingers, in four sessions."""
+    subjects: int = 17  # the thesis has 17, with all ten fingers, in four sessions
     sessions: int = 4
     fingers: tuple[str, ...] = FINGERS
 

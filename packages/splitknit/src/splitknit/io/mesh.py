@@ -78,8 +78,7 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
 #
 # STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
-"""One triangle of a binary file."""
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])  # one triangle of a binary file
 HEADER_BYTES = 80
 _CHUNK = 1 << 16
 

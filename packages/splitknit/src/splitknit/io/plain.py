@@ -51,20 +51,16 @@ _SAME_DEG = 0.5
 """Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
-_ASKED, _ASKED_PIXELS = 24, 20_000
-"""Photographs and pixels of each that show the encoding."""
-_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
-"""Size of one photograph, and of all, above which a note is given."""
+_ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
+_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0  # size of one photograph, and of all, above which a note is given
 _FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
 """Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
-_BRIGHTEST = 0.9
-"""What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
+_BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
 
 
 _LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
-UNKNOWN = "unknown"
-"""In place of the lights: nobody knows their directions, which are estimated."""
+UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
 _NO_OPTIONS = PhotographOptions()
 
 

@@ -34,8 +34,7 @@ _METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
 _APP0 = 0xE0
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
 """Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
-_AFTER_HEADER = 33
-"""First bytes of a PNG file: signature and IHDR."""
+_AFTER_HEADER = 33  # first bytes of a PNG file: signature and IHDR
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,14 +28,10 @@ from splitknit.mirrors.views import Views, find_views, view_binning
 from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
-SLOPES_MM = 0.25
-"""Pitch of the images from which slopes are measured."""
-OUTLINE_PX_PER_MM = 10.0
-"""Scale at which outlines are found; between its pixels they are interpolated."""
-APART_MM = 1.0
-"""Distance of the places whose slopes are used."""
-RIM_MM = 1.2
-"""Skin nearer to the outline than this is not used: light is lost there."""
+SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
+OUTLINE_PX_PER_MM = 10.0  # scale at which outlines are found; between its pixels they are interpolated
+APART_MM = 1.0  # distance of the places whose slopes are used
+RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,8 +22,7 @@ from splitknit.model import BoolArray
 
 Array = NDArray[np.float64]
 
-_STATIONS = 80
-"""Places along the body at which a plane seen from the tip is tried."""
+_STATIONS = 80  # places along the body at which a plane seen from the tip is tried
 _MAX_STEP = {"tip_mm": 1.0, "turn_rad": 0.04, "lean_rad": 0.04, "shift_mm": 2.0}
 _MAX_STEP |= {"squareness": 0.15, "shear": 0.2, "shear_slope": 0.2}
 """Largest steps of one correction."""
@@ -35,15 +34,11 @@ _Parameters = list[tuple[str, float]]
 class MirrorOutline:
     """Planes that touch the finger along its outline in one mirror, and where the mirror nominally is."""
 
-    touching: Touching
-    """As the camera sees them, not yet reflected."""
+    touching: Touching  # as the camera sees them, not yet reflected
     plane: Plane
-    from_tip: bool = False
-    """Whether it looks along the finger."""
-    turn_rad: float = 0.0
-    """Its turn, as the tips of the views show it."""
-    turn_sd_rad: float | None = None
-    """Standard deviation of that; None: it is undefined."""
+    from_tip: bool = False  # whether it looks along the finger
+    turn_rad: float = 0.0  # its turn, as the tips of the views show it
+    turn_sd_rad: float | None = None  # standard deviation of that; None: it is undefined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,12 +192,9 @@ def touched(body: Body, planes: Touching) -> Array:
 
 _SLOPE_ERROR = 0.1
 """Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
-SHEAR_SD = 0.05
-"""Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
-INDEPENDENT_SLOPES = 20.0
-"""Slopes err together: at specular reflections, and where light by way of a mirror ends."""
-TIP_SD_MM = 0.05
-"""Standard deviation of the tip's place as the front view's outline has it."""
+SHEAR_SD = 0.05  # standard deviation of the shear: a roll by 8 deg gives about 0.045
+INDEPENDENT_SLOPES = 20.0  # slopes err together: at specular reflections, and where light by way of a mirror ends
+TIP_SD_MM = 0.05  # standard deviation of the tip's place as the front view's outline has it
 
 
 _ANGLE = 0.0, float(np.deg2rad(ANGLE_DEG))
@@ -275,17 +267,13 @@ def _tukey(residual: Array, limit: float) -> Array:
     return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
 
 
-TIP_TRUST = 0.1
-"""Weight of a view from beyond the tip: it sees the largest sections only."""
-COMMON_MM = 4.0
-"""Points of an outline that are nearer to each other than this err together."""
+TIP_TRUST = 0.1  # weight of a view from beyond the tip: it sees the largest sections only
+COMMON_MM = 4.0  # points of an outline that are nearer to each other than this err together
 EDGE_MM = 0.1
 """Standard deviation of the error that a whole edge of a view has in common, at its middle and from there to its end:
 shading, blur and the threshold move it as a whole, which a mirror's pose would otherwise explain."""
-_END_SURE = 2
-"""Corrections before points of an outline may be left out altogether."""
-_END_SETTLED = 2e-4
-"""A correction (mm, rad) below this is the last one."""
+_END_SURE = 2  # corrections before points of an outline may be left out altogether
+_END_SETTLED = 2e-4  # a correction (mm, rad) below this is the last one
 
 
 def _fitted_ends(
@@ -317,13 +305,11 @@ def _fitted_ends(
     return estimate
 
 
-SURE_FROM = 4
-"""Corrections before points of an outline may be left out altogether."""
+SURE_FROM = 4  # corrections before points of an outline may be left out altogether
 _HELD, _HELD_ROUNDS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}, 3
 """Mirrors stay where they nominally are for so many corrections, in which the body finds its size: under spreading rays
 a wrong size is otherwise taken for another height, and mirrors follow it."""
-SETTLED = 0.01
-"""A correction of the splines (mm) below this is the last one."""
+SETTLED = 0.01  # a correction of the splines (mm) below this is the last one
 
 
 def fit_body(
@@ -378,8 +364,7 @@ def fit_body(
     return Fit(estimate.body, estimate.poses, split, weights)
 
 
-APART_MM = 0.12
-"""Views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07."""
+APART_MM = 0.12  # views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
 
 
 def fit_views(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None = None) -> Fit:
@@ -498,13 +483,10 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:
 
 # Whether views are of one finger, and what was found.
 
-_MISFIT_MM = 0.6
-"""Views that agree no better than this (rms) are not of one finger."""
+_MISFIT_MM = 0.6  # views that agree no better than this (rms) are not of one finger
 
-THICKNESS = (0.4, 1.4)
-"""Thickness of fingers over their breadth, from and to."""
-MAX_DEG = 7.0
-"""A mirror that would be further off than this is rejected."""
+THICKNESS = (0.4, 1.4)  # thickness of fingers over their breadth, from and to
+MAX_DEG = 7.0  # a mirror that would be further off than this is rejected
 
 
 def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:

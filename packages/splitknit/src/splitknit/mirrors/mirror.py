@@ -47,10 +47,8 @@ Array = NDArray[np.float64]
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
-_KNOTS = 11
-"""Spans of the splines along the finger."""
-_MAX_TURN_RAD = 0.12
-"""Mirrors are not turned by more."""
+_KNOTS = 11  # spans of the splines along the finger
+_MAX_TURN_RAD = 0.12  # mirrors are not turned by more
 _TIPS_APART = (
     "the views do not fit one finger: the fingertip in the {} mirror is not beside the one in front; check that the "
     "rig file's mirrors are those in the picture and that one finger alone is in view."
@@ -119,20 +117,13 @@ def first_body(
 class _Ellipses:
     """One ellipse for each row that both views have."""
 
-    axis: Array
-    """(2,) of the front view's medial line, towards the tip."""
-    from_tip_mm: Array
-    """(n,) distance of the rows from the tip, growing."""
-    tip_mm: float
-    """Where the tip lies on the axis."""
-    middle_mm: Array
-    """(n,) middle of the front view's row, to the right of the axis."""
-    half_width_mm: Array
-    """(n,) of the front view."""
-    half_height_mm: Array
-    """(n,) of the lateral view."""
-    centre_mm: Array
-    """(n,) height of the lateral view's middle, beside its medial line."""
+    axis: Array  # (2,) of the front view's medial line, towards the tip
+    from_tip_mm: Array  # (n,) distance of the rows from the tip, growing
+    tip_mm: float  # where the tip lies on the axis
+    middle_mm: Array  # (n,) middle of the front view's row, to the right of the axis
+    half_width_mm: Array  # (n,) of the front view
+    half_height_mm: Array  # (n,) of the lateral view
+    centre_mm: Array  # (n,) height of the lateral view's middle, beside its medial line
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
         """As :meth:`Body.heights`; beside the ellipses the nearest z goes on."""
@@ -178,14 +169,11 @@ def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -
 
 _TURN_DEG, _CUT_TURN_DEG = 0.2, 0.6
 """Standard deviation of a mirror's turn as the views' tips show it, and where the view is cut."""
-_FEW = 20
-"""A view with fewer points of its outline is not used."""
+_FEW = 20  # a view with fewer points of its outline is not used
 _MAX_MISSING = 0.4
 """Largest fraction of the pad's outline that may be missing; beyond, the rest may be the mirror's edge."""
-_NEAR_EDGE_MM = 3.0
-"""A straight outline this near to where the mirror should end is the mirror's edge."""
-_CUT_ROUNDS = 20
-"""Corrections of the fit where views are cut."""
+_NEAR_EDGE_MM = 3.0  # a straight outline this near to where the mirror should end is the mirror's edge
+_CUT_ROUNDS = 20  # corrections of the fit where views are cut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,11 +314,9 @@ class _SeenOutlines:
     mirrors: Mapping[str, MirrorOutline]
     poses: Mapping[str, Pose]
     rows: Mapping[str, OutlineRows]
-    lateral: Mapping[str, OutlineRows]
-    """Of mirrors beside the finger, with enough of both edges."""
+    lateral: Mapping[str, OutlineRows]  # of mirrors beside the finger, with enough of both edges
     cut: list[str]
-    useless: list[str]
-    """Cut so much that they determine nothing."""
+    useless: list[str]  # cut so much that they determine nothing
 
 
 def _seen_outlines(views: Views, rig: Rig, axis: Array, *, cut_too: bool) -> _SeenOutlines:

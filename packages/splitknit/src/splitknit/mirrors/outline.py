@@ -16,12 +16,10 @@ from splitknit.model import BoolArray, Camera, Mirror
 
 Array = NDArray[np.float64]
 
-_EVERY = 2
-"""Rows that are averaged to one point of an outline in the fit."""
+_EVERY = 2  # rows that are averaged to one point of an outline in the fit
 STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05
 """An outline that is straighter than this (rms) is a mirror's edge: pads bulge, and their ends are round."""
-BLUR_PX = 1.2
-"""A mask is smoothed by this much before its outline is measured between the pixels."""
+BLUR_PX = 1.2  # a mask is smoothed by this much before its outline is measured between the pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

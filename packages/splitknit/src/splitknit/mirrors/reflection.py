@@ -24,14 +24,10 @@ Array = NDArray[np.float64]
 class Touching:
     """Rays that touch the finger, and planes that do (n of them), in the rig's frame, mm."""
 
-    point: Array
-    """(n, 3) on the ray."""
-    direction: Array
-    """(n, 3) of the ray, unit length, away from the camera."""
-    normal: Array
-    """(n, 3) out of the finger, unit length."""
-    offset_mm: Array
-    """(n,) normal . X on the plane."""
+    point: Array  # (n, 3) on the ray
+    direction: Array  # (n, 3) of the ray, unit length, away from the camera
+    normal: Array  # (n, 3) out of the finger, unit length
+    offset_mm: Array  # (n,) normal . X on the plane
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
@@ -58,10 +54,8 @@ def _unit(vectors: Array) -> Array:
 class Plane:
     """Where a mirror lies."""
 
-    point_mm: Array
-    """(3,) on the reflecting face."""
-    normal: Array
-    """(3,) unit length, towards the camera (z > 0)."""
+    point_mm: Array  # (3,) on the reflecting face
+    normal: Array  # (3,) unit length, towards the camera (z > 0)
 
     def __post_init__(self) -> None:
         shapes = np.shape(self.point_mm), np.shape(self.normal)
@@ -145,10 +139,8 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
 
-GRAZING = 0.04
-"""Cosine of incidence up to which a light fades in: the ridges of skin catch it here and there."""
-EDGE_MM = 0.4
-"""Width over which light by way of a mirror fades out at the mirror's edge."""
+GRAZING = 0.04  # cosine of incidence up to which a light fades in: the ridges of skin catch it here and there
+EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirror's edge
 
 
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:

@@ -15,14 +15,11 @@ from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, g
 from splitknit.imaging.band import block_means
 from splitknit.model import BoolArray, FloatArray, Rig
 
-_PX_PER_MM = 22.0
-"""Scale of the copy on which the outlines are found."""
-_REACH_MM = 3.0
-"""A mirror's picture is looked for this far beyond its nominal outline."""
+_PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
+_REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
 Array = NDArray[np.float64]
-SEARCH_PX_PER_MM = 4.0
-"""Views are looked for on a copy of about this scale where their outlines are found apart."""
+SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
 FindFinger = Callable[[FloatArray, float], BoolArray]
 """From an image (h, w, C) and its px_per_mm to its segmentation mask."""
 FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
@@ -33,10 +30,8 @@ FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
 class Views:
     """Masks of one finger's views in one image, on blocks of `binning` pixels a side."""
 
-    front: BoolArray
-    """(h, w)."""
-    mirrors: Mapping[str, BoolArray]
-    """(h, w) by the mirrors' names; those that show no finger are left out."""
+    front: BoolArray  # (h, w)
+    mirrors: Mapping[str, BoolArray]  # (h, w) by the mirrors' names; those that show no finger are left out
     binning: int
 
 

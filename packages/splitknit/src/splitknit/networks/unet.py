@@ -27,8 +27,7 @@ from splitknit.errors import BadInput, importing, read_bytes, refusing, require
 from splitknit.model import FloatArray
 
 FORMAT = "splitknit-network"
-_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
-"""The shipped networks have less than 1 MB, their cards 3 kB."""
+_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000  # the shipped networks have less than 1 MB, their cards 3 kB
 REINSTALL = "reinstall splitknit, or name another network"
 
 
@@ -125,8 +124,7 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
 
 TILE = 724
 """Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.4 GB, of width 64 2 GB."""
-_THREADS = min(8, os.cpu_count() or 1)
-"""Threads of a network by default."""
+_THREADS = min(8, os.cpu_count() or 1)  # threads of a network by default
 
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
@@ -182,8 +180,7 @@ class Network:
     """A network that is ready to run; threads may share it."""
 
     card: Card
-    session: Any
-    """onnxruntime.InferenceSession."""
+    session: Any  # onnxruntime.InferenceSession
     input_name: str
     output_name: str
 

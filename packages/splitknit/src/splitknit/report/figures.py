@@ -33,15 +33,12 @@ from splitknit.report.photos import Picture, captioned, is_finger
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
 
-RELIEF_EXAGGERATION = 2.0
-"""Factor on a finger's ridges in shaded views; an opaque thing is drawn to scale."""
+RELIEF_EXAGGERATION = 2.0  # factor on a finger's ridges in shaded views; an opaque thing is drawn to scale
 TILT_DEG = 56.0
-RIM_MM = 0.4
-"""Of an opaque thing: there its sides bend what separates fine details from the shape."""
+RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
 _CLOSE_UP_MM = 5.0
 
-Truth = Mapping[str, NDArray[Any]]
-"""A simulator's arrays."""
+Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +46,11 @@ class _SmallFields:
     """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
 
     frame: PictureFrame
-    weight: FloatArray
-    """(h, w) in [0, 1], fraction of the pixel inside the mask."""
+    weight: FloatArray  # (h, w) in [0, 1], fraction of the pixel inside the mask
     height_mm: FloatArray
     ridge_mm: FloatArray
     shape_mm: FloatArray
-    normals: FloatArray
-    """(h, w, 3)."""
+    normals: FloatArray  # (h, w, 3)
 
     def exaggerated(self, factor: float) -> _SmallFields:
         """The same with the relief in the height multiplied by `factor`, so that ridges of a few hundredths of a

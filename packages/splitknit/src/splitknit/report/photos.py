@@ -58,8 +58,7 @@ def captioned(
     )
 
 
-LONGEST_PX = 700
-"""Longer side of a picture."""
+LONGEST_PX = 700  # longer side of a picture
 
 
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:

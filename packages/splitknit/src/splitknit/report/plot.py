@@ -17,8 +17,7 @@ from splitknit.report.result import PRINT_PPI, is_printed
 PANELS = ("height", "relief", "normals", "print")
 _LONGEST_PX = 1200
 _PANEL_INCHES = (2.5, 4.6)
-_INK = 250
-"""Paper is brighter."""
+_INK = 250  # paper is brighter
 
 
 def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> Any:

@@ -41,11 +41,9 @@ from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
-_RIDGES = 45
-"""Periods of ridges that a picture of a finger is about long."""
+_RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
-_LIT = 0.1
-"""Figures of the report are over pixels brighter than this part of the brightest."""
+_LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
 
 def separate_to_folder(
@@ -262,18 +260,12 @@ def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
 class _PatternLight:
     """The images of a folder as linear light without the black level."""
 
-    stack: FloatArray
-    """(N, H, W) or (N, H, W, 3)."""
-    white: FloatArray | None
-    """(H, W) or (H, W, 3)."""
-    patterns: FloatArray | None
-    """(N, H, W) given states."""
-    mask: BoolArray | None
-    """(H, W)."""
-    clip_level: float
-    """Value at which the files clip."""
-    hashes: dict[str, str]
-    """SHA-256 by name."""
+    stack: FloatArray  # (N, H, W) or (N, H, W, 3)
+    white: FloatArray | None  # (H, W) or (H, W, 3)
+    patterns: FloatArray | None  # (N, H, W) given states
+    mask: BoolArray | None  # (H, W)
+    clip_level: float  # value at which the files clip
+    hashes: dict[str, str]  # SHA-256 by name
 
 
 def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:

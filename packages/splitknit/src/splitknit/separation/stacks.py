@@ -29,10 +29,8 @@ _MAX_CLIPPED = 0.02
 LIT_LEVEL = 0.1
 """Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
 cannot resolve."""
-MIN_CONTRAST = 0.005
-"""A pixel that changes by less than this part of its maximum was never lit, or never dark."""
-_BLACK_IMAGE = 0.03
-"""An image whose bright pixels stay below this part of the other images' is black."""
+MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
+_BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
 EDGE = 0.1
 """Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
 
@@ -74,12 +72,9 @@ class Separation:
 class LightStack:
     """A stack that passed the checks."""
 
-    light: FloatArray
-    """(N, H, W, C) linear light."""
-    mask: BoolArray
-    """(H, W), true where a result is wanted."""
-    grey: bool
-    """Whether the images came without an axis for channels."""
+    light: FloatArray  # (N, H, W, C) linear light
+    mask: BoolArray  # (H, W), true where a result is wanted
+    grey: bool  # whether the images came without an axis for channels
 
     def shaped(self, values: NDArray[Any]) -> FloatArray:
         """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis if grey."""
@@ -263,8 +258,7 @@ def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -
     return np.asarray((own[:, None] + own[None, :] - product - product.T) / here[0].size)
 
 
-_DECIDED = 1 - 2 * 0.2
-"""Part of half the range of its neighbours beyond which a pixel's state is decided."""
+_DECIDED = 1 - 2 * 0.2  # part of half the range of its neighbours beyond which a pixel's state is decided
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:

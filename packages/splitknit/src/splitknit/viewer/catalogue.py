@@ -105,8 +105,7 @@ class Catalogue:
 
     title: str
     entries: tuple[CatalogueEntry, ...]
-    chosen: tuple[str, ...]
-    """Keys of the results that were named: none where a folder of many was."""
+    chosen: tuple[str, ...]  # keys of the results that were named: none where a folder of many was
 
     def entry(self, key: str) -> CatalogueEntry:
         """Return one entry. Raises BadInput if there is none of that key."""

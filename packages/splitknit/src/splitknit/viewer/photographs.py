@@ -46,13 +46,10 @@ class _PhotoFolder:
     """The photographs of a folder, and what a person should know of them."""
 
     photos: tuple[_LitPhoto, ...]
-    plain: bool
-    """A folder of photographs, no capture."""
-    facts: tuple[tuple[str, str], ...] = ()
-    """Name and value, empty where it is not known."""
+    plain: bool  # a folder of photographs, no capture
+    facts: tuple[tuple[str, str], ...] = ()  # name and value, empty where it is not known
     notes: tuple[str, ...] = ()
-    command: str = ""
-    """What reconstructs them."""
+    command: str = ""  # what reconstructs them
 
 
 @lru_cache(maxsize=16)

@@ -27,8 +27,7 @@ _TYPES = {
     ".svg": "image/svg+xml",
 }
 _PICTURES = ("normals.png", "albedo.png", "specular.png", "print.png", "preview.png")
-_KEPT_BYTES = 200_000_000
-"""Memory of kept surfaces; two are kept whatever their size, since a pair is shown by turns."""
+_KEPT_BYTES = 200_000_000  # memory of kept surfaces; two are kept whatever their size, since a pair is shown by turns
 _THUMB_PX = 360
 _MAX_PICTURE_BYTES = 400_000_000
 """Largest picture that is sent as it is. Those of the rig's full frames have at most 40 MB."""

@@ -32,10 +32,8 @@ from splitknit.viewer.catalogue import CatalogueEntry, Reply, open_below, read_b
 _LONGEST_MM, _LONGEST_PX = 1000.0, 40_000.0
 _RAYS = ("x_mm", "y_mm")
 TILE = 96
-_FIRST_VIEW = 70_000
-"""Points of the first view."""
-_FINE = 1024
-"""Values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame."""
+_FIRST_VIEW = 70_000  # points of the first view
+_FINE = 1024  # values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame
 _HEAD = struct.Struct("<8id")
 _Values = NDArray[np.float64]
 
@@ -240,14 +238,11 @@ _MAX_SAMPLES = 20_000
 class Section:
     """A cut through the surface between two points, and its figures."""
 
-    along_mm: _Values
-    """(N,) distance in the finger plane from the first point."""
+    along_mm: _Values  # (N,) distance in the finger plane from the first point
     x_mm: _Values
     y_mm: _Values
-    height_mm: _Values
-    """(N,), NaN where there is no surface."""
-    relief_um: _Values
-    """(N,), NaN likewise."""
+    height_mm: _Values  # (N,), NaN where there is no surface
+    relief_um: _Values  # (N,), NaN likewise
     figures: dict[str, float | int | None]
 
 
