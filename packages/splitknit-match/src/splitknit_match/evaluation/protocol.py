@@ -134,7 +134,7 @@ class Exclusion:
     """A finger, or its capture of one session, that is left out, and by which rule."""
 
     finger: str
-    session: str | None = None  # none: of all sessions
+    session: str | None = None  # None: of all sessions
     reason: str = ""
 
 

@@ -101,7 +101,7 @@ class _EqualError:
     value: float  # (FAR + FRR) / 2 at `threshold`
     far: float
     frr: float
-    threshold: float | None  # none where accepting nobody comes closest
+    threshold: float | None  # None where accepting nobody comes closest
 
 
 @dataclass(frozen=True, slots=True)
