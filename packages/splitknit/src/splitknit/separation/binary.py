@@ -74,8 +74,8 @@ def checkerboard(
     illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
 
     >>> import numpy as np
-    >>> from splitknit.separation.stacks import checkerboard_patterns
-    >>> patterns = checkerboard_patterns((8, 8), 4.0, [(0, 0), (0, 4)])
+    >>> board = np.kron([[1.0, 0.0], [0.0, 1.0]], np.ones((4, 4)))
+    >>> patterns = np.stack([board, np.roll(board, 4, axis=1)])
     >>> parts = checkerboard(0.3 * patterns + 0.5 * 0.2, patterns=patterns)
     >>> bool(np.allclose(parts.direct, 0.3) and np.allclose(parts.global_, 0.2))
     True
