@@ -36,16 +36,12 @@ class Cluster:
     address is none, or anyone in the network could send code to the workers and `insecure` is not set.
     """
 
-    address: str
-    """``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer."""
+    address: str  # ``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer
     ca_file: Path | None = None
     """PEM file of the CA that signed the scheduler's certificate; Dask's configuration names it where this does not."""
-    cert_file: Path | None = None
-    """PEM file of this computer's certificate; the same."""
-    key_file: Path | None = None
-    """PEM file of its key, where `cert_file` does not hold it."""
-    insecure: bool = False
-    """Allow ``tcp://`` to another computer."""
+    cert_file: Path | None = None  # PEM file of this computer's certificate; the same
+    key_file: Path | None = None  # PEM file of its key, where `cert_file` does not hold it
+    insecure: bool = False  # allow ``tcp://`` to another computer
 
     def __post_init__(self) -> None:
         found = re.fullmatch(r"(tls|tcp)://(?:([^\s:/\[\]]+)|\[([0-9A-Fa-f:.]+)\]):([0-9]{1,5})", self.address)

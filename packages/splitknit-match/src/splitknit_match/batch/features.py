@@ -47,8 +47,7 @@ class FeatureTask:
     population_sha256: str
     store: Location
     captures: tuple[CaptureRef, ...]
-    cases: tuple[tuple[Case, tuple[str, ...]], ...]
-    """Each case with the names of the captures that it lacks."""
+    cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
     matching: MatchingSettings
     images: bool
     solids: tuple[str, ...] = ()

@@ -46,17 +46,13 @@ class FusionSettings(Checked):
 class Fused:
     """Fused scores, and how they came about."""
 
-    scores: Scores
-    """In the order of the first system; NaN where no system gave a score."""
+    scores: Scores  # in the order of the first system; NaN where no system gave a score
     systems: tuple[str, ...]
-    by: str
-    """``subject`` or ``finger``: what was dealt to folds."""
-    fold: NDArray[np.int64]
-    """(names,) of each subject (finger)."""
+    by: str  # ``subject`` or ``finger``: what was dealt to folds
+    fold: NDArray[np.int64]  # (names,) of each subject (finger)
     models: dict[tuple[int, int], _Model]
     """By the two folds, the smaller first, whose comparisons it scored and of which it saw none."""
-    missing: tuple[int, ...]
-    """How many scores of each system were missing."""
+    missing: tuple[int, ...]  # how many scores of each system were missing
 
     @property
     def folds(self) -> int:

@@ -30,14 +30,10 @@ CELLS = 60_000  # at most about so many
 class _Cells:
     """Where the scores lie; cell 0 holds the highest."""
 
-    genuine: NDArray[np.int64]
-    """(N,) the cell of each; ``count`` where it is a failure."""
-    impostor: NDArray[np.int64]
-    """(M,)"""
-    count: int
-    """Cells without that of the failures."""
-    crowded: NDArray[np.bool_]
-    """(count,) whether a cell holds several distinct impostor scores, and no genuine one."""
+    genuine: NDArray[np.int64]  # (N,) the cell of each; ``count`` where it is a failure
+    impostor: NDArray[np.int64]  # (M,)
+    count: int  # cells without that of the failures
+    crowded: NDArray[np.bool_]  # (count,) whether a cell holds several distinct impostor scores, and no genuine one
     moments: NDArray[np.float64]
     """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
 
@@ -166,14 +162,11 @@ class Interval:
 class Intervals:
     """All figures of one system by one scheme of drawing."""
 
-    method: str
-    """``plain``, ``finger`` or ``subject``."""
-    drawn: int
-    """Comparisons of the smaller class, fingers or subjects."""
+    method: str  # ``plain``, ``finger`` or ``subject``
+    drawn: int  # comparisons of the smaller class, fingers or subjects
     figures: Mapping[str, Interval]
     """By the names of :class:`_Layout`."""
-    curve_far: NDArray[np.float64]
-    """(P,) and the band of the GAR there:"""
+    curve_far: NDArray[np.float64]  # (P,) and the band of the GAR there:
     curve_low: NDArray[np.float64]
     curve_high: NDArray[np.float64]
 

@@ -83,23 +83,17 @@ class PairComparison:
     """How measurement A differs from measurement B of one surface."""
 
     fit: Fit
-    similarity: float
-    """Similarity of the ridges, -1 to 1."""
-    scale: float
-    """Length in A over length in B, by the ridges (unrolled)."""
-    rotation: Array
-    """(3, 3), and"""
+    similarity: float  # similarity of the ridges, -1 to 1
+    scale: float  # length in A over length in B, by the ridges (unrolled)
+    rotation: Array  # (3, 3), and
     shift_mm: Array
     """(3,): A = rotation @ B + shift, both about the middle of their image; of the start where the fit is elastic."""
-    strain_mm: float
-    """Rms of the shifts of single patches of skin that are left after a rigid fit."""
+    strain_mm: float  # rms of the shifts of single patches of skin that are left after a rigid fit
     figures: Mapping[str, Mapping[str, Mapping[str, Any]]]
     """By band and slant: ``correlation``, ``gain``, ``rms_um`` (each an interval, whose ends are None where there are
     too few blocks), ``std_um`` of B, ``area_mm2``."""
-    difference_um: FloatArray
-    """(H, W) A minus B in the band ``relief``, NaN where nothing is compared."""
-    relief_um: FloatArray
-    """(2, H, W) that band of A and of B."""
+    difference_um: FloatArray  # (H, W) A minus B in the band ``relief``, NaN where nothing is compared
+    relief_um: FloatArray  # (2, H, W) that band of A and of B
     pitch_mm: float
     notes: tuple[str, ...] = ()
 

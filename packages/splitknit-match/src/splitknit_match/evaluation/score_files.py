@@ -33,18 +33,13 @@ _MAX_BYTES = 500_000_000  # ten million comparisons
 class ScoreFile:
     """The columns of a score file, comparison by comparison."""
 
-    label: NDArray[np.bool_]
-    """(N,)"""
-    score: NDArray[np.float64]
-    """(N,) NaN where the field is blank."""
-    line: NDArray[np.int64]
-    """(N,) the line of the file, from 1."""
+    label: NDArray[np.bool_]  # (N,)
+    score: NDArray[np.float64]  # (N,) NaN where the field is blank
+    line: NDArray[np.int64]  # (N,) the line of the file, from 1
     ids: Mapping[str, tuple[NDArray[np.int64], tuple[str, ...]]]
     """For each of ``finger``, ``subject``, ``session`` that is given: codes (N, 2) and their names."""
-    system: tuple[NDArray[np.int64], tuple[str, ...]] | None
-    """Codes (N,) and names, if there is such a column."""
-    ignored: tuple[str, ...]
-    """Columns that were not read."""
+    system: tuple[NDArray[np.int64], tuple[str, ...]] | None  # codes (N,) and names, if there is such a column
+    ignored: tuple[str, ...]  # columns that were not read
     sha256: str
 
 

@@ -58,12 +58,10 @@ FEW = 500  # pixels that both views show; with fewer a mirror is left as it is
 class _Correction:
     """What moves the surface and the mirrors."""
 
-    radius_mm: Array
-    """(n, m) to be added to the surface on the chart."""
+    radius_mm: Array  # (n, m) to be added to the surface on the chart
     poses: tuple[tuple[float, float, float], ...]
     """Two turns (rad) and a shift (mm) of each mirror, see :meth:`splitknit.mirrors.reflection.Plane.moved`."""
-    before: tuple[float, ...]
-    """Correlation of each mirror's ridges with the front's where both see them, as it was."""
+    before: tuple[float, ...]  # correlation of each mirror's ridges with the front's where both see them, as it was
     after: tuple[float, ...]
 
 

@@ -301,12 +301,10 @@ _SEARCH_CUT = RidgeSearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), d
 class MirrorView:
     """What a capture with mirrors shows once."""
 
-    name: str
-    """``front``, ``left``, ``right`` or ``tip``."""
+    name: str  # ``front``, ``left``, ``right`` or ``tip``
     mask: BoolArray | None
     """(H, W) where the view shows the finger; None for a mirror whose light counts, but not its view."""
-    glass: Glass | None = None
-    """The mirror; None for the front."""
+    glass: Glass | None = None  # the mirror; None for the front
     cut: bool = False
     """Whether the border of picture or mirror cuts the view, so that the mirror's pose is known less well."""
 

@@ -182,10 +182,8 @@ class MirrorShape:
 
     camera: Camera
     model: Body | _Ellipses
-    facts: Mapping[str, Any]
-    """What was found: mirrors' poses, misfits, the sections' form."""
-    outlines: Mapping[str, OutlineRows] = field(default_factory=dict)
-    """Measured outlines of ``front`` and every mirror."""
+    facts: Mapping[str, Any]  # what was found: mirrors' poses, misfits, the sections' form
+    outlines: Mapping[str, OutlineRows] = field(default_factory=dict)  # measured outlines of ``front`` and every mirror
     fit: Fit | None = None
     touching: Mapping[str, Touching] = field(default_factory=dict)
     """As the camera sees them: of ``front`` and every mirror beside the finger."""

@@ -26,14 +26,11 @@ BLUR_PX = 1.2  # a mask is smoothed by this much before its outline is measured 
 class OutlineRows:
     """A view's outline, row by row across an axis of the picture."""
 
-    axis: Array
-    """(2,) unit vector on the finger plane along which rows follow each other."""
-    along_mm: Array
-    """(n,) place of each row on the axis, growing."""
+    axis: Array  # (2,) unit vector on the finger plane along which rows follow each other
+    along_mm: Array  # (n,) place of each row on the axis, growing
     left_mm: Array
     """(n,) where the row enters the finger, towards the right of the axis; NaN where it does not or is cut."""
-    right_mm: Array
-    """(n,) where it leaves."""
+    right_mm: Array  # (n,) where it leaves
 
     @property
     def across(self) -> Array:

@@ -36,16 +36,14 @@ class Card:
     """What is known of a network; :attr:`facts` holds the whole document."""
 
     name: str
-    sha256: str
-    """Hash of the ``.onnx`` file, hexadecimal."""
+    sha256: str  # hash of the ``.onnx`` file, hexadecimal
     channels_in: int
     channels_out: int
     stride: int
     """Both sides of an image must be multiples of this; :func:`run_network` sees to it."""
     reach: int
     """A pixel further than this from a tile that begins on the stride's grid does not change the tile's result."""
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    """Data, training, metrics, licence, command."""
+    facts: Mapping[str, Any] = field(default_factory=dict)  # data, training, metrics, licence, command
 
     def __post_init__(self) -> None:
         limits = {"channels_in": (1, 4096), "channels_out": (1, 4096), "stride": (1, 256), "reach": (0, 4096)}

@@ -64,8 +64,7 @@ class Report:
 
     html: str
     facts: Mapping[str, Any]
-    views: Sequence[ColourArray]
-    """The shaded surface from above, the left and the right."""
+    views: Sequence[ColourArray]  # the shaded surface from above, the left and the right
     prints: NDArray[np.uint8] | None
     """The relief as a print; None if the surface is not a finger's, or its scale is unknown."""
 

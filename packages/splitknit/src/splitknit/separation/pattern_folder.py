@@ -30,38 +30,23 @@ _ROLES = ("black", "white", "mask")
 class PatternFolder:
     """What is separated, and how."""
 
-    images: tuple[Path, ...]
-    """In order."""
-    method: str = "checkerboard"
-    """One of `METHODS`."""
-    encoding: str = "linear"
-    """``linear`` or ``srgb``."""
-    black: Path | None = None
-    """Image without the pattern's light."""
-    white: Path | None = None
-    """Image with the whole source lit."""
-    mask: Path | None = None
-    """White = to be separated."""
-    alpha: float | None = None
-    """Lit fraction of the pattern; the method's default where None."""
-    dark: float = 0.0
-    """Brightness of the unlit part of the pattern."""
-    patterns: tuple[Path, ...] | str | None = None
-    """State images, ``estimate``, or None for maximum and minimum."""
-    shifts: tuple[tuple[float, ...], ...] | None = None
-    """Shifts of the pattern in each image."""
-    period: float | None = None
-    """Period of the pattern, in units of the shifts."""
-    kind: str | None = None
-    """``line`` or ``mesh``; a mesh where None and `alpha` is given."""
-    shadow_percent: float = 0.0
-    """Fraction of an occluder's images in which a pixel is surely in shadow."""
+    images: tuple[Path, ...]  # in order
+    method: str = "checkerboard"  # one of `METHODS`
+    encoding: str = "linear"  # ``linear`` or ``srgb``
+    black: Path | None = None  # image without the pattern's light
+    white: Path | None = None  # image with the whole source lit
+    mask: Path | None = None  # white = to be separated
+    alpha: float | None = None  # lit fraction of the pattern; the method's default where None
+    dark: float = 0.0  # brightness of the unlit part of the pattern
+    patterns: tuple[Path, ...] | str | None = None  # state images, ``estimate``, or None for maximum and minimum
+    shifts: tuple[tuple[float, ...], ...] | None = None  # shifts of the pattern in each image
+    period: float | None = None  # period of the pattern, in units of the shifts
+    kind: str | None = None  # ``line`` or ``mesh``; a mesh where None and `alpha` is given
+    shadow_percent: float = 0.0  # fraction of an occluder's images in which a pixel is surely in shadow
     check_px: float | None = None
     """Side of a check on the camera's pixels: of a single image, and of checkerboards on skin, where light spreads."""
-    block: int | None = None
-    """Side of a block of a single image's result."""
-    noise_std: float = 0.0
-    """Noise of one image, linear light."""
+    block: int | None = None  # side of a block of a single image's result
+    noise_std: float = 0.0  # noise of one image, linear light
 
     def __post_init__(self) -> None:
         require(self.method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")

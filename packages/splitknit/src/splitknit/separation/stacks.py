@@ -59,8 +59,7 @@ class Separation:
 
     direct: FloatArray
     """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
-    global_: FloatArray
-    """(H, W) or (H, W, C): light that came round, through the skin or from other surfaces."""
+    global_: FloatArray  # (H, W) or (H, W, C): light that came round, through the skin or from other surfaces
 
     @property
     def white(self) -> FloatArray:

@@ -31,11 +31,9 @@ _WIDEST = 4096
 class _LitPhoto:
     """One photograph."""
 
-    name: str
-    """Relative to its folder."""
+    name: str  # relative to its folder
     band: str
-    number: int
-    """Within the band, from 0."""
+    number: int  # within the band, from 0
     encoding: str
     light: tuple[float, float, float] | None
     """Unit vector towards the light: x right, y up, z to the camera; None where it is not known."""
