@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from splitknit import canonical_json, importing, parse_json, refusing, require, settings_hash
-from splitknit_match.batch.objects import Location, files_below, stored_file, whole_file
+from splitknit_match.batch.objects import Location, stored_file, whole_file
 
 # Packages that only the batch engine needs, imported when it needs them.
 
@@ -119,11 +119,6 @@ def read_schema(path: Location) -> Any:
 def chunk_name(number: str, source: Sequence[Any]) -> str:
     """Name of a chunk's file without suffix: its number, and a hash of what its content follows from."""
     return f"{number}-{settings_hash(source)[:12]}"
-
-
-def chunk_files(folder: Location) -> list[Location]:
-    """Finished chunks in a folder, in their order; what is being written has another name."""
-    return [folder / name for name in files_below(folder) if name.endswith(SUFFIX) and not name.startswith(".")]
 
 
 def _damaged(path: Location) -> str:

@@ -21,7 +21,7 @@ from splitknit import (
     require,
     settings_hash,
 )
-from splitknit_match.batch.chunks import chunk_files, load, read_chunk
+from splitknit_match.batch.chunks import SUFFIX, load, read_chunk
 from splitknit_match.batch.matchers import matcher
 from splitknit_match.batch.objects import Location, files_below, stored_bytes, there, whole_file
 from splitknit_match.batch.population import Population
@@ -61,7 +61,8 @@ class Store:
 
     def files(self, kind: str, name: str) -> list[Location]:
         """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
-        return chunk_files(self.folder / kind / name)
+        folder = self.folder / kind / name  # what is being written there begins with a dot
+        return [folder / one for one in files_below(folder) if one.endswith(SUFFIX) and not one.startswith(".")]
 
     def captures(self, case: str) -> set[str]:
         """Names of the captures that are finished in a case."""

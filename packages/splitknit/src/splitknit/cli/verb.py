@@ -17,7 +17,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn, get_args, get_origin
 
-from splitknit.settings import Limits
 from splitknit.verbs import SETTINGS, VERB, Field, fields_of, with_default
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
@@ -127,7 +126,8 @@ class Verb:
 def add_verb(verbs: Any, name: str, verb: Verb) -> None:
     """Add a verb: `name` is its last word."""
     names = options_of(verb)
-    does = with_options(_does(verb.job), names)  # one line of help, without a full stop
+    words = " ".join((verb.job.__doc__ or "").partition("\n\n")[0].split()).removesuffix(".")
+    does = with_options(words[0].lower() + words[1:] if words[1:2].islower() else words, names)  # one line of help
     parser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
     parser.add_argument("--traceback", action="store_true", help="show where an error came from")
@@ -159,12 +159,6 @@ def add_group(verbs: Any, name: str, words: str, objects: Mapping[str, str]) -> 
         add_verb(verbs, last or name, load(value))
 
 
-def _does(job: Any) -> str:
-    """The first sentence of a job's docstring as a verb's line of help, without a full stop."""
-    words = " ".join((job.__doc__ or "").partition("\n\n")[0].split()).removesuffix(".")
-    return words[0].lower() + words[1:] if words[1:2].islower() else words
-
-
 def options_of(verb: Verb) -> dict[str, str]:
     """The options of a verb by the names of its fields, as messages give them; positional ones by their metavar."""
     fields = list(every_field(verb))
@@ -188,16 +182,11 @@ def _option(field: Field) -> str:
     """How a field is written on the command line: its option, or a word for its place."""
     assert field.help is not None
     if field.help.positional:
-        return _metavar(field)
+        return field.help.metavar or field.name.upper()
     if field.help is SETTINGS:
         return "--set"
     negative = "no-" if field.default is True else ""
     return field.help.option or f"--{negative}{field.name.replace('_', '-')}"
-
-
-def _metavar(field: Field) -> str:
-    assert field.help is not None
-    return field.help.metavar or field.name.upper()
 
 
 def _add_fields(
@@ -269,7 +258,8 @@ def _reader(field: Field) -> Callable[[str], Any] | None:
         return field.kind if field.kind is not str else None
     kind, noun = field.kind, "a whole number" if field.kind is int else "a number"
     if rule is not None:
-        noun = "a positive number" if str(rule) == "positive" else f"{noun} {_range_words(rule)}"
+        span = "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
+        noun = "a positive number" if span == "positive" else f"{noun} {span}"
 
     def checked(text: str) -> Any:
         try:
@@ -286,10 +276,6 @@ def _reader(field: Field) -> Callable[[str], Any] | None:
         return value
 
     return checked
-
-
-def _range_words(rule: Limits) -> str:
-    return "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
 
 
 def job_of(part: Any, options: argparse.Namespace) -> Any:

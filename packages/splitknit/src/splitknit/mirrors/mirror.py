@@ -31,7 +31,6 @@ from splitknit.mirrors.fit import (
 from splitknit.mirrors.outline import (
     OutlineRows,
     finger_axis,
-    front_axis,
     is_cut,
     medial_line,
     pad_side,
@@ -254,7 +253,8 @@ def mirror_shape(
     """
     settings = settings or MirrorShapeSettings()
     require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")
-    axis, front = front_axis(views.front, rig.camera, views.binning, tip_direction_deg)
+    turn = np.deg2rad(tip_direction_deg)
+    axis, front = finger_axis(views.front, rig.camera, views.binning, np.array([-np.sin(turn), np.cos(turn)]))
     if settings.method == "thesis":
         return _by_thesis(views, rig, axis, front)
     seen = _seen_outlines(views, rig, axis, cut_too=cut_too)

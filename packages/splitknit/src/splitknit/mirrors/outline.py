@@ -104,12 +104,6 @@ def touching_planes(rows: OutlineRows, camera: Camera, sides: tuple[str, ...] = 
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
 
 
-def front_axis(mask: BoolArray, camera: Camera, binning: int, tip_direction_deg: float) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger in the front view's mask, and its outline; `tip_direction_deg` as of a capture."""
-    turn = np.deg2rad(tip_direction_deg)
-    return finger_axis(mask, camera, binning, np.array([-np.sin(turn), np.cos(turn)]))
-
-
 def medial_line(rows: OutlineRows) -> tuple[float, float]:
     """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles, by
     Tukey's biweight, over rows of full width, so that tip and base do not turn it. Source: the thesis, sections 3.3.1.1

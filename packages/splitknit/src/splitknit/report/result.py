@@ -368,11 +368,6 @@ FILES = (
 )
 
 
-def mesh_name(result: Reconstruction) -> str:
-    """File of the mesh."""
-    return "phalange.ply" if is_finger(result) else "surface.ply"
-
-
 def is_printed(result: Reconstruction) -> bool:
     """Whether there is a print of it: of a finger whose scale is known."""
     return result.unit.known and is_finger(result)
@@ -395,7 +390,10 @@ def write_files(
     """Write the files of :func:`write_results` into an existing folder."""
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
-    files = [mesh_name(result), *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
+    files = [
+        FILES[0] if is_finger(result) else "surface.ply",
+        *(name for name in FILES[1:] if name != "print.png" or is_printed(result)),
+    ]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
         jobs = [

@@ -17,6 +17,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.io.fields import Fields, as_number, inside, read_json
+from splitknit.io.plain import natural_order
 from splitknit.separation.stacks import check_shifts
 
 METHODS = ("checkerboard", "symmetry", "sinusoid", "occluder", "single")
@@ -157,12 +158,7 @@ def _by_names(folder: Path) -> dict[str, Any]:
 
 def _images_in(folder: Path) -> list[Path]:
     files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
-    return sorted(files, key=lambda file: (_in_order(file.stem), file.name))
-
-
-def _in_order(stem: str) -> list[tuple[int, int | str]]:
-    parts = re.split(r"(\d+)", stem)
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+    return sorted(files, key=lambda file: (natural_order(file.stem), file.name))
 
 
 def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:

@@ -82,8 +82,15 @@ class LightStack:
         return result[..., 0] if self.grey else result
 
     def separation(self, low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float) -> Separation:
-        """Direct and global light by :func:`from_extremes`, shaped."""
-        return Separation(*map(self.shaped, from_extremes(low, high, alpha, dark)))
+        """Direct and global light of the light recorded dark (`low`) and lit (`high`), shaped.
+
+        With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 -
+        dark)). S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
+        """
+        k = mean_brightness(alpha, dark)
+        lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
+        parts = (lit - unlit) / (1.0 - dark), (unlit - dark * lit) / (k * (1.0 - dark))
+        return Separation(*map(self.shaped, parts))
 
 
 def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
@@ -137,20 +144,6 @@ def check_fraction(value: float, name: str) -> float:
 def mean_brightness(alpha: float, dark: float) -> float:
     """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
     return check_fraction(alpha, "alpha") + check_fraction(dark, "dark") * (1.0 - float(alpha))
-
-
-def from_extremes(
-    low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Direct and global light of the light recorded dark (`low`) and lit (`high`), any shape.
-
-    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 - dark)).
-    S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
-    """
-    k = mean_brightness(alpha, dark)
-    lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
-    direct = (lit - unlit) / (1.0 - dark)
-    return direct, (unlit - dark * lit) / (k * (1.0 - dark))
 
 
 def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:

@@ -394,7 +394,8 @@ def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) 
     """
     require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
     require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")
-    name = f"{_ascii(entry.name)}{'' if step == 1 else f'-every-{step}'}.{kind}"
+    plain = "".join(one if one.isascii() and (one.isalnum() or one in "-_") else "-" for one in entry.name).strip("-")
+    name = f"{plain[-60:] or 'finger'}{'' if step == 1 else f'-every-{step}'}.{kind}"
     saved = {"Content-Disposition": f'attachment; filename="{name}"'}
     if kind == "ply" and step == 1:
         try:
@@ -417,8 +418,8 @@ def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) 
         return Reply(KINDS[kind], size, chunks, saved)
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
         comments = [f"{key} {value}" for key, value in facts.items()]
-        plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
-        write_ply(Path(folder) / name, vertices, normals, intensity, faces, plain)
+        comments = [text.encode("ascii", "replace").decode("ascii") for text in comments]
+        write_ply(Path(folder) / name, vertices, normals, intensity, faces, comments)
         return Reply.of_file(open_below(Path(folder), name), KINDS[kind], saved)  # open: it outlives its name
 
 
@@ -466,8 +467,3 @@ def _albedo(entry: CatalogueEntry, surface: ResultSurface) -> NDArray[np.uint8]:
     if (pixels.shape[0], pixels.shape[1]) != surface.size or pixels.dtype != np.uint8:
         return white
     return np.asarray(pixels[..., 0][surface.box], dtype=np.uint8)
-
-
-def _ascii(name: str) -> str:
-    kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "-" for letter in name)
-    return kept.strip("-")[-60:] or "finger"
