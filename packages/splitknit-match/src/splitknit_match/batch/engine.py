@@ -236,9 +236,7 @@ _FILE = ".lock"
 
 @contextmanager
 def alone(store: Path) -> Iterator[None]:
-    """Hold the store for this run; a killed run lets go. Raises BadInput if another run holds it, or the folder cannot
-    be written.
-    """
+    """Hold the store for this run, a killed one lets go; BadInput if another holds it, or it cannot be written."""
     try:
         stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
     except OSError as error:

@@ -64,9 +64,7 @@ class Cluster:
 
 @contextlib.contextmanager
 def connected(cluster: Cluster) -> Iterator[Any]:
-    """Connect to a cluster that has a worker; give the client. Raises BadInput if the cluster cannot be reached, the
-    certificates do not fit, or there is no worker.
-    """
+    """Give the client of a cluster that has a worker; BadInput if it cannot be reached, or certificates do not fit."""
     distributed = load("distributed", "cluster")
     security = _security(distributed, cluster)
     try:

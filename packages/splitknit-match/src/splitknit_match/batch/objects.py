@@ -160,9 +160,7 @@ class _Ranges(io.RawIOBase):
 
 @contextlib.contextmanager
 def whole_file(place: Location) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes `place`, as a whole, when the block ends without exception. Raises BadInput if
-    it cannot be written.
-    """
+    """Yield a binary file that becomes `place`, as a whole, when the block ends; BadInput if it cannot be written."""
     if isinstance(place, Path):
         with atomic_file(place) as stream:
             yield stream

@@ -105,9 +105,7 @@ class Store:
         return table
 
     def images(self, case: str, capture: str) -> FingerImages:
-        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them. Raises BadInput if
-        the store holds no surface of it.
-        """
+        """Channels of a capture for the thesis's matcher, as reconstruction gives them; BadInput without a surface."""
         place = stored_places(self.files("features", case)).get(capture)
         found = None if place is None else images_of(place)
         if found is None:

@@ -194,9 +194,7 @@ _MISSING = {
 
 
 def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> Fused:
-    """Fuse all systems. Raises BadInput if there is one system only, or as
-    :func:`splitknit_match.evaluation.fusion.fuse`.
-    """
+    """Fuse all systems; BadInput if there is one only, or as :func:`splitknit_match.evaluation.fusion.fuse`."""
     cure = "give several score files, or one with a column system."
     require(len(systems) >= 2, f"`fuse` needs two systems at least; {cure}")
     how: Mapping[str, Any] = (

@@ -45,9 +45,7 @@ class Skin:
 
     @staticmethod
     def of(heights_mm: FloatArray, grid: Grid, sight: Sight, origin_mm: Array) -> Skin:
-        """The surface with heights (h, w) on a grid in a view's frame, whose origin is moved to `origin_mm`; of a
-        perspective camera, heights along its rays.
-        """
+        """The surface of heights (h, w), in perspective along the rays, on a view's grid moved to `origin_mm`."""
         normals = grid.view.in_rig(normals_from_gradients(*height_gradients(heights_mm, grid.pitch_mm)))
         points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(np.float64) + origin_mm)
         return Skin(sight, origin_mm, grid, points, sight.turned(np.asarray(normals, dtype=np.float64)))

@@ -157,9 +157,7 @@ def _band(fields: Fields, folder: Path, rig: Rig, key: str) -> BandPlan:
 
 
 def _ambient_value(fields: Fields, own: float | None, images: list[float | None], key: str, default: float) -> float:
-    """Of the ambient image: its `own`, else what all images of the band have; the default where the document leaves it
-    out or has no ambient image; else unknown.
-    """
+    """The ambient image's `own`, else what all images of the band have, else unknown; the default if not stated."""
     if own is not None or None in images or not fields.has("ambient"):
         return default if own is None else own
     fault = f'needs its own {key}, as the images of the band differ in theirs; write {{"file": ..., "{key}": ...}}.'

@@ -201,9 +201,7 @@ _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE,
 
 
 def _jpeg_header(data: bytes, name: str) -> _ImageInfo:
-    """The frame's size of a JPEG file, all segments walked. BadInput if it ends early, has no frame or a kind that is
-    not supported, or claims more pixels than can be.
-    """
+    """Size of a JPEG file's frame, all segments walked; BadInput if it is damaged, cut short or of a kind not read."""
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: _ImageInfo | None = None
     finest, position, scans = 0.0, 2, 0

@@ -203,9 +203,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 
 def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
-    """A print (H, W) uint8 as uncompressed TIFF, the same bytes each time, `text` as JSON in its description. Raises
-    BadInput if image or resolution is of another kind.
-    """
+    """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of another kind."""
     array, description = _checked(image, ppi), canonical_json(dict(text)) if text else None
     return encode_tiff(array, description=description, resolution=(float(ppi), float(ppi)), resolutionunit="INCH")
 

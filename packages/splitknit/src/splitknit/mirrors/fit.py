@@ -94,9 +94,7 @@ class Estimate:
         return Estimate(replace(self.body, **changed), self.poses)
 
     def stepped(self, step: Array, parameters: _Parameters) -> Estimate:
-        """After a correction, of the splines' coefficients, then of `parameters`; beyond a limit it is shortened as a
-        whole, as lean and shift of a mirror belong together.
-        """
+        """After a correction of the splines' coefficients and `parameters`, shortened as a whole beyond a limit."""
         count = self.body.coefficients.size
         shared = [name for name, _ in parameters]
         sizes = [
@@ -442,9 +440,7 @@ def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, resi
 
 
 def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
-    """What one error of an edge does to the residuals (n, 4 of each view): even and linear along the finger, for both
-    edges.
-    """
+    """What one error of each edge does to the residuals (n, 4 a view): even, and linear along the finger."""
     body, ends = estimate.body, [0, *outlines.ends, None]
     planes = [part for part, _ in estimate.planes(outlines)]
     errors = np.zeros((sum(len(part.offset_mm) for part in planes), 4 * len(planes)))

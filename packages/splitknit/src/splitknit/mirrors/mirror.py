@@ -204,9 +204,7 @@ class MirrorShape:
         )
 
     def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x, y and z (h, w), mm, of the surface that a window's pixels of the front view see, in blocks of `binning`
-        pixels a side; NaN beside it.
-        """
+        """x, y, z (h, w), mm, of the surface seen by a window's pixels, in blocks of `binning`; NaN beside it."""
         x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
         return x, y, np.where(inside, z, np.float32(np.nan))
 

@@ -59,9 +59,7 @@ class OutlineRows:
         return OutlineRows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
 
     def places(self, side: str) -> tuple[Array, Array, Array]:
-        """Points of one side of the outline: `places_mm`, `along` it and `outward`, away from the finger, (m, 2) each
-        on the finger plane.
-        """
+        """Of one side: `places_mm` on the finger plane, `along` it and `outward`, off the finger, (m, 2) each."""
         edge = self.left_mm if side == "left" else self.right_mm
         row = np.flatnonzero(np.isfinite(edge))
         if row.size < 3:
@@ -148,9 +146,7 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger on the finger plane, towards its tip within about 75 deg of `hint` (2,), and its
-    outline across it.
-    """
+    """Direction (2,) of the finger towards its tip, within about 75 deg of `hint` (2,), and its outline across it."""
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)
     for _ in range(4):

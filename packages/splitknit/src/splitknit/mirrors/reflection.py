@@ -76,9 +76,7 @@ class Plane:
         return Plane(self.point_mm + shift_mm * normal, normal)
 
     def posed(self, turn_rad: float, lean_rad: float, shift_mm: float) -> Plane:
-        """The plane turned about z by `turn_rad`, leaned by `lean_rad` more towards lying flat, both about its point,
-        and shifted by `shift_mm` along its normal.
-        """
+        """The plane turned about z, leaned towards lying flat, both about its point, and shifted along its normal."""
         level = self.normal[:2] / np.hypot(*self.normal[:2])
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
         level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
@@ -144,9 +142,7 @@ EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirr
 
 
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
-    """Fraction (...) in [0, 1] of a light that skin at `points_mm` with `normals`, (..., 3), is not turned away from: a
-    finger is convex, so that it is its only obstacle.
-    """
+    """Fraction (...) of a light that skin (..., 3) faces: a finger, being convex, is the only obstacle."""
     if led.position_mm is None:
         towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
     else:
@@ -157,9 +153,7 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
 
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
-    """Fraction (...) in [0, 1] of an LED's `image` in a mirror that points (..., 3) before it see within its outline
-    `corners_mm` (K, 3), in order, convex.
-    """
+    """Fraction (...) of an LED's `image` that points (..., 3) see within a mirror's convex outline (K, 3)."""
     if image.position_mm is None:
         towards = np.broadcast_to(np.asarray(image.direction, dtype=np.float64), points_mm.shape)
     else:

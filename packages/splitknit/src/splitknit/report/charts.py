@@ -93,9 +93,7 @@ def profile_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, equal:
 
 
 def _begin(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]) -> tuple[list[str], _Points]:
-    """Begin a chart: parts of its SVG (title, legend, axes with their marks), and a function from values of x and y to
-    pixels (..., 2).
-    """
+    """Begin a chart: parts of its SVG, and a function from values of x and y to pixels (..., 2)."""
     rows, first = _legend_rows(legend), _TOP + 20 * bool(title)
     top = first + 18 * len(rows) + 12
     height += top - _TOP

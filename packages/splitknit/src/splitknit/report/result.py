@@ -390,16 +390,14 @@ def write_files(
     """Write the files of :func:`write_results` into an existing folder."""
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
-    files = [
-        FILES[0] if is_finger(result) else "surface.ply",
-        *(name for name in FILES[1:] if name != "print.png" or is_printed(result)),
-    ]
+    mesh = FILES[0] if is_finger(result) else "surface.ply"
+    files = [mesh, *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
         jobs = [
             pool.submit(write_normals, target / "normals.png", result, origin),
             pool.submit(write_arrays, target / "height.npz", result, origin),
-            pool.submit(write_mesh, target / files[0], result, origin),
+            pool.submit(write_mesh, target / mesh, result, origin),
             pool.submit(write_albedo, target / "albedo.png", result, origin),
             pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
         ]

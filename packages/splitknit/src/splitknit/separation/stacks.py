@@ -53,9 +53,7 @@ DEFAULTS = StackSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separation:
-    """Direct and global light, NaN outside the mask. Both are what the camera would record with the whole source lit,
-    so that they add up to that image.
-    """
+    """Direct and global light under the whole source, NaN outside the mask: together the image that it gives."""
 
     direct: FloatArray
     """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
@@ -170,9 +168,7 @@ def percent(fraction: float) -> str:
 def check_contrast(
     low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
 ) -> None:
-    """Refuse a stack in which too many bright pixels do not change, naming their fraction and the first's place.
-    `words`: what they have never been, and the remedy.
-    """
+    """Refuse a stack in which too many bright pixels do not change; `words`: what they never were, and the remedy."""
     dark, bright = low.max(axis=-1), high.max(axis=-1)
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
@@ -227,9 +223,7 @@ def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
 
 
 def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Mean square of each difference of two images, less their means (N, N); its largest covariance with itself, moved
-    (N, N); pixels: on rows spread over the image.
-    """
+    """Power and covariance, moved by a pixel or two, of the images' differences (N, N); number of pixels."""
     height, width = light.shape[1:3]
     rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, 60_000 // width))).astype(int))
     change = light.mean(axis=-1, dtype=np.float64)

@@ -166,9 +166,7 @@ def _holds_photographs(folder: Path) -> bool:
 
 
 def _find_results(root: Path) -> list[Path]:
-    """Return the results below `root`, links not followed, in the order of their names. Raises BadInput if there are
-    more than can be listed.
-    """
+    """The results below `root`, links not followed, by name; BadInput if there are more than can be listed."""
     found = []
     for folder, below, _ in os.walk(root, followlinks=False):
         here = Path(folder)

@@ -389,9 +389,7 @@ STEPS = (1, 2, 4, 8)
 
 
 def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) -> Reply:
-    """Make a file of every `step`-th value along rows and columns. Raises BadInput if the kind or the step is not
-    known, or the result lacks an array.
-    """
+    """Make a file of every `step`-th value; BadInput if kind or step is not known, or the result lacks an array."""
     require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
     require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")
     plain = "".join(one if one.isascii() and (one.isalnum() or one in "-_") else "-" for one in entry.name).strip("-")
