@@ -159,9 +159,8 @@ def run_batch(
         fault = f"'{one}' is known to this process alone; take `jobs` 1 and no cluster,"
         require(not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None), f"{fault} or another place.")
     into = folder / "csv" if csv is None else csv
-    tables = {
-        (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
-    }
+    every = [(case.name, name) for case in settings.cases for name in settings.matchers]
+    tables = {(case, name): into / f"{case}_{name}.csv" for case, name in every}
     with contextlib.ExitStack() as stack:
         stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
         for table in tables.values():
@@ -259,9 +258,8 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     solids = {matcher(name, settings.matching).source for name in settings.matchers} & set(SOLIDS)
     tasks = []
     for group, captures in sorted(groups.items()):
-        wanted = [
-            (case, tuple(capture.name for capture in captures if capture.name not in found)) for case, found in lacking
-        ]
+        names = [capture.name for capture in captures]
+        wanted = [(case, tuple(name for name in names if name not in found)) for case, found in lacking]
         missing = tuple((case, names) for case, names in wanted if names)
         if missing:
             named = {name for _, names in missing for name in names}

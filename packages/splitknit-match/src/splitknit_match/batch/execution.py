@@ -22,10 +22,8 @@ from splitknit_match.batch.chunks import load
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
-_KILLED = (
-    "a worker was killed, perhaps for want of memory; what is finished is kept: run the same again, with fewer jobs if "
-    "memory was short."
-)
+_KEPT = "what is finished is kept: run the same again, with fewer jobs if memory was short."
+_KILLED = f"a worker was killed, perhaps for want of memory; {_KEPT}"
 AHEAD = 3  # tasks that the scheduler is given for each thread of the cluster: one under way, two waiting
 PATIENCE_S = 30.0  # how long a cluster is waited for
 
@@ -151,9 +149,8 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
         # a worker that has grown is replaced; nothing is lost by that
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
-        pool = joblib.Parallel(
-            n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs"
-        )
+        shared: Any = {"return_as": "generator_unordered", "batch_size": 1, "pre_dispatch": "2*n_jobs"}
+        pool = joblib.Parallel(n_jobs=min(jobs, len(tasks)), **shared)
         results = pool(joblib.delayed(_in_worker)(work, task, os.getpid(), device) for task in tasks)
         try:
             yield from results
@@ -215,10 +212,9 @@ def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any
 
     def submit() -> list[Any]:
         room = AHEAD * max(sum(client.nthreads().values()), 1) - len(waiting)
-        new = [
-            client.submit(_in_cluster_worker, work, task, version, device, pure=False, retries=0)
-            for task in islice(rest, max(room, 0))
-        ]
+        begun = islice(rest, max(room, 0))
+        how: Any = {"pure": False, "retries": 0}
+        new = [client.submit(_in_cluster_worker, work, task, version, device, **how) for task in begun]
         waiting.update((future.key, future) for future in new)
         return new
 

@@ -74,9 +74,8 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
     ):
         place = PlannedCapture(subject, session, finger)
         if has(f"{place.folder}/capture.json"):
-            captures.append(
-                CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)
-            )
+            who = subject, f"{subject}/{finger}", str(session)
+            captures.append(CaptureRef(place.folder, *who, number, number // plan.sessions))
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
     return Population(folder, _hash(plan_folder), plan.total, tuple(captures))
 

@@ -35,11 +35,8 @@ class Case:
     def document(self) -> dict[str, Any]:
         """For the store: the preset, all settings, and their hash."""
         settings = asdict(self.settings())
-        return {
-            "preset": self.preset,
-            "settings_sha256": settings_hash({"preset": self.preset, "settings": settings}),
-            "settings": settings,
-        }
+        sha256 = settings_hash({"preset": self.preset, "settings": settings})
+        return {"preset": self.preset, "settings_sha256": sha256, "settings": settings}
 
 
 def preset_cases(names: tuple[str, ...] = ("metric", "snk", "pr", "ea")) -> tuple[Case, ...]:

@@ -95,9 +95,8 @@ class Store:
         BadInput if there are none, or a chunk is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
-        require(
-            len(files) > 0, f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
-        )
+        none = f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
+        require(len(files) > 0, none)
         table = _joined([read_chunk(file, None, score_schema(()).names) for file in files], ["a", "b"])
         fault = f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers"
         cure = "delete them and run the same again."

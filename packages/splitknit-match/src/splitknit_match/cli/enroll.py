@@ -104,18 +104,14 @@ class EnrollJob(Job):
     def _population(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
         from splitknit_match.batch.enrol import enroll_population
 
-        refuse_given(
-            self,
-            ("person", "finger", "session", "mask", "box"),
-            "does not go with `population`, whose folders have names.",
-        )
+        apart = ("person", "finger", "session", "mask", "box")
+        refuse_given(self, apart, "does not go with `population`, whose folders have names.")
         refuse_given(self, ("duplicates",), "goes with sources; people of a `population` are not compared.")
         require(not self.sources, "name sources or a `population`, not both.")
         assert self.population is not None
         workers = 1 if self.workers is None else self.workers
-        facts = enroll_population(
-            path(self.gallery), path(self.population), how, key=key, workers=workers, progress=progress
-        )
+        gallery, folder = path(self.gallery), path(self.population)
+        facts = enroll_population(gallery, folder, how, key=key, workers=workers, progress=progress)
         failed = facts["failures_to_acquire"]
         new = count(facts["new"], "capture")
         lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
@@ -147,6 +143,5 @@ def _words(one: EnrolledCapture, keep: str) -> str:
     notes = [one.note] if one.note else []
     if keep != "none" and one.images == "none":
         notes.append(f"a {one.kind} has no image to keep.")
-    return " ".join(
-        [f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}.", *(f"Please note: {n}" for n in notes)]
-    )
+    enrolled = f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}."
+    return " ".join([enrolled, *(f"Please note: {note}" for note in notes)])

@@ -186,9 +186,8 @@ class ImportGalleryJob(_OfGallery):
 
         facts = import_gallery(self.file, path(self.folder), key=self.key, replace=self.replace)
         known = facts["found"] - facts["new"]
-        return facts, [
-            f"{facts['new']} captures came in, {known} were there already; {facts['captures']} are in it now."
-        ]
+        came = f"{facts['new']} captures came in, {known} were there already"
+        return facts, [f"{came}; {facts['captures']} are in it now."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,9 +233,8 @@ class RepairJob(_OfGallery):
         with self.opened() as gallery:
             removed, captures = gallery.repair(), len(gallery)
         rows = f" (rows {', '.join(map(str, removed))})" if removed else ""
-        words = (
-            f"Took {count(len(removed), 'row')}{rows} out of {self.file}; {captures} others are accepted as they are."
-        )
+        took = f"Took {count(len(removed), 'row')}{rows} out of {self.file}"
+        words = f"{took}; {captures} others are accepted as they are."
         return {"gallery": str(self.file), "removed": removed, "captures": captures}, [words]
 
 

@@ -52,9 +52,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
 
 def _rolled_words(rolled: dict[str, Any]) -> str:
     steps = [seam["step_rms_um"] for seam in rolled["seams"].values() if seam["step_rms_um"] is not None]
-    words = (
-        f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger, from {len(rolled['views'])} views"
-    )
+    reach = f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger"
+    words = f"{reach}, from {len(rolled['views'])} views"
     return words + (f"; seams step by {max(steps):.1f} um at most (rms)." if steps else ".")
 
 

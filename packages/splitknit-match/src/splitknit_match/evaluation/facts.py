@@ -148,9 +148,8 @@ def notes_of(result: Result, *, variant: bool) -> list[str]:
     if variant:
         return notes
     if rates.auc(genuine, impostor) < 0.5:
-        notes.append(
-            f"{name}: genuine scores are lower than impostor ones; if they are distances, use `dissimilarity`."
-        )
+        cure = "if they are distances, use `dissimilarity`."
+        notes.append(f"{name}: genuine scores are lower than impostor ones; {cure}")
     notes += _width_note(result)
     drawn = result.intervals.drawn
     if drawn < 20:

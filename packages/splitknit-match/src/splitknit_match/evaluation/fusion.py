@@ -207,9 +207,8 @@ def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _Model:
         logarithms = []
         for side in (column[genuine], column[~genuine]):
             known = side[~np.isnan(side)]
-            require(
-                known.size > 0, f"system {k + 1} has only genuine or only impostor scores in the part to learn from."
-            )
+            one_kind = f"system {k + 1} has only genuine or only impostor scores in the part to learn from."
+            require(known.size > 0, one_kind)
             counts = np.histogram(known, _BINS, (low[k], high[k]))[0].astype(np.float64)
             middle = np.subtract(*np.percentile(known, [75, 25])) / 1.34
             spread = min(float(known.std()), float(middle) or np.inf)

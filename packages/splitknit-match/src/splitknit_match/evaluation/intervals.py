@@ -184,17 +184,13 @@ def bootstrap(
     values = _figure_values(scores, settings.targets)
     layout = _Layout(settings.targets, _curve(scores, settings))
     cells = _make_cells(scores.genuine, scores.impostor)
-    units = (
-        _plain_units(cells.genuine, cells.impostor, cells.count + 1) if method == "plain" else _clusters(scores, method)
-    )
+    of_plain = method == "plain"
+    units = _plain_units(cells.genuine, cells.impostor, cells.count + 1) if of_plain else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
     possible = _bounds(scores, method, settings.targets)
     lows, highs = _limits(rows, CONFIDENCE)
-    figures = {
-        name: _holding(values[name], lows[k], highs[k], possible.get(name, ()))
-        for k, name in enumerate(layout.names)
-        if name in values
-    }
+    there = [(k, name) for k, name in enumerate(layout.names) if name in values]
+    figures = {name: _holding(values[name], lows[k], highs[k], possible.get(name, ())) for k, name in there}
     band = slice(len(layout.names) - len(layout.curve), None)
     return Intervals(method, units.clusters, figures, np.array(layout.curve), lows[band], highs[band])
 
@@ -322,10 +318,8 @@ def _figures_of(cells: _Cells, genuine: Row, impostor: Row, layout: _Layout) -> 
         k = np.searchsorted(accepted_i, np.array(fars) * total_i * (1 + SLACK), side="right") - 1
         return [float(value) for value in accepted_g[k] / total_g]
 
-    eers = [
-        _equal_error(accepted_g / total_g, accepted_i / total_i, cells.crowded)
-        for total_g, total_i in ((all_g, all_i), (made_g, made_i))
-    ]
+    totals = (all_g, all_i), (made_g, made_i)
+    eers = [_equal_error(accepted_g / total_g, accepted_i / total_i, cells.crowded) for total_g, total_i in totals]
     area = _dot(g, made_i - accepted_i[1:] + 0.5 * i) / (made_g * made_i)
     of_all, of_made = gars(layout.targets, all_g, all_i), gars(layout.targets, made_g, made_i)
     d_prime = _d_prime(cells, g / made_g, i / made_i)
@@ -434,10 +428,8 @@ def _cell_weights(
 ) -> Iterator[list[tuple[Weights, Weights]]]:
     """Draw the same replicates for all systems: weights (count + 1, R) of the cells (last: failures), both sides."""
     generator = np.random.default_rng(seed)
-    gather = [
-        (_sums(cells.genuine, units.genuine, cells.count + 1), _sums(cells.impostor, units.impostor, cells.count + 1))
-        for cells in systems
-    ]
+    sides = [((one.genuine, units.genuine), (one.impostor, units.impostor), one.count + 1) for one in systems]
+    gather = [(_sums(*genuine, count), _sums(*impostor, count)) for genuine, impostor, count in sides]
     size = min(units.batch(), max(1, BATCH // (max(cells.count for cells in systems) + 1)))
     for start in range(0, replicates, size):
         genuine, impostor = units.draw(generator, min(size, replicates - start))

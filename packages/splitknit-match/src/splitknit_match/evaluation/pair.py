@@ -160,9 +160,8 @@ def compare_results(
         notes.append(f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both.")
     if fit == "rigid" and left > 0.012:
         notes.append(f"Patches of skin have shifted by {1e3 * left:.0f} um; compare with the elastic fit as well.")
-    return PairComparison(
-        fit, similarity, scale, rotation, shift, left, figures, shown[0] - shown[1], shown, one.step, tuple(notes)
-    )
+    relief = shown[0] - shown[1], shown
+    return PairComparison(fit, similarity, scale, rotation, shift, left, figures, *relief, one.step, tuple(notes))
 
 
 class _Side:
@@ -406,10 +405,8 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
             on = _inside(first_on, place) & second_on
             more = _shifts((_sampled(first, first_on, place), second), on, b.step)
         moved = [down + more[0], right + more[1]]
-        shift = [
-            one + ndimage.map_coordinates(old, moved, order=1, mode="nearest")
-            for old, one in zip(shift, more, strict=True)
-        ]
+        there = (ndimage.map_coordinates(old, moved, order=1, mode="nearest") for old in shift)
+        shift = [one + old for old, one in zip(there, more, strict=True)]
     place = placed(shift)
     valid = _inside(first_on, place) & second_on
     angle = ndimage.map_coordinates(slant, place, order=1, mode="nearest")

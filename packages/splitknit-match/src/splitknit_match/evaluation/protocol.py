@@ -78,9 +78,8 @@ def scores_of_comparisons(
 
     def ids(of_captures: Sequence[Any]) -> Ids:
         names, codes = np.unique(np.asarray(of_captures).astype(str), return_inverse=True)
-        return Ids(
-            np.stack([codes[pairs.a], codes[pairs.b]], axis=1).astype(np.int64), tuple(str(one) for one in names)
-        )
+        both = np.stack([codes[pairs.a], codes[pairs.b]], axis=1).astype(np.int64)
+        return Ids(both, tuple(str(one) for one in names))
 
     return Scores(
         pairs.genuine,

@@ -114,10 +114,8 @@ def _codes(*columns: _Names) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Codes (N, columns) in one list of names, which are in order, numbers by their size."""
     names = sorted({name for column in columns for name in column.places}, key=_order)
     place = {name: k for k, name in enumerate(names)}
-    codes = [
-        np.array([place[name] for name in column.places], dtype=np.int64)[np.array(column.codes, dtype=np.int64)]
-        for column in columns
-    ]
+    ways = [np.array([place[name] for name in column.places], dtype=np.int64) for column in columns]
+    codes = [way[np.array(column.codes, dtype=np.int64)] for way, column in zip(ways, columns, strict=True)]
     return np.stack(codes, axis=1), tuple(names)
 
 

@@ -78,9 +78,8 @@ class Scores:
         fault = f"{self.name}: labels and scores must be of one length,"
         require(good, f"{fault} but they are {self.label.shape} and {self.score.shape}.")
         require(self.label.dtype == np.bool_, f"{self.name}: labels must be boolean, true where genuine.")
-        require(
-            not bool(np.isinf(self.score).any()), f"{self.name}: scores must be finite, or NaN where there is none."
-        )
+        finite = not bool(np.isinf(self.score).any())
+        require(finite, f"{self.name}: scores must be finite, or NaN where there is none.")
         for ids in (self.finger, self.subject, self.session):
             require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
         for words, label in (("genuine (label 1)", True), ("impostor (label 0)", False)):
@@ -103,9 +102,8 @@ class Scores:
 
     def taken(self, index: Any, name: str | None = None) -> Scores:
         """Some of the comparisons, by a mask or by their places."""
-        finger, subject, session = (
-            None if ids is None else ids.taken(index) for ids in (self.finger, self.subject, self.session)
-        )
+        every = (self.finger, self.subject, self.session)
+        finger, subject, session = (None if ids is None else ids.taken(index) for ids in every)
         return Scores(self.label[index], self.score[index], finger, subject, session, name or self.name)
 
 

@@ -197,9 +197,8 @@ def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> Fused:
     """Fuse all systems; BadInput if there is one only, or as :func:`splitknit_match.evaluation.fusion.fuse`."""
     cure = "give several score files, or one with a column system."
     require(len(systems) >= 2, f"`fuse` needs two systems at least; {cure}")
-    how: Mapping[str, Any] = (
-        {"method": "linear", "normalisation": "minmax"} if method == "minmax" else {"method": method}
-    )
+    minmax = {"method": "linear", "normalisation": "minmax"}
+    how: Mapping[str, Any] = minmax if method == "minmax" else {"method": method}
     return fuse(systems, FusionSettings(**how, seed=seed), name=f"fused, {method}")
 
 
@@ -212,9 +211,8 @@ def _notes(fused: Fused, method: str) -> list[str]:
         f"normalised scores: {fractions}."
     ]
     if fused.by == "finger":
-        notes.append(
-            "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
-        )
+        learned = "fusion may have learned from other fingers of who it was tested on."
+        notes.append(f"Subjects are not named, so that {learned}")
     if any(fused.missing):
         counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
         notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {_MISSING[method]}.")

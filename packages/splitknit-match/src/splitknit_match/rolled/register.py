@@ -23,9 +23,8 @@ def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArr
     weight = known.astype(np.float32)
     filled = np.where(known, relief, np.float32(0.0)).astype(np.float32)
     sigma = 0.32 / pitch_mm  # mm: the ridge band of this package
-    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / np.maximum(
-        cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3)
-    )
+    fraction = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3))
+    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / fraction
     return np.where(known, filled - mean, np.float32(0.0)).astype(np.float32)
 
 
@@ -162,14 +161,12 @@ class _Part:
         by_depth = self.spread @ depths
         moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
         column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
-        seen, across, down = (
-            scipy.ndimage.map_coordinates(f, [row, column], order=1).astype(np.float64) for f in self.fields
-        )
+        found = (scipy.ndimage.map_coordinates(one, [row, column], order=1) for one in self.fields)
+        seen, across, down = (one.astype(np.float64) for one in found)
         score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
-        matrix: Any = scipy.sparse.hstack(
-            [scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread, scipy.sparse.csr_array(jacobian[:, 1:])]
-        ).tocsr()
+        by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
+        matrix: Any = scipy.sparse.hstack([by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]).tocsr()
         return matrix, self.target - seen, score
 
 
@@ -180,9 +177,8 @@ def _ridge_moves(
     points = chart.points(radius_mm)
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    (of_front, _), (of_mirror, by_pose) = (
-        _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
-    )
+    by_view = (_shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights)
+    (of_front, _), (of_mirror, by_pose) = by_view
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
 
@@ -233,9 +229,8 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
     near = scipy.sparse.diags_array(1.0 / deviation_mm.ravel() ** 2)
     spreads = np.array(POSE_PRIOR) if pose_free else np.full(3, 1e-9)
-    return scipy.sparse.block_diag(
-        [smooth + near, scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))]
-    ).tocsr()
+    of_poses = scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))
+    return scipy.sparse.block_diag([smooth + near, of_poses]).tocsr()
 
 
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
@@ -344,9 +339,8 @@ def search(
     best = score(modes @ at.astype(np.float32), slice(None))
     if best < MIN_CORRELATION:
         return _ViewMatch(nothing.radius_mm, nothing.pose, best)
-    there = (
-        (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)
-    )
+    angle = chart.angle_rad
+    there = (np.sign(angle) == side) * np.sin(2 * angle) ** 2 * (np.abs(angle) < np.pi / 2)
     rising = (chart.length_mm - float(chart.length_mm[rows].mean())) / 10.0
     rising = np.clip(rising, float(along.min()), float(along.max()))
     further = (np.abs(chart.angle_rad) - np.pi / 4) / np.deg2rad(20.0)

@@ -191,9 +191,8 @@ def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
             residuals.append(-residual * weight)
         move = np.linalg.lstsq(np.hstack(jacobian).T, np.concatenate(residuals), rcond=None)[0]
         rotation = _turned(*move[:3])
-        found = replace(
-            found, rotation=rotation @ found.rotation, shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:]
-        )
+        shift = rotation @ (found.shift_mm - middle) + middle + move[3:]
+        found = replace(found, rotation=rotation @ found.rotation, shift_mm=shift)
         if np.abs(move).max() < _STILL:
             break
     return found

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
 DONE, INTERNAL_ERROR, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-ANSWERS = {
-    **{"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12},
-    **{"live": DONE, "attack": 10, "unknown": 11},
-}
+_MATCHED = {"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12}
+ANSWERS = {**_MATCHED, "live": DONE, "attack": 10, "unknown": 11}
 """How a verb with ``--exit-code`` ends, by the ``answer`` among its facts."""
 _INTERRUPTED = "splitknit: interrupted; nothing was left half-written."
 _interrupts: list[int] = []

@@ -131,11 +131,8 @@ def add_verb(verbs: Any, name: str, verb: Verb) -> None:
     parser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
     parser.add_argument("--traceback", action="store_true", help="show where an error came from")
-    parser.add_argument(
-        "--group-readable",
-        action="store_true",
-        help="let your group read what is written (0640, 0750); by default only you can (0600, 0700)",
-    )
+    private = "let your group read what is written (0640, 0750); by default only you can (0600, 0700)"
+    parser.add_argument("--group-readable", action="store_true", help=private)
     places: dict[str, Any] = {}
     for part in (verb.job, verb.also):
         if part is not None:
@@ -223,9 +220,8 @@ def _add_option(place: Any, field: Field, names: Mapping[str, str]) -> None:
     given: dict[str, Any] = {"help": with_options(with_default(field), names).replace("%", "%%")}
     needed = field.default is MISSING
     if field.kind is bool:
-        place.add_argument(
-            _option(field), *words.also, dest=field.name, action=f"store_{str(not field.default).lower()}", **given
-        )
+        given["action"] = f"store_{str(not field.default).lower()}"
+        place.add_argument(_option(field), *words.also, dest=field.name, **given)
         return
     given["default"] = None if needed or field.many else field.default
     given["type"] = _reader(field)
@@ -237,11 +233,8 @@ def _add_option(place: Any, field: Field, names: Mapping[str, str]) -> None:
     if pair:
         given |= {"nargs": len(get_args(field.kind)), "type": get_args(field.kind)[0]}
     if words.positional:
-        given["nargs"] = (
-            words.nargs
-            or {(True, True): "+", (True, False): "*"}.get((field.many, needed))
-            or (None if needed else "?")
-        )
+        usual = ("+" if needed else "*") if field.many else (None if needed else "?")
+        given["nargs"] = words.nargs or usual
         place.add_argument(field.name, **given)
         return
     if words.alone:

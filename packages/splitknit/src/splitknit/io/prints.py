@@ -130,9 +130,8 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
     require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
-    return PrintFile(
-        square, ppi, text, note=f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
-    )
+    note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
+    return PrintFile(square, ppi, text, note=note)
 
 
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:

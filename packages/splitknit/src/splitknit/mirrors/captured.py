@@ -60,9 +60,8 @@ def mirror_shape_of(
         shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
-        finer = crossover(
-            np.where(inside, detail_mm, np.float32(0)), shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside
-        )
+        from_light = np.where(inside, detail_mm, np.float32(0))
+        finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
     kept[window] &= known
@@ -117,11 +116,8 @@ def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray
 
 def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Views:
     """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
-    mask = replace(
-        mask,
-        fine_px_per_mm=min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
-        coarse_px_per_mm=min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
-    )
+    fine, coarse = min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM), min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM)
+    mask = replace(mask, fine_px_per_mm=fine, coarse_px_per_mm=coarse)
     return find_views(
         mean,
         rig,

@@ -97,9 +97,8 @@ class Estimate:
         """After a correction of the splines' coefficients and `parameters`, shortened as a whole beyond a limit."""
         count = self.body.coefficients.size
         shared = [name for name, _ in parameters]
-        sizes = [
-            abs(float(by)) / _MAX_STEP[name.partition(" ")[0]] for name, by in zip(shared, step[count:], strict=True)
-        ]
+        most = [_MAX_STEP[name.partition(" ")[0]] for name in shared]
+        sizes = [abs(float(by)) / one for one, by in zip(most, step[count:], strict=True)]
         step = step / max(1.0, *sizes)
         estimate = Estimate(self.body.grown(step[:count]), self.poses)
         for name, by in zip(shared, step[count:], strict=True):
@@ -142,10 +141,8 @@ class Fit:
     @property
     def rms_mm(self) -> dict[str, float]:
         """Weighted root mean square of each view's misfit."""
-        return {
-            name: float(np.sqrt(np.sum(weight * self.misfit_mm[name] ** 2) / max(float(weight.sum()), 1e-9)))
-            for name, weight in self.weights.items()
-        }
+        squares = {name: float(np.sum(one * self.misfit_mm[name] ** 2)) for name, one in self.weights.items()}
+        return {name: float(np.sqrt(squares[name] / max(float(one.sum()), 1e-9))) for name, one in self.weights.items()}
 
 
 def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array]:
@@ -468,11 +465,8 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:
         w = body.fraction(u)
         s = np.sqrt(w)
         along, root = basis(w, count), basis(s, count)
-        rows.append(
-            np.column_stack(
-                [normal[:, :1] * along, normal[:, 2:] * along, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]
-            )
-        )
+        by_centre = normal[:, :1] * along, normal[:, 2:] * along
+        rows.append(np.column_stack([*by_centre, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]))
         residuals.append(residual)
     return np.concatenate(residuals), np.concatenate(rows)
 

@@ -59,10 +59,8 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: Plane, axis: Ar
     reason. The line that joins a point with its mirror image touches both outlines at the tip (a frontier point).
     """
     across = np.array([axis[1], -axis[0]])
-    front, side = (
-        rows_of(mask, camera, views.binning, across, trust_ends=True).places("left")[0]
-        for mask in (views.front, views.mirrors[name])
-    )
+    both = (rows_of(one, camera, views.binning, across, trust_ends=True) for one in (views.front, views.mirrors[name]))
+    front, side = (rows.places("left")[0] for rows in both)
 
     def apart(turn: float) -> float:
         moved = plane.posed(turn, 0.0, 0.0)

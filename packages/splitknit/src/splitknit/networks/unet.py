@@ -261,9 +261,8 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape
     stride = network.card.stride
-    tiles = _plan_tiles(
-        (height + -height % stride, width + -width % stride), tile, reach=network.card.reach, stride=stride
-    )
+    padded = (height + -height % stride, width + -width % stride)
+    tiles = _plan_tiles(padded, tile, reach=network.card.reach, stride=stride)
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
     for k, (source, inner, target) in product(range(count), tiles):

@@ -212,10 +212,8 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     step = (width - 20) / steps
     parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
     for k, (r, g, b) in enumerate(shades):
-        parts.append(
-            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
-            'shape-rendering="crispEdges"/>'
-        )
+        place = f'x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10"'
+        parts.append(f'<rect {place} fill="rgb({r},{g},{b})" shape-rendering="crispEdges"/>')
     parts.append(_text(10, 25, f"{low:.3g}", "start"))
     parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
     parts.append(_text(width - 10, 25, f"{high:.3g}", "end"))
@@ -246,10 +244,8 @@ def _segment(start: Iterable[float], end: Iterable[float], paint: str, dash: str
     """A straight line between two points (x, y)."""
     (x1, y1), (x2, y2) = start, end
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return (
-        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{paint}" '
-        f'stroke-width="{width:g}"{dashes}/>'
-    )
+    line = f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
+    return f'{line} stroke="{paint}" stroke-width="{width:g}"{dashes}/>'
 
 
 def _written(points: Values) -> str:

@@ -368,10 +368,8 @@ def _turn(
     """Rotate about the middle into a finer frame that holds all of it; NaN and no paint outside."""
     (rows, columns), zoom = weight.shape, _SUPERSAMPLING
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    size = (
-        int(zoom * (abs(cos) * columns + abs(sin) * rows)) + 1,
-        int(zoom * (abs(sin) * columns + abs(cos) * rows)) + 1,
-    )
+    cover = abs(cos) * columns + abs(sin) * rows, abs(sin) * columns + abs(cos) * rows
+    size = (int(zoom * cover[0]) + 1, int(zoom * cover[1]) + 1)
     linear = np.array([[cos, -sin], [sin, cos]]) / zoom
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     matrix = np.column_stack([linear, middle - linear @ ((np.array(size) - 1) / 2)])

@@ -37,9 +37,8 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
         from matplotlib import pyplot  # with axes of the caller's, which may have no pyplot
 
         width, height = _PANEL_INCHES
-        figure, rows = pyplot.subplots(
-            1, len(names), figsize=(width * len(names), height), squeeze=False, layout="constrained"
-        )
+        inches = (width * len(names), height)
+        figure, rows = pyplot.subplots(1, len(names), figsize=inches, squeeze=False, layout="constrained")
         figure.suptitle(f"preset {result.preset}", fontsize="medium") if result.preset else None
         axes = rows[0]
     else:

@@ -228,18 +228,15 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
         upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
         upright[int(along)] += steps
         column, row = (result.input_from_upright @ upright)[:2].astype(np.float32)
-        values = cv2.remap(
-            field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
-        )
+        beyond: Any = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (np.nan,)}
+        values = cv2.remap(field, column[None], row[None], cv2.INTER_LINEAR, **beyond)
         return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
 
     charted = []
     for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
         fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
-        lines = _lines(
-            {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields},
-            unit.per_mm,
-        )
+        cuts = {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
+        lines = _lines(cuts, unit.per_mm)
         if lines:
             chart = charts.profile_chart(lines, f"{unit.name} from the middle", f"height, {unit.name}", equal=True)
             caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
@@ -270,11 +267,11 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
-    return [
-        {"name": _label(name), "rows": [(_label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
-        for name, rows in groups
-        if rows
-    ]
+
+    def row(key: str, value: Any) -> tuple[str, str | Markup, str]:
+        return _label(key), _shown(value), EXPLAINED.get(key, "")
+
+    return [{"name": _label(name), "rows": [row(*one) for one in rows]} for name, rows in groups if rows]
 
 
 def _shown(value: Any) -> str | Markup:
@@ -355,17 +352,8 @@ def _label(name: str) -> str:
 
 
 PRINT_PPI = 500.0
-FILES = (
-    "phalange.ply",
-    "height.tiff",
-    "height.npz",
-    "normals.png",
-    "albedo.png",
-    "print.png",
-    "preview.png",
-    "report.html",
-    "report.json",
-)
+_FIELDS = ("phalange.ply", "height.tiff", "height.npz", "normals.png", "albedo.png")
+FILES = (*_FIELDS, "print.png", "preview.png", "report.html", "report.json")
 
 
 def is_printed(result: Reconstruction) -> bool:

@@ -276,9 +276,8 @@ def _envelopes(light: FloatArray, check_px: float) -> tuple[FloatArray, FloatArr
     window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1))
     rim = 2 * reach  # within it windows would leave the image; it takes the values of the nearest pixel inside
     size = light.shape[:2]
-    require(
-        min(size) > 2 * rim, f"the image must be larger than {2 * rim} pixels a side for checks of {check_px:g} pixels."
-    )
+    small = f"the image must be larger than {2 * rim} pixels a side for checks of {check_px:g} pixels."
+    require(min(size) > 2 * rim, small)
     low, high = np.empty_like(light), np.empty_like(light)
     for c in range(light.shape[-1]):
         plane = np.ascontiguousarray(light[..., c])
@@ -294,9 +293,8 @@ def _by_state(
     """Light of the dark and of the lit state in each block (h, w, C), by least squares over its pixels."""
     fault = f"pattern must have the shape {light.shape[:2]} of the image,"
     require(pattern.shape == light.shape[:2], f"{fault} but it has {pattern.shape}.")
-    require(
-        float(pattern.min()) >= 0 and float(pattern.max()) <= 1, "pattern must hold states from 0 (dark) to 1 (lit)."
-    )
+    states = "pattern must hold states from 0 (dark) to 1 (lit)."
+    require(float(pattern.min()) >= 0 and float(pattern.max()) <= 1, states)
     used = ((pattern <= EDGE) | (pattern >= 1 - EDGE)).astype(np.float64)
     number = _block_mean(used[..., None], block)
     s = (dark + (1 - dark) * pattern.astype(np.float64))[..., None]

@@ -143,9 +143,8 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
         return sinusoid(light.stack, _phases(plan), dark=plan.dark, noise_std=plan.noise_std, **common)
     if plan.method == "occluder":
         kind = plan.kind or ("line" if plan.alpha is None else "mesh")
-        return occluder(
-            light.stack, kind, alpha=plan.alpha, shadow_percent=plan.shadow_percent, patterns=patterns, **common
-        )
+        share = plan.shadow_percent
+        return occluder(light.stack, kind, alpha=plan.alpha, shadow_percent=share, patterns=patterns, **common)
     require(plan.patterns != ESTIMATE, "method single needs the pattern's image or check_px, not 'estimate'.")
     require(light.mask is None, "method single takes no mask; cut the image instead.")
     return single_image(
@@ -163,9 +162,8 @@ def _phases(plan: PatternFolder) -> NDArray[np.float64] | None:
     if plan.shifts is None:
         return None
     require(plan.period is not None and plan.period > 0, "a sinusoid's shifts need its period, in the same units.")
-    require(
-        all(len(row) == 1 for row in plan.shifts), "a sinusoid's shifts are single numbers, along its one direction."
-    )
+    single = "a sinusoid's shifts are single numbers, along its one direction."
+    require(all(len(row) == 1 for row in plan.shifts), single)
     return np.asarray(2 * np.pi * np.array([row[0] for row in plan.shifts]) / float(plan.period or 1.0))
 
 
@@ -203,10 +201,8 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
     negative = float((global_ < 0).mean())
     warnings = []
     if negative > 0.05:
-        warnings.append(
-            f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black "
-            f"image."
-        )
+        dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
+        warnings.append(f"{dark}: check alpha, dark and the black image.")
     if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
         warnings.append(
             "global light was taken to be the same under all shifts; on skin it is not, and direct light comes out a "

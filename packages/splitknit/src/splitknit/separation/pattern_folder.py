@@ -51,9 +51,8 @@ class PatternFolder:
 
     def __post_init__(self) -> None:
         require(self.method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")
-        require(
-            self.encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
-        )
+        other = f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
+        require(self.encoding in ("linear", "srgb"), other)
         require(len(self.images) > 0, "there are no images.")
         if self.method == "single":
             require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
@@ -129,11 +128,9 @@ def _read_document(folder: Path) -> dict[str, Any]:
         found["block"] = int(block)
     if given.has("patterns"):
         value = given.get("patterns")
-        found["patterns"] = (
-            ESTIMATE
-            if value == ESTIMATE
-            else tuple(inside(folder, item, name, "patterns") for item in given.items("patterns"))
-        )
+        files = () if value == ESTIMATE else given.items("patterns")
+        states = tuple(inside(folder, item, name, "patterns") for item in files)
+        found["patterns"] = ESTIMATE if value == ESTIMATE else states
     if given.has("shifts"):
         found["shifts"] = _shifts(given)
     return found

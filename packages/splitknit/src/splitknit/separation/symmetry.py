@@ -140,10 +140,8 @@ def _check_white(white: Any, found: FloatArray, images: LightStack) -> FloatArra
 def _check_neighbours(light: FloatArray, total: FloatArray, dark: float, images: LightStack) -> None:
     """Refuse responses that do not go on from phase to phase: their correlation is 1 - 2 / n under an ideal pattern."""
     step = max(1, light.shape[1] // 128)
-    grey = [
-        part.mean(axis=-1, keepdims=True, dtype=np.float32) * images.mask[::step, :, None]
-        for part in (*light[:, ::step], total[::step])
-    ]
+    inside, every = images.mask[::step, :, None], (*light[:, ::step], total[::step])
+    grey = [part.mean(axis=-1, keepdims=True, dtype=np.float32) * inside for part in every]
     found = _responses(np.stack(grey[:-1]), grey[-1], dark)
     power = float(np.mean(np.square(found, dtype=np.float64)))
     for axis in (0, 1):

@@ -142,9 +142,8 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
             require(_is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
         folders, names = roots, _distinct_names(roots)
         chosen = tuple(str(k) for k in range(len(roots)))
-    entries = tuple(
-        _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
-    )
+    named = enumerate(zip(names, folders, strict=True))
+    entries = tuple(_entry(str(k), name, folder, capture) for k, (name, folder) in named)
     if capture is not None:
         fault = f"'{capture}' is not the capture that this was made from"
         cure = "no capture.json in it has the hash that the result's report.json states."

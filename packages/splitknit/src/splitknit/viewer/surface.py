@@ -365,10 +365,8 @@ def _shown(surface: ResultSurface, place: _Values, exaggeration: float) -> _Valu
     if exaggeration == 1.0:
         return height
     step = np.array([[1.0], [0.0]])
-    slopes = [
-        (sample(surface.height_mm, place + d) - sample(surface.height_mm, place - d)) / (2 * surface.pitch_mm)
-        for d in (step, step[::-1])
-    ]
+    z, sides = surface.height_mm, (step, step[::-1])
+    slopes = [(sample(z, place + d) - sample(z, place - d)) / (2 * surface.pitch_mm) for d in sides]
     facing = 1.0 / (1.0 + np.nan_to_num(slopes[0]) ** 2 + np.nan_to_num(slopes[1]) ** 2)
     fade = np.clip(2.0 * facing, 0.0, 1.0)
     return np.asarray(height + (exaggeration - 1.0) * fade * sample(surface.ridge_mm, place))
@@ -400,9 +398,8 @@ def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) 
             return Reply.of_file(open_below(entry.folder, _mesh(entry)), KINDS[kind], saved)
         except BadInput:
             pass  # made anew below
-    vertices, faces, index = surface_mesh(
-        surface.x_mm[::step, ::step], surface.y_mm[::step, ::step], surface.height_mm[::step, ::step]
-    )
+    points = (field[::step, ::step] for field in (surface.x_mm, surface.y_mm, surface.height_mm))
+    vertices, faces, index = surface_mesh(*points)
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
