@@ -38,15 +38,9 @@ def write_chunk(path: Location, columns: Mapping[str, Sequence[Any]], schema: An
     described = schema.with_metadata({_KEY: canonical_json(origin).encode("ascii")})
     table = pa.table({name: pa.array(columns[name], type=schema.field(name).type) for name in schema.names}, described)
     with whole_file(path) as stream:
-        pq.write_table(
-            table,
-            stream,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=[name for name in schema.names if pa.types.is_string(schema.field(name).type)],
-            write_statistics=False,
-            store_schema=True,
-        )
+        texts = [name for name in schema.names if pa.types.is_string(schema.field(name).type)]
+        packed: dict[str, Any] = {"compression": "zstd", "compression_level": 1, "use_dictionary": texts}
+        pq.write_table(table, stream, **packed, write_statistics=False, store_schema=True)
 
 
 def column_type(name: str) -> Any:

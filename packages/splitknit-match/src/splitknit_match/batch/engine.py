@@ -288,11 +288,8 @@ def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
     """Chunks of features beside which there is none of `kind`."""
     there = {file.stem for file in run.store.files(kind, case.name)}
     place, matching = _anywhere(run.population.folder), run.settings.matching
-    return [
-        ExtractionTask(run.store.folder, place, case, file.stem, kind, matching)
-        for file in run.store.files("features", case.name)
-        if file.stem not in there
-    ]
+    files = [file for file in run.store.files("features", case.name) if file.stem not in there]
+    return [ExtractionTask(run.store.folder, place, case, file.stem, kind, matching) for file in files]
 
 
 def _score_tasks(

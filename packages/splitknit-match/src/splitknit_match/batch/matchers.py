@@ -101,12 +101,9 @@ def _by_thesis(settings: ThesisSettings) -> Matcher:
         images, features = a
         found = thesis_match(images, b, every, features)
         chosen = [found.dissimilarity[name] for name in settings.attributes]
-        return {
-            "similarity": 1.0 - sum(chosen) / len(chosen),
-            "ratio": found.ratio,
-            "shift_px": float(found.shift_px),
-            **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
-        }
+        dissimilarity = {f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()}
+        similarity = 1.0 - sum(chosen) / len(chosen)
+        return {"similarity": similarity, "ratio": found.ratio, "shift_px": float(found.shift_px), **dissimilarity}
 
     document = {"thesis": every, "similarity_of": list(settings.attributes)}
     return Matcher("thesis", columns, "features", Blocks(128, 16), document, ready, images_of, compare)

@@ -113,11 +113,8 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     """Every finger of a session with every finger of every later one; of different fingers a fraction only, drawn by
     pairs of fingers, all sessions of a pair together. Raises BadInput if the captures are of one session.
     """
-    return comparisons(
-        [one.finger for one in captures],
-        [one.session for one in captures],
-        None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors,
-    )
+    drawn = None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors
+    return comparisons([one.finger for one in captures], [one.session for one in captures], drawn)
 
 
 def draw(a: str, b: str, seed: int) -> float:

@@ -79,10 +79,9 @@ class EnrollJob(Job):
         enrol = self._sources if self.population is None else self._population
         facts, lines = enrol(how, key, progress)
         locked = ", encrypted" if facts["encrypted"] else ""
-        lines.append(
-            f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
-            f"{count(facts['people'], 'person', 'people')}{locked}."
-        )
+        people = count(facts["people"], "person", "people")
+        held = f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
+        lines.append(f"{facts['gallery']} holds {held}{locked}.")
         return facts if presented is None else {**facts, "presentation": presented}, lines
 
     def _sources(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
@@ -116,10 +115,8 @@ class EnrollJob(Job):
         new = count(facts["new"], "capture")
         lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
         if failed:
-            lines.append(
-                f"Please note: {count(len(failed), 'failure')} to acquire, kept as such "
-                f"(first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')})."
-            )
+            first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
+            lines.append(f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first}).")
         return facts, lines
 
 

@@ -109,10 +109,9 @@ class InfoJob(_OfGallery):
         people = ""
         if facts["people"] is not None:
             people = f" of {count(facts['fingers'], 'finger')} of {count(facts['people'], 'person', 'people')}"
-        lines.append(
-            f"{count(facts['captures'], 'capture')}{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates "
-            f"(version {facts['template_version']}), {facts['file_bytes'] / 1e6:.2f} MB in all."
-        )
+        templates = f"{facts['template_bytes'] / 1e6:.2f} MB of templates (version {facts['template_version']})"
+        captures = f"{count(facts['captures'], 'capture')}{people}"
+        lines.append(f"{captures}, {templates}, {facts['file_bytes'] / 1e6:.2f} MB in all.")
         if facts["failures"]:
             lines.append(f"{facts['failures']} of them are failures to acquire.")
         lines.append(f"{facts['with_code']} have a search code, {facts['with_images']} have images.")
@@ -267,10 +266,8 @@ class IndexJob(_OfGallery):
         lines = [f"Made {facts['coded']} codes of version {facts['code_version']}."]
         if facts["shards"] is not None:
             written = count(facts["shards"]["written"], "shard")
-            lines.append(
-                f"{facts['shards']['shards']} holds {count(facts['shards']['fingers'], 'code')}; wrote {written}, "
-                f"{facts['shards']['kept']} were up to date."
-            )
+            held = f"{facts['shards']['shards']} holds {count(facts['shards']['fingers'], 'code')}"
+            lines.append(f"{held}; wrote {written}, {facts['shards']['kept']} were up to date.")
             if not facts["shards"]["keyed"]:
                 lines.append("Please note: without a key anyone can undo the codes' transform.")
         return facts, lines
@@ -291,11 +288,9 @@ class RekeyJob(_OfGallery):
         from splitknit_match.gallery.key import key_of
 
         new = None if self.plain else key_of(self.new_key_file, NEW_KEY_VARIABLE)
-        require(
-            (new is None) == self.plain,
-            f"give the new key with `new_key_file` or in {NEW_KEY_VARIABLE} (the old one with `key_file` or in "
-            f"{KEY_VARIABLE}), or give `plain` to take the encryption away.",
-        )
+        keys = f"`new_key_file` or in {NEW_KEY_VARIABLE} (the old one with `key_file` or in {KEY_VARIABLE})"
+        cure = "or give `plain` to take the encryption away."
+        require((new is None) == self.plain, f"give the new key with {keys}, {cure}")
         with self.opened() as gallery:
             captures, encrypted = gallery.rekey(new), gallery.encrypted
         facts = {"gallery": str(self.file), "captures": captures, "encrypted": encrypted}

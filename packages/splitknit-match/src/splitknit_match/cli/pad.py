@@ -41,10 +41,9 @@ def _show(facts: dict[str, Any], job: PadJob, how: _Ending) -> Outcome:
     words = {"live": "Live skin", "attack": "Presentation attack", "unknown": f"Unknown: {facts['reason']}"}
     lines = [words[facts["answer"]].rstrip(".") + "."]
     if facts["probability"] is not None:
-        lines.append(
-            f"Probability of live skin {facts['probability']:.3g}; distance to what the model was fitted to "
-            f"{facts['distance']:.2f}, covered up to {facts['covered']:.2f}."
-        )
+        distance = f"distance to what the model was fitted to {facts['distance']:.2f}"
+        live = f"Probability of live skin {facts['probability']:.3g}"
+        lines.append(f"{live}; {distance}, covered up to {facts['covered']:.2f}.")
         lines.append(f"Unlike live skin: {', '.join(unlike) or 'nothing'}.")
     return facts, [*lines, f"Please note: {facts['basis']}"]
 

@@ -127,15 +127,11 @@ def notes_of(result: Result, *, variant: bool) -> list[str]:
     notes = []
     missing = int(np.isnan(scores.score).sum())
     if missing and not variant:
-        notes.append(
-            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count them as "
-            "rejections, FMR and FNMR leave them out."
-        )
-    points = {
-        key: rates.gar_at_far(genuine, impostor, float(key[4:]))
-        for key in result.intervals.figures
-        if key.startswith("gar@") and not key.endswith("_made")
-    }
+        none = f"{missing} of {scores.score.size} comparisons gave no score"
+        counted = "FAR and GAR count them as rejections, FMR and FNMR leave them out."
+        notes.append(f"{name}: {none}. {counted}")
+    gars = [key for key in result.intervals.figures if key.startswith("gar@") and not key.endswith("_made")]
+    points = {key: rates.gar_at_far(genuine, impostor, float(key[4:])) for key in gars}
     lost = [point.target for point in points.values() if not point.resolved]
     if lost:
         fars = " or ".join(f"{100 * target:g} %" for target in lost)
@@ -165,7 +161,6 @@ def _width_note(result: Result) -> list[str]:
     widths = [found.figures["eer"].high - found.figures["eer"].low for found in (other, result.intervals)]
     if result.intervals.figures["eer"].value == 0 or widths[1] <= 0 or widths[0] < 1.3 * widths[1]:
         return []
-    return [
-        f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
-        "so that fingers of one subject are similarly hard; trust the wider one."
-    ]
+    wider = f"drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide"
+    alike = "so that fingers of one subject are similarly hard; trust the wider one."
+    return [f"{result.scores.name}: {wider}, {alike}"]

@@ -291,11 +291,8 @@ def _spread(scores: Table) -> tuple[Table, Table]:
     known: Any = np.ma.masked_invalid(scores)
     mean, spread = (np.asarray(found.filled(0.0)) for found in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
-    require(
-        not bool(flat.any()),
-        f"the scores of system {int(np.argmax(flat)) + 1} of {scores.shape[1]} do not vary in the part to learn from; "
-        "leave it out of the fusion.",
-    )
+    one = f"the scores of system {int(np.argmax(flat)) + 1} of {scores.shape[1]} do not vary in the part to learn from"
+    require(not bool(flat.any()), f"{one}; leave it out of the fusion.")
     return mean, spread
 
 

@@ -188,7 +188,7 @@ def bootstrap(
     units = _plain_units(cells.genuine, cells.impostor, cells.count + 1) if of_plain else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
     possible = _bounds(scores, method, settings.targets)
-    lows, highs = _limits(rows, CONFIDENCE)
+    lows, highs = _limits(rows)
     there = [(k, name) for k, name in enumerate(layout.names) if name in values]
     figures = {name: _holding(values[name], lows[k], highs[k], possible.get(name, ())) for k, name in there}
     band = slice(len(layout.names) - len(layout.curve), None)
@@ -196,11 +196,7 @@ def bootstrap(
 
 
 def differences(
-    first: Scores,
-    second: Scores,
-    method: str = "plain",
-    settings: BootstrapSettings = DEFAULTS,
-    progress: Progress | None = None,
+    first: Scores, second: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS
 ) -> dict[str, Interval]:
     """Figures of `first` minus figures of `second`, which scored the same pairs in the same order. Both get the same
     replicates, so that what is hard for both cancels; a difference is beyond chance where its interval leaves out zero.
@@ -214,8 +210,8 @@ def differences(
         units = _plain_units(np.arange(first.genuine.size), np.arange(first.impostor.size))
     else:
         units = _clusters(first, method)
-    rows = _rows(units, systems, layout, settings, progress)
-    lows, highs = _limits(rows[0] - rows[1], CONFIDENCE)
+    rows = _rows(units, systems, layout, settings, None)
+    lows, highs = _limits(rows[0] - rows[1])
     values = [_figure_values(one, settings.targets) for one in (first, second)]
     both = [name for name in layout.names if name in values[0] and name in values[1]]
     places = {name: layout.names.index(name) for name in both}
@@ -269,9 +265,9 @@ def _curve(scores: Scores, settings: BootstrapSettings) -> tuple[float, ...]:
     return tuple(float(far) for far in np.geomspace(lowest, 1.0, settings.curve_points))
 
 
-def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _limits(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Percentiles over replicates; those in which a class was not drawn at all are left out."""
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
     for k, column in enumerate(rows.T):
         known = column[np.isfinite(column)]

@@ -146,11 +146,9 @@ def compare_results(
         fields, left = _elastic_fields(one, two, affine)
     form = _form((fields.heights[0] + fields.heights[1]) * np.float32(0.5), fields.valid)
     detail = replace(fields, heights=(fields.heights[0] - form, fields.heights[1] - form))
-    figures = {
-        band: _by_slant(detail if limits[1] <= ELASTIC_MM else fields, limits, one.step)
-        for band, limits in BANDS_MM.items()
-        if fit == "rigid" or limits[1] <= ELASTIC_MM
-    }
+    bands = {band: limits for band, limits in BANDS_MM.items() if fit == "rigid" or limits[1] <= ELASTIC_MM}
+    parts = {band: detail if limits[1] <= ELASTIC_MM else fields for band, limits in bands.items()}
+    figures = {band: _by_slant(parts[band], limits, one.step) for band, limits in bands.items()}
     reliefs = [_band(part, fields.valid, BANDS_MM["relief"], one.step) * fields.cosine for part in detail.heights]
     shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * np.float32(1e3)
     notes = []
@@ -258,11 +256,10 @@ def _sampled(values: FloatArray, known: BoolArray, place: Sequence[Array], coars
 def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     """Similarity of the ridges, and the affine map (2, 3) of a place in B's unrolled ridges to A's."""
     found = ridge_match(a.ridges, b.ridges)
-    require(
-        found.similarity >= _LEAST_SIMILARITY,
-        f"the ridges of A and B are not the same (similarity {found.similarity:.2f}, at least {_LEAST_SIMILARITY:g} is "
-        "needed); give two measurements of one finger, or of one phantom.",
-    )
+    seen = f"similarity {found.similarity:.2f}, at least {_LEAST_SIMILARITY:g} is needed"
+    cure = "give two measurements of one finger, or of one phantom."
+    same = found.similarity >= _LEAST_SIMILARITY
+    require(same, f"the ridges of A and B are not the same ({seen}); {cure}")
     one, two = (side.ridges.template.valid.shape for side in (a, b))
     affine = rigid(one, two, np.deg2rad(found.rotation_deg), (found.right_mm / a.step, -found.up_mm / a.step))
     for _ in range(3):

@@ -81,14 +81,9 @@ def scores_of_comparisons(
         both = np.stack([codes[pairs.a], codes[pairs.b]], axis=1).astype(np.int64)
         return Ids(both, tuple(str(one) for one in names))
 
-    return Scores(
-        pairs.genuine,
-        np.asarray(score, dtype=np.float64),
-        finger=ids(finger),
-        subject=None if subject is None else ids(subject),
-        session=ids(session),
-        name=name,
-    )
+    who = None if subject is None else ids(subject)
+    values = np.asarray(score, dtype=np.float64)
+    return Scores(pairs.genuine, values, finger=ids(finger), subject=who, session=ids(session), name=name)
 
 
 def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
@@ -119,13 +114,9 @@ def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
         of_finger = np.zeros(len(scores.finger.names), dtype=np.int64)
         of_finger[finger.ravel()] = scores.subject.codes.ravel()
         subject = Ids(of_finger[fingers], scores.subject.names)
-    return Scores(
-        fingers[:, 0] == fingers[:, 1],
-        mean,
-        finger=Ids(fingers, scores.finger.names),
-        subject=subject,
-        name=f"{scores.name}, averaged over sessions",
-    )
+    name = f"{scores.name}, averaged over sessions"
+    pairs = Ids(fingers, scores.finger.names)
+    return Scores(fingers[:, 0] == fingers[:, 1], mean, finger=pairs, subject=subject, name=name)
 
 
 @dataclass(frozen=True, slots=True)

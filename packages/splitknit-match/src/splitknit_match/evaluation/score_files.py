@@ -67,15 +67,9 @@ def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
     if "system" in names:
         codes, systems = _codes(names["system"])
         system = codes[:, 0], systems
-    return ScoreFile(
-        np.array(label, dtype=np.bool_),
-        np.array(score),
-        np.array(lines, dtype=np.int64),
-        ids,
-        system,
-        tuple(column for column in header if column not in places),
-        hashlib.sha256(data).hexdigest(),
-    )
+    columns = np.array(label, dtype=np.bool_), np.array(score), np.array(lines, dtype=np.int64)
+    ignored = tuple(column for column in header if column not in places)
+    return ScoreFile(*columns, ids, system, ignored, hashlib.sha256(data).hexdigest())
 
 
 def read_exclusions(path: str | os.PathLike[str]) -> tuple[list[dict[str, str]], str]:

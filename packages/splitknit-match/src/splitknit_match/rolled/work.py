@@ -81,10 +81,9 @@ class _ViewRelief:
     def places(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
         """Columns and rows of the window's blocks at which points (..., 3) of the rig's frame are seen."""
         size, half = np.float32(self.binning), np.float32(0.5)
-        column, row = (
-            ((place - np.float32(side.start) + half) / size - half).astype(np.float32)
-            for place, side in zip(self.sight.pixels(points_mm), self.window[::-1], strict=True)
-        )
+        seen = zip(self.sight.pixels(points_mm), self.window[::-1], strict=True)
+        blocks = (((place - np.float32(side.start) + half) / size - half) for place, side in seen)
+        column, row = (block.astype(np.float32) for block in blocks)
         return column, row
 
     def sampled(self, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -196,12 +196,10 @@ def _told(capture: Capture, notes: list[str], out: Path) -> Outcome:
     scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
     covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
     kind += f" and {facts['nir']} near-infrared" if facts["nir"] else ""
-    lines = [
-        f"{count} {kind} photographs of {columns} x {rows} pixels ({capture.encoding}, {capture.material}, {scale}, "
-        f"{covered}) written to {out}.",
-        *(f"Please note: {note}" for note in notes),
-        f"Next: splitknit reconstruct {out} --out RESULT",
-    ]
+    how = f"{capture.encoding}, {capture.material}, {scale}, {covered}"
+    lines = [f"{count} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}."]
+    lines += [f"Please note: {note}" for note in notes]
+    lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
     return facts, lines
 
 

@@ -86,11 +86,9 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     from splitknit.cli.verb import Parser, add_group
     from splitknit.registry import GROUP, VERBS, objects_of, registered
 
-    parser = Parser(
-        prog="splitknit",
-        description="Metric 3D fingerprints from photographs of a finger under one light after another.",
-        epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
-    )
+    about = "Metric 3D fingerprints from photographs of a finger under one light after another."
+    codes = "Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
+    parser = Parser(prog="splitknit", description=about, epilog=codes)
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     others = {} if verb in VERBS else dict.fromkeys(name.split(" ")[0] for name in registered(GROUP))
     for name in dict.fromkeys((*VERBS, *others)):

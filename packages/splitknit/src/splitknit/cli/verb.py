@@ -358,14 +358,9 @@ def run_verb(options: argparse.Namespace) -> Outcome:
 
 
 def _add_settings(place: Any) -> None:
-    place.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="STAGE.FIELD=VALUE",
-        dest="assignments",
-        help="change one setting; may be repeated and wins over --settings",
-    )
+    wins = "change one setting; may be repeated and wins over --settings"
+    named: dict[str, Any] = {"metavar": "STAGE.FIELD=VALUE", "dest": "assignments", "help": wins}
+    place.add_argument("--set", action="append", default=[], **named)
     place.add_argument("--settings", type=Path, metavar="FILE", help="JSON or TOML file of settings")
 
 

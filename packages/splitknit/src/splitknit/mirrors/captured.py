@@ -118,13 +118,8 @@ def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Vi
     """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
     fine, coarse = min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM), min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM)
     mask = replace(mask, fine_px_per_mm=fine, coarse_px_per_mm=coarse)
-    return find_views(
-        mean,
-        rig,
-        lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
-        binning,
-        lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
-    )
+    region, outline = partial(finger_region, settings=mask), partial(finger_outline, settings=mask)
+    return find_views(mean, rig, region, binning, outline)
 
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:

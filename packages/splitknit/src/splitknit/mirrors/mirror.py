@@ -347,12 +347,8 @@ def _seen_outlines(views: Views, rig: Rig, axis: Array, *, cut_too: bool) -> _Se
             lateral[name] = rows
     lay = "lay the finger in the middle, so that the mirror shows all of its pad."
     where = f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's"
-    require(
-        bool(lateral),
-        "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle."
-        if cut_too or not cut
-        else f"{where}: {lay}",
-    )
+    nothing = "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle."
+    require(bool(lateral), nothing if cut_too or not cut else f"{where}: {lay}")
     return _SeenOutlines(mirrors, poses, all_rows, lateral, cut, useless)
 
 

@@ -70,11 +70,9 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)
     card = _parse(_read(card_file, f"the card '{card_file}'", remedy), card_file, remedy)
     found = hashlib.sha256(weights).hexdigest()
-    require(
-        found == card.sha256,
-        f"the weights '{weights_file}' are damaged or not those of their card "
-        f"(SHA-256 {found[:12]}... instead of {card.sha256[:12]}...); {remedy}.",
-    )
+    other = f"SHA-256 {found[:12]}... instead of {card.sha256[:12]}..."
+    fault = f"the weights '{weights_file}' are damaged or not those of their card"
+    require(found == card.sha256, f"{fault} ({other}); {remedy}.")
     return card, weights
 
 
@@ -223,10 +221,8 @@ def network_of(card: Card, weights: bytes) -> Network:
         session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
         (source,), (result,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
-        raise BadInput(
-            f"the weights of network '{card.name}' are not a network from one image to one image "
-            f"that onnxruntime can run ({_first_line(error)}); train it again."
-        ) from error
+        fault = f"the weights of network '{card.name}' are not a network from one image to one image"
+        raise BadInput(f"{fault} that onnxruntime can run ({_first_line(error)}); train it again.") from error
     require(  # it goes on without a provider whose libraries are missing
         _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
         "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "

@@ -229,10 +229,9 @@ def standalone(chart: str) -> bytes:
 
 def _open(width: float, height: float, title: str) -> str:
     """Begin a chart."""
-    return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{_INK}">'
-    )
+    size = f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"'
+    words = f'role="img" aria-label="{escape(title)}" font-family="sans-serif" font-size="11"'
+    return f'<svg {size} {words} fill="{_INK}">'
 
 
 def _text(x: float, y: float, words: str, anchor: str, style: str = "") -> str:

@@ -196,13 +196,9 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
             "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
             "This is the standard deviation (one sigma) of their height. Good: small against the relief."
         )
-    return captioned(
-        f"Uncertainty of the {'relief' if finger else 'heights'}",
-        on_paper(colour(values, 0.0, high), weight),
-        words,
-        small.frame.pitch_mm,
-        charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
-    )
+    title, bar = "Uncertainty of the heights", charts.colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    picture = on_paper(colour(values, 0.0, high), weight)
+    return captioned("Uncertainty of the relief" if finger else title, picture, words, small.frame.pitch_mm, bar)
 
 
 def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
@@ -251,13 +247,9 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     dark = prints < 250
     if bool(dark.any()):
         prints = prints[bounding_box(dark, 8)]
-    return captioned(
-        "Print",
-        prints,
-        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
-        "Good: dark, separate ridges with clear endings and forks up to the edge.",
-        25.4 / 500,
-    )
+    words = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+    words += "Good: dark, separate ridges with clear endings and forks up to the edge."
+    return captioned("Print", prints, words, 25.4 / 500)
 
 
 SURFACE_ERROR = "Measured minus true height, mean removed. Blue is too low, orange too high; white is right."

@@ -147,15 +147,9 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
         return occluder(light.stack, kind, alpha=plan.alpha, shadow_percent=share, patterns=patterns, **common)
     require(plan.patterns != ESTIMATE, "method single needs the pattern's image or check_px, not 'estimate'.")
     require(light.mask is None, "method single takes no mask; cut the image instead.")
-    return single_image(
-        light.stack[0],
-        plan.block or 0,
-        check_px=plan.check_px,
-        alpha=alpha,
-        dark=plan.dark,
-        pattern=None if patterns is None else patterns[0],
-        settings=settings,
-    )
+    image, block, pattern = light.stack[0], plan.block or 0, None if patterns is None else patterns[0]
+    shape: dict[str, Any] = {"check_px": plan.check_px, "alpha": alpha, "dark": plan.dark}
+    return single_image(image, block, pattern=pattern, settings=settings, **shape)
 
 
 def _phases(plan: PatternFolder) -> NDArray[np.float64] | None:
@@ -204,10 +198,8 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
         dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
         warnings.append(f"{dark}: check alpha, dark and the black image.")
     if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
-        warnings.append(
-            "global light was taken to be the same under all shifts; on skin it is not, and direct light comes out a "
-            "quarter too low: give check_px for skin."
-        )
+        low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
+        warnings.append(f"global light was taken to be the same under all shifts; {low}")
     white = None
     if light.white is not None and light.white.shape == total.shape:
         truth = light.white[lit]
@@ -271,11 +263,8 @@ def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:
     with StackReader() as reader:
         size, by = image_size(images[0]), str(images[0])
         pixels = reader.start(images, size, by)
-        singles = {
-            role: reader.start([file], size, by)[0]
-            for role, file in (("black", plan.black), ("white", plan.white), ("mask", plan.mask))
-            if file is not None
-        }
+        named = {"black": plan.black, "white": plan.white, "mask": plan.mask}
+        singles = {role: reader.start([file], size, by)[0] for role, file in named.items() if file is not None}
         state_pixels = reader.start(states, size, by) if states else None
         hashes = reader.finish()
     shape: tuple[int, ...] = pixels.shape[1:]

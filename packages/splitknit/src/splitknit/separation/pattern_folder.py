@@ -58,11 +58,10 @@ class PatternFolder:
             require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
             require(self.block is not None, "method single needs block, the side of a block in pixels.")
         if self.patterns == ESTIMATE and self.method == "checkerboard":
-            require(
-                self.check_px is None or self.check_px >= 5,
-                f"states can be found in the images where checks have 5 pixels or more, but check_px is "
-                f"{self.check_px}; give the states as patterns, or leave check_px and patterns out.",
-            )
+            few = "states can be found in the images where checks have 5 pixels or more"
+            cure = "give the states as patterns, or leave check_px and patterns out."
+            wide = self.check_px is None or self.check_px >= 5
+            require(wide, f"{few}, but check_px is {self.check_px}; {cure}")
         if self.method == "symmetry":
             require(self.alpha in (None, 0.5), f"method symmetry needs alpha 0.5, but it is {self.alpha}.")
             require(self.patterns is None, "method symmetry takes no patterns; use method checkerboard with them.")

@@ -79,22 +79,18 @@ def sinusoid(
     check_contrast(low, high, images.mask, settings, ("never modulated", "light them, or leave them out with a mask"))
     direct = 2 * amplitude / (1 - dark)
     total = 2 * mean / (1 + dark)
-    return PhaseSeparation(
-        images.shaped(direct),
-        images.shaped(total - direct),
-        _inside(phase, images),
-        _inside(amplitude.sum(axis=-1) / np.maximum(mean.sum(axis=-1), 1e-12), images),
-    )
+    modulation = amplitude.sum(axis=-1) / np.maximum(mean.sum(axis=-1), 1e-12)
+    parts = images.shaped(direct), images.shaped(total - direct)
+    return PhaseSeparation(*parts, _inside(phase, images), _inside(modulation, images))
 
 
 def _check_phases(phases_rad: Any, count: int) -> NDArray[np.float64]:
     if phases_rad is None:
         return np.asarray(2 * np.pi * np.arange(count) / count)
     phases = np.asarray(phases_rad, dtype=np.float64)
-    require(
-        phases.shape == (count,) and bool(np.isfinite(phases).all()),
-        f"phases_rad must hold {count} finite numbers, one for each image, but it has the shape {phases.shape}.",
-    )
+    wanted = f"phases_rad must hold {count} finite numbers, one for each image"
+    sound = phases.shape == (count,) and bool(np.isfinite(phases).all())
+    require(sound, f"{wanted}, but it has the shape {phases.shape}.")
     apart = np.abs(np.sin((phases[:, None] - phases[None, :]) / 2)) + np.eye(count)
     i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
     fault = f"images {min(i, j)} and {max(i, j)} have the same phase"

@@ -130,11 +130,9 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
             require(capture is None, f"'{paths[0]}' holds photographs itself; leave `capture` out.")
             only = CatalogueEntry("0", roots[0].name, roots[0], roots[0], result=False)
             return Catalogue(only.name, (only,), (only.key,))
-        require(
-            len(folders) > 0,
-            f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them), "
-            "and no photograph; name a result, a folder of results, or a folder of photographs.",
-        )
+        results = "folders with a height.npz, as `splitknit reconstruct` writes them"
+        fault = f"there is no result in '{paths[0]}' ({results}), and no photograph"
+        require(len(folders) > 0, f"{fault}; name a result, a folder of results, or a folder of photographs.")
         names = [folder.relative_to(roots[0]).as_posix() for folder in folders]
         chosen: tuple[str, ...] = ()
     else:

@@ -398,8 +398,8 @@ def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) 
             return Reply.of_file(open_below(entry.folder, _mesh(entry)), KINDS[kind], saved)
         except BadInput:
             pass  # made anew below
-    points = (field[::step, ::step] for field in (surface.x_mm, surface.y_mm, surface.height_mm))
-    vertices, faces, index = surface_mesh(*points)
+    x, y, z = (field[::step, ::step] for field in (surface.x_mm, surface.y_mm, surface.height_mm))
+    vertices, faces, index = surface_mesh(x, y, z)
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
