@@ -56,7 +56,7 @@ _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
 
-def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
+def to_scores(table: Any, column: str = "similarity") -> Scores:
     """Comparisons of the store, a ``pyarrow.Table`` of :meth:`splitknit_match.batch.store.Store.scores`, to be
     evaluated. `column`: what is the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
     """
@@ -66,7 +66,7 @@ def to_scores(table: Any, column: str = "similarity", name: str | None = None) -
     score[~_flags(table, "compared")] = np.nan
     sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
     ids = {kind: ids_of(*([names[kind] for names in side] for side in sides)) for kind in _KINDS}
-    return Scores(_flags(table, "genuine"), score, **ids, name=name or column)
+    return Scores(_flags(table, "genuine"), score, **ids, name=column)
 
 
 def _write_csv(path: Location, table: Any) -> None:

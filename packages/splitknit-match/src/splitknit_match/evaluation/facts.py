@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.intervals import FEW, Interval, Intervals
+from splitknit_match.evaluation.intervals import CONFIDENCE, FEW, Interval, Intervals
 from splitknit_match.evaluation.rates import error_bound, rule_of_three
 from splitknit_match.evaluation.scores import Scores
 
@@ -73,16 +73,14 @@ def cmc(scores: Scores) -> Cmc | None:
     )
 
 
-def rank_one_interval(
-    result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
-) -> tuple[float, float]:
+def rank_one_interval(result: Cmc, *, replicates: int = 1000, seed: int = 0) -> tuple[float, float]:
     """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
     fingers = int(finger.max()) + 1
     found = np.bincount(finger, weights=result.rank == 1, minlength=fingers)
     number = np.bincount(finger, minlength=fingers)
     drawn = np.random.default_rng(seed).multinomial(fingers, np.full(fingers, 1 / fingers), size=replicates)
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile((drawn @ found) / (drawn @ number), [tail, 1 - tail])
     value = float(np.mean(result.rank == 1))
     if int(np.sum(found < number)) < FEW:  # fingers that were missed

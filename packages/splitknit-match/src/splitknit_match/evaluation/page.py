@@ -151,7 +151,7 @@ def _difference_facts(one: Difference, settings: BootstrapSettings) -> dict[str,
 def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
     if found is None:
         return None
-    low, high = rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
+    low, high = rank_one_interval(found, replicates=settings.replicates, seed=settings.seed)
     return {
         "gallery": found.gallery,
         "probes": found.rank.size,

@@ -32,15 +32,15 @@ def rule_of_three(trials: int) -> float:
     return min(1.0, 3.0 / max(trials, 1))
 
 
-def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
-    """Upper bound of a rate from ``rate * trials`` errors in independent trials: the rule of three, continued by the
-    bound of C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
-    binomial", Biometrika 26(4), 1934.
+def error_bound(rate: float, trials: int) -> float:
+    """95 % upper bound of a rate from ``rate * trials`` errors in independent trials: the rule of three, then that of
+    C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
+    Biometrika 26(4), 1934.
     """
     errors = rate * trials
     if errors >= trials:
         return 1.0
-    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, confidence))
+    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, 0.95))
 
 
 # The scores of one class in rising order, and its failures to acquire.

@@ -9,7 +9,7 @@ over the length: near its tip any smooth body is like that. Centre lines, A and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 
 import cv2
@@ -97,10 +97,6 @@ class Body:
         nearer = np.float32(1.0) - z / apex
         x, y = plane_x * nearer, plane_y * nearer
         return x, y, *_looked_up(self, table, x, y)
-
-    def grown(self, step: Array) -> Body:
-        """With `step` (4 K,) added to the coefficients."""
-        return replace(self, coefficients=self.coefficients + step.reshape(self.coefficients.shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -100,7 +100,8 @@ class Estimate:
         most = [_MAX_STEP[name.partition(" ")[0]] for name in shared]
         sizes = [abs(float(by)) / one for one, by in zip(most, step[count:], strict=True)]
         step = step / max(1.0, *sizes)
-        estimate = Estimate(self.body.grown(step[:count]), self.poses)
+        coefficients = self.body.coefficients + step[:count].reshape(self.body.coefficients.shape)
+        estimate = Estimate(replace(self.body, coefficients=coefficients), self.poses)
         for name, by in zip(shared, step[count:], strict=True):
             estimate = estimate.moved(name, float(by))
         return estimate.convex()
