@@ -35,8 +35,7 @@ class Cluster:
     """
 
     address: str  # ``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer
-    ca_file: Path | None = None
-    """PEM file of the CA that signed the scheduler's certificate; Dask's configuration names it where this does not."""
+    ca_file: Path | None = None  # PEM file of the CA that signed the scheduler's certificate; else Dask's configuration
     cert_file: Path | None = None  # PEM file of this computer's certificate; the same
     key_file: Path | None = None  # PEM file of its key, where `cert_file` does not hold it
     insecure: bool = False  # allow ``tcp://`` to another computer

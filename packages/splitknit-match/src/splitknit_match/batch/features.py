@@ -50,8 +50,7 @@ class FeatureTask:
     cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
     matching: MatchingSettings
     images: bool
-    solids: tuple[str, ...] = ()
-    """Features in space that are made at once, of :data:`splitknit_match.batch.solids.SOLIDS`."""
+    solids: tuple[str, ...] = ()  # features in space that are made at once, of :data:`.solids.SOLIDS`
 
 
 def _feature_schema() -> Any:

@@ -43,8 +43,7 @@ class ExtractionTask:
     population: Location
     case: Case
     name: str
-    kind: str
-    """``minutiae``, ``voted``, or one of :data:`SOLIDS`: the folder of the store."""
+    kind: str  # ``minutiae``, ``voted``, or one of :data:`SOLIDS`: the folder of the store
     matching: MatchingSettings
 
 

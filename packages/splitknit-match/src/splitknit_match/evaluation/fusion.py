@@ -50,8 +50,7 @@ class Fused:
     systems: tuple[str, ...]
     by: str  # ``subject`` or ``finger``: what was dealt to folds
     fold: NDArray[np.int64]  # (names,) of each subject (finger)
-    models: dict[tuple[int, int], _Model]
-    """By the two folds, the smaller first, whose comparisons it scored and of which it saw none."""
+    models: dict[tuple[int, int], _Model]  # by the two folds, the smaller first, that it scored and saw none of
     missing: tuple[int, ...]  # how many scores of each system were missing
 
     @property

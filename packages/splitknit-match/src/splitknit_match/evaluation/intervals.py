@@ -34,8 +34,7 @@ class _Cells:
     impostor: NDArray[np.int64]  # (M,)
     count: int  # cells without that of the failures
     crowded: NDArray[np.bool_]  # (count,) whether a cell holds several distinct impostor scores, and no genuine one
-    moments: NDArray[np.float64]
-    """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
+    moments: NDArray[np.float64]  # (2, 2, count): genuine, impostor; mean and variance of a cell's standardised scores
 
 
 def _make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> _Cells:
@@ -164,8 +163,7 @@ class Intervals:
 
     method: str  # ``plain``, ``finger`` or ``subject``
     drawn: int  # comparisons of the smaller class, fingers or subjects
-    figures: Mapping[str, Interval]
-    """By the names of :class:`_Layout`."""
+    figures: Mapping[str, Interval]  # by the names of :class:`_Layout`
     curve_far: NDArray[np.float64]  # (P,) and the band of the GAR there:
     curve_low: NDArray[np.float64]
     curve_high: NDArray[np.float64]

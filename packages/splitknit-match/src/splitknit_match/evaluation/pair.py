@@ -54,8 +54,7 @@ BANDS_MM = {
     "above 8 mm": (8.0, np.inf),
 }
 """Shortest and longest wavelength; ``relief``: the ridge band of :mod:`splitknit.accuracy`."""
-_SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
-"""Standard deviation of a Gaussian that halves waves of length one (ISO 16610-61)."""
+_SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)  # of a Gaussian that halves waves of length one (ISO 16610-61)
 SLANTS_DEG = {"0 to 40": (0.0, 40.0), "0 to 20": (0.0, 20.0), "20 to 40": (20.0, 40.0), "40 to 60": (40.0, 60.0)}
 ELASTIC_MM = 2.5  # longest wavelength that is compared on skin that may shift
 _BLOCK_MM, _FEW, _REPLICATES = 2.0, 6, 1000

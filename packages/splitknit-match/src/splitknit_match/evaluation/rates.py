@@ -47,8 +47,7 @@ def error_bound(rate: float, trials: int) -> float:
 
 
 Scores1D = NDArray[np.float64]
-Counting = Literal["all", "made"]
-"""Whether failures count as rejections or are left out; see :mod:`splitknit_match.evaluation.rates`."""
+Counting = Literal["all", "made"]  # whether failures count as rejections or are left out; see the module's docstring
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,8 +40,7 @@ def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
 Array = NDArray[np.float64]
 
 KNOT_MM = 2.5  # distance of the knots of the correction of the surface
-POSE_PRIOR = (0.004, 0.002, 0.05)
-"""Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
+POSE_PRIOR = (0.004, 0.002, 0.05)  # standard deviations of a mirror's two turns (rad) and its shift (mm)
 DEPTH_PRIOR_MM = 0.15  # standard deviation of the surface against where it is taken to be
 UNSEEN_PRIOR_MM = 0.03  # the same where no two views show it
 OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
@@ -58,8 +57,7 @@ class _Correction:
     """What moves the surface and the mirrors."""
 
     radius_mm: Array  # (n, m) to be added to the surface on the chart
-    poses: tuple[tuple[float, float, float], ...]
-    """Two turns (rad) and a shift (mm) of each mirror, see :meth:`splitknit.mirrors.reflection.Plane.moved`."""
+    poses: tuple[tuple[float, float, float], ...]  # turns (rad) and shift (mm) of each mirror, see :meth:`Plane.moved`
     before: tuple[float, ...]  # correlation of each mirror's ridges with the front's where both see them, as it was
     after: tuple[float, ...]
 
@@ -240,8 +238,7 @@ _SEARCHED = 6000  # so many pixels show which of many guesses is best
 APART_MM = 0.15  # moves that differ by less than this lead to the same place
 OUTER = 0.9  # how much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation
 LIKE_PLACES, MOVE_MM = 20.0, 0.05  # a move counts as so many measured ones, each with this standard deviation
-_DOUBT = 0.01
-"""Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
+_DOUBT = 0.01  # correlation that a number must gain to be believed one standard deviation from what the outlines show
 MIN_CORRELATION = 0.2  # correlation below which nothing is changed
 
 

@@ -301,11 +301,9 @@ class MirrorView:
     """What a capture with mirrors shows once."""
 
     name: str  # ``front``, ``left``, ``right`` or ``tip``
-    mask: BoolArray | None
-    """(H, W) where the view shows the finger; None for a mirror whose light counts, but not its view."""
+    mask: BoolArray | None  # (H, W) where the view shows the finger; None for a mirror whose light alone counts
     glass: Glass | None = None  # the mirror; None for the front
-    cut: bool = False
-    """Whether the border of picture or mirror cuts the view, so that the mirror's pose is known less well."""
+    cut: bool = False  # whether the border of picture or mirror cuts the view, so that the mirror's pose is less sure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -194,8 +194,7 @@ _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 APP1 = 0xE1  # second byte of the marker of a segment that may hold EXIF data
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
-_MAX_SCANS = 100
-"""Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
+_MAX_SCANS = 100  # each scan costs a pass through the whole image; a progressive image has about ten
 _BLOCK_PIXELS = 64
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 

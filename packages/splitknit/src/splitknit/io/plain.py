@@ -47,8 +47,7 @@ from splitknit.model import (
 )
 from splitknit.steps import IN_MEMORY, large_array, let_go
 
-_SAME_DEG = 0.5
-"""Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
+_SAME_DEG = 0.5  # lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding

@@ -186,8 +186,7 @@ def touched(body: Body, planes: Touching) -> Array:
 
 # What is expected without any outline, what the skin's slopes add, and how far points of an outline are trusted.
 
-_SLOPE_ERROR = 0.1
-"""Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
+_SLOPE_ERROR = 0.1  # standard deviation of a measured slope of the skin, which looks flatter than it is
 SHEAR_SD = 0.05  # standard deviation of the shear: a roll by 8 deg gives about 0.045
 INDEPENDENT_SLOPES = 20.0  # slopes err together: at specular reflections, and where light by way of a mirror ends
 TIP_SD_MM = 0.05  # standard deviation of the tip's place as the front view's outline has it

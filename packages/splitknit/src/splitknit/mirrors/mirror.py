@@ -167,8 +167,7 @@ def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -
 _TURN_DEG, _CUT_TURN_DEG = 0.2, 0.6
 """Standard deviation of a mirror's turn as the views' tips show it, and where the view is cut."""
 _FEW = 20  # a view with fewer points of its outline is not used
-_MAX_MISSING = 0.4
-"""Largest fraction of the pad's outline that may be missing; beyond, the rest may be the mirror's edge."""
+_MAX_MISSING = 0.4  # largest fraction of the pad's outline that may be missing; the rest may be the mirror's edge
 _NEAR_EDGE_MM = 3.0  # a straight outline this near to where the mirror should end is the mirror's edge
 _CUT_ROUNDS = 20  # corrections of the fit where views are cut
 

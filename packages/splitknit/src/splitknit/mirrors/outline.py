@@ -17,8 +17,7 @@ from splitknit.model import BoolArray, Camera, Mirror
 Array = NDArray[np.float64]
 
 _EVERY = 2  # rows that are averaged to one point of an outline in the fit
-STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05
-"""An outline that is straighter than this (rms) is a mirror's edge: pads bulge, and their ends are round."""
+STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05  # rms below which an outline is a mirror's edge: pads bulge, ends are round
 BLUR_PX = 1.2  # a mask is smoothed by this much before its outline is measured between the pixels
 
 
@@ -28,8 +27,7 @@ class OutlineRows:
 
     axis: Array  # (2,) unit vector on the finger plane along which rows follow each other
     along_mm: Array  # (n,) place of each row on the axis, growing
-    left_mm: Array
-    """(n,) where the row enters the finger, towards the right of the axis; NaN where it does not or is cut."""
+    left_mm: Array  # (n,) where the row enters the finger, towards the right; NaN where it does not or is cut
     right_mm: Array  # (n,) where it leaves
 
     @property

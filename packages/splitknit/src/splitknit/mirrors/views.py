@@ -20,8 +20,7 @@ _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal 
 
 Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
-FindFinger = Callable[[FloatArray, float], BoolArray]
-"""From an image (h, w, C) and its px_per_mm to its segmentation mask."""
+FindFinger = Callable[[FloatArray, float], BoolArray]  # from an image (h, w, C) and its px_per_mm to its mask
 FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
 """From an image (h, w, C), a rough mask of the same piece of the scene and px_per_mm to the finger's mask (h, w)."""
 

@@ -39,10 +39,8 @@ class Card:
     sha256: str  # hash of the ``.onnx`` file, hexadecimal
     channels_in: int
     channels_out: int
-    stride: int
-    """Both sides of an image must be multiples of this; :func:`run_network` sees to it."""
-    reach: int
-    """A pixel further than this from a tile that begins on the stride's grid does not change the tile's result."""
+    stride: int  # both sides of an image must be multiples of this; :func:`run_network` sees to it
+    reach: int  # a pixel further than this from a tile on the stride's grid does not change the tile's result
     facts: Mapping[str, Any] = field(default_factory=dict)  # data, training, metrics, licence, command
 
     def __post_init__(self) -> None:
@@ -118,12 +116,10 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
 
-TILE = 724
-"""Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.4 GB, of width 64 2 GB."""
+TILE = 724  # side in pixels of a tile's square; a network of width 12 then needs 0.4 GB, of width 64 2 GB
 _THREADS = min(8, os.cpu_count() or 1)  # threads of a network by default
 
-NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
-"""Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"  # variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
 
 DEVICES = ("cpu", "cuda", "auto")
 CUDA_TOLERANCE = 1e-3

@@ -65,8 +65,7 @@ class Report:
     html: str
     facts: Mapping[str, Any]
     views: Sequence[ColourArray]  # the shaded surface from above, the left and the right
-    prints: NDArray[np.uint8] | None
-    """The relief as a print; None if the surface is not a finger's, or its scale is unknown."""
+    prints: NDArray[np.uint8] | None  # the relief as a print; None if it is no finger's, or its scale is unknown
 
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""

@@ -16,8 +16,7 @@ from splitknit.networks.unet import TILE, Network, load_network, run_network
 DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8
 LEVEL_SIGMA_PX = 16.0  # standard deviation of the neighbourhood whose mean brightness the network takes as one
-MIN_LEVEL = 0.05
-"""It does not fall below this part of :func:`exposure_level`: in the dark there is noise alone."""
+MIN_LEVEL = 0.05  # it does not fall below this part of :func:`exposure_level`: in the dark there is noise alone
 
 
 def exposure_level(image: FloatArray) -> float:

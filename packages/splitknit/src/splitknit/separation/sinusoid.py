@@ -29,8 +29,7 @@ class PhaseSeparation(Separation):
     phase_rad: FloatArray
     """(H, W) in [-pi, pi]: phase of the pattern at the pixel in the image of phase zero. It is *wrapped*: it gives
     the place within one period of the pattern, not which period."""
-    modulation: FloatArray
-    """(H, W): amplitude over mean, all channels together, 0 to 1. Where it is small the phase is noise."""
+    modulation: FloatArray  # (H, W): amplitude over mean, all channels, 0 to 1; where small, the phase is noise
 
 
 def sinusoid(

@@ -24,15 +24,13 @@ from splitknit.errors import BadInput, check_mask, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-_MAX_CLIPPED = 0.02
-"""More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
+_MAX_CLIPPED = 0.02  # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
 LIT_LEVEL = 0.1
 """Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
 cannot resolve."""
 MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
 _BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
-EDGE = 0.1
-"""Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
+EDGE = 0.1  # where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
 
 
 @dataclass(frozen=True, slots=True)

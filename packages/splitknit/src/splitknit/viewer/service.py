@@ -25,8 +25,7 @@ _TYPES = {**{suffix: f"{kind}; charset=utf-8" for suffix, kind in _TEXTS.items()
 _PICTURES = ("normals.png", "albedo.png", "specular.png", "print.png", "preview.png")
 _KEPT_BYTES = 200_000_000  # memory of kept surfaces; two are kept whatever their size, since a pair is shown by turns
 _THUMB_PX = 360
-_MAX_PICTURE_BYTES = 400_000_000
-"""Largest picture that is sent as it is. Those of the rig's full frames have at most 40 MB."""
+_MAX_PICTURE_BYTES = 400_000_000  # largest picture that is sent as it is; the rig's full frames have 40 MB at most
 _NOT_FOUND = "there is nothing at this address."
 
 Query = Mapping[str, str]
