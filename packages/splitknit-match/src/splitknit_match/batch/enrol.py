@@ -91,9 +91,9 @@ def enroll_population(
     }
     if unread:
         kept = "nothing was enrolled" if target is None else "the others are enrolled"
-        fault = f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first"
-        cure = f"{unread[0]['reason'].rstrip('.')}); repair or remove them, and run the same again."
-        raise Refused(f"{fault}: {cure}", facts)
+        first = unread[0]["reason"].rstrip(".")
+        fault = f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {first})"
+        raise Refused(f"{fault}; repair or remove them, and run the same again.", facts)
     return facts
 
 

@@ -490,13 +490,12 @@ def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
         require(size < _MISFIT_MM, f"{fault}; {cure}")
     thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
     fault = "the views do not fit one finger"
-    cure = f"in the mirrors it would be {thickness:.2f} times as thick as it is broad in front;"
-    require(THICKNESS[0] < thickness < THICKNESS[1], f"{fault}: {cure} check that one finger alone is in view.")
+    thick = f"in the mirrors it would be {thickness:.2f} times as thick as it is broad in front"
+    require(THICKNESS[0] < thickness < THICKNESS[1], f"{fault}: {thick}; check that one finger alone is in view.")
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
-        fault = "the views do not fit one finger"
-        cure = f"the {name} mirror would be {worst:.0f} deg off its place in the rig file;"
-        require(worst < MAX_DEG, f"{fault}: {cure} check that one finger alone is in view, or correct the rig file.")
+        off = f"the {name} mirror would be {worst:.0f} deg off its place in the rig file"
+        require(worst < MAX_DEG, f"{fault}: {off}; check that one finger alone is in view, or correct the rig file.")
 
 
 def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:

@@ -293,8 +293,8 @@ def _checked(images: Any, card: Card) -> FloatArray:
     fault = f"network '{card.name}' takes images of {card.channels_in} channels,"
     require(channels in (1, card.channels_in), f"{fault} but these have {channels}.")
     fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
-    cure = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
-    require(min(height, width) >= card.stride, f"{fault}: {cure}")
+    stride = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
+    require(min(height, width) >= card.stride, f"{fault}: {stride}")
     require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
     return stack
 

@@ -144,8 +144,8 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     entries = tuple(_entry(str(k), name, folder, capture) for k, (name, folder) in named)
     if capture is not None:
         fault = f"'{capture}' is not the capture that this was made from"
-        cure = "no capture.json in it has the hash that the result's report.json states."
-        require(any(entry.capture is not None for entry in entries), f"{fault}: {cure}")
+        lacking = "no capture.json in it has the hash that the result's report.json states."
+        require(any(entry.capture is not None for entry in entries), f"{fault}: {lacking}")
     return Catalogue(names[0] if len(names) == 1 else roots[0].name, entries, chosen)
 
 
