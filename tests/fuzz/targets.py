@@ -48,7 +48,7 @@ from splitknit.io.mesh import stl_chunks, write_ply
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photo_tree import read_tree
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import capture_from_plain_images, read_flat
+from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
@@ -404,7 +404,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
-    capture_from_plain_images([folder / f"{k}.png" for k in range(3)], lights, 10.0)
+    capture_from_photographs(folder / "{light}.png", lights, 10.0, PhotographOptions(encoding="linear"))
     read_photographs(folder)
 
 

@@ -26,7 +26,7 @@ from splitknit import reconstruct
 from splitknit.errors import BadInput, require
 from splitknit.io.light_list import read_named_lights
 from splitknit.io.npz import read_npz
-from splitknit.io.plain import PhotographOptions, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
 
 PRESETS = {
@@ -107,8 +107,8 @@ def sphere(folder: Path) -> Object:
     lights_file = folder / "lights.txt"
     lights = read_named_lights(lights_file if lights_file.is_file() else folder.parent / "lights.txt")[0]
     stem = masks[0].name.removesuffix(".mask.png")
-    images = [folder / f"{stem}.{k}.png" for k in range(len(lights))]
-    capture = capture_from_plain_images(images, lights, PX_PER_MM, PhotographOptions(masks[0]))
+    options = PhotographOptions(masks[0], encoding="linear")
+    capture = capture_from_photographs(folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, options).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4

@@ -14,7 +14,7 @@ from splitknit.cli.main import main
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_named_lights
-from splitknit.io.plain import PhotographOptions, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
@@ -50,9 +50,9 @@ def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
 def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
-    images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
     lights = read_named_lights(folder / "lights.txt")[0]
-    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(mask=folder / "gray" / "gray.mask.png"))
+    options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
+    capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
@@ -66,9 +66,9 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
 def phalange(data_dir: Path) -> Capture:
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
-    images = [folder / f"light_{k:02d}.png" for k in range(12)]
     lights = read_named_lights(folder / "lights.txt")[0]
-    return capture_from_plain_images(images, lights, 40.0, PhotographOptions(mask=folder / "mask.png", background=71))
+    options = PhotographOptions(mask=folder / "mask.png", background=71, encoding="linear")
+    return capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
 
 
 @pytest.fixture(scope="module")

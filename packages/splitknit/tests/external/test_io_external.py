@@ -12,7 +12,7 @@ from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.light_list import read_named_lights
-from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
 pytestmark = pytest.mark.external
@@ -30,13 +30,9 @@ def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray
 
 def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
-    images = [folder / f"light_{k:02d}.png" for k in range(12)]
-    capture = capture_from_plain_images(
-        images,
-        read_named_lights(folder / "lights.txt")[0],
-        40.0,
-        PhotographOptions(mask=folder / "mask.png", background=71),
-    )
+    lights = read_named_lights(folder / "lights.txt")[0]
+    options = PhotographOptions(mask=folder / "mask.png", background=71, encoding="linear")
+    capture = capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
     assert again.bands["white"].pixels.shape[:3] == (12, *again.shape)
@@ -51,8 +47,8 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     folder = data_dir / "psm_spheres"
     lights = read_named_lights(folder / "lights.txt")[0]
     assert lights.shape == (12, 3)
-    images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
-    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(mask=folder / "gray" / "gray.mask.png"))
+    options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
+    capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
     write_capture(capture, tmp_path / "capture", image_format="tiff")
     again = read_capture(tmp_path / "capture")
     assert again.mask is not None

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_light_list, read_named_lights
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, _assembled, _distant_rig, capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.steps import IN_MEMORY, large_array
@@ -36,7 +37,11 @@ LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any) -> Any:
     files = [plain / f"{k}.png" for k in range(count)]
-    return capture_from_plain_images(files, lights, 12.5, PhotographOptions(**options), intensities)
+    rig = _distant_rig(np.asarray(lights, dtype=np.float64))
+    if intensities is not None:
+        leds = (replace(led, intensity=one) for led, one in zip(rig.leds, intensities, strict=True))
+        rig = replace(rig, leds=tuple(leds))
+    return _assembled(files, rig, 12.5, PhotographOptions(**{"encoding": "linear", **options}))[0]
 
 
 def test_plain_images_become_a_capture(plain: Path) -> None:
@@ -73,7 +78,6 @@ def test_an_image_as_background(plain: Path) -> None:
         ({"lights": [[0, 0, 1], [1, 0, 1], [2, 0, 1], [3, 0, 1]]}, "coplanar"),
         ({"lights": np.where(LIGHTS == 3, np.nan, LIGHTS)}, "NaN"),
         ({"lights": LIGHTS * [1, 1, -1]}, "points away"),
-        ({"intensities": [1, 1]}, "2 intensities for 4 lights"),
         ({"intensities": [1, 1, 1, 0]}, "positive"),
         ({"material": "wood"}, "material"),
         ({"encoding": "log"}, "encoding"),

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from checkerboards import checkerboard_patterns
 from splitknit.separation.binary import checkerboard, occluder
 from splitknit.separation.sinusoid import sinusoid
-from splitknit.separation.stacks import checkerboard_patterns
 
 quick = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import StackSettings, check_shifts, checkerboard_patterns, estimate_patterns
+from splitknit.separation.stacks import StackSettings, check_shifts, estimate_patterns
 
 SIZE = (60, 72)
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
 from splitknit.separation.binary import occluder, single_image
 from splitknit.separation.sinusoid import PhaseSeparation, sinusoid
-from splitknit.separation.stacks import checkerboard_patterns, estimate_patterns
+from splitknit.separation.stacks import estimate_patterns
 
 SIZE = (48, 60)
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]

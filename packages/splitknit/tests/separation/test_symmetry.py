@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import StackSettings, checkerboard_patterns
+from splitknit.separation.stacks import StackSettings
 from splitknit.separation.symmetry import by_symmetry
 
 SIZE = (60, 72)

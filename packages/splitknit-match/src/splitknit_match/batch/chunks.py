@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from splitknit import canonical_json, importing, parse_json, refusing, require, settings_hash
-from splitknit_match.batch.objects import Location, files_below, stored_file, whole_file
+from splitknit_match.batch.objects import Location, stored_file, whole_file
 
 # Packages that only the batch engine needs, imported when it needs them.
 
@@ -23,8 +23,7 @@ def load(module: str, extra: str) -> Any:
 
 SUFFIX = ".parquet"
 _KEY = b"splitknit"
-_MAX_BYTES = 2_000_000_000
-"""Largest file, and largest columns in it: surfaces of forty captures."""
+_MAX_BYTES = 2_000_000_000  # largest file, and largest columns in it: surfaces of forty captures
 _MAX_ROWS, _MAX_COLUMNS = 10_000_000, 1000
 _TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
 _FLAGS = {"acquired", "genuine", "compared"}
@@ -39,15 +38,9 @@ def write_chunk(path: Location, columns: Mapping[str, Sequence[Any]], schema: An
     described = schema.with_metadata({_KEY: canonical_json(origin).encode("ascii")})
     table = pa.table({name: pa.array(columns[name], type=schema.field(name).type) for name in schema.names}, described)
     with whole_file(path) as stream:
-        pq.write_table(
-            table,
-            stream,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=[name for name in schema.names if pa.types.is_string(schema.field(name).type)],
-            write_statistics=False,
-            store_schema=True,
-        )
+        texts = [name for name in schema.names if pa.types.is_string(schema.field(name).type)]
+        packed: dict[str, Any] = {"compression": "zstd", "compression_level": 1, "use_dictionary": texts}
+        pq.write_table(table, stream, **packed, write_statistics=False, store_schema=True)
 
 
 def column_type(name: str) -> Any:
@@ -120,11 +113,6 @@ def read_schema(path: Location) -> Any:
 def chunk_name(number: str, source: Sequence[Any]) -> str:
     """Name of a chunk's file without suffix: its number, and a hash of what its content follows from."""
     return f"{number}-{settings_hash(source)[:12]}"
-
-
-def chunk_files(folder: Location) -> list[Location]:
-    """Finished chunks in a folder, in their order; what is being written has another name."""
-    return [folder / name for name in files_below(folder) if name.endswith(SUFFIX) and not name.startswith(".")]
 
 
 def _damaged(path: Location) -> str:

@@ -56,7 +56,7 @@ _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
 
-def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
+def to_scores(table: Any, column: str = "similarity") -> Scores:
     """Comparisons of the store, a ``pyarrow.Table`` of :meth:`splitknit_match.batch.store.Store.scores`, to be
     evaluated. `column`: what is the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
     """
@@ -66,7 +66,7 @@ def to_scores(table: Any, column: str = "similarity", name: str | None = None) -
     score[~_flags(table, "compared")] = np.nan
     sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
     ids = {kind: ids_of(*([names[kind] for names in side] for side in sides)) for kind in _KINDS}
-    return Scores(_flags(table, "genuine"), score, **ids, name=name or column)
+    return Scores(_flags(table, "genuine"), score, **ids, name=column)
 
 
 def _write_csv(path: Location, table: Any) -> None:
@@ -90,9 +90,8 @@ def _names_of(capture: str) -> dict[str, str]:
     {'finger': 'S01/right_index', 'subject': 'S01', 'session': '2'}
     """
     subject, session, finger = parts if len(parts := capture.split("/")) == 3 else ("", "", "")
-    require(
-        bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; run the batch again."
-    )
+    cure = "run the batch again."
+    require(bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; {cure}")
     return {"finger": f"{subject}/{finger}", "subject": subject, "session": session.removeprefix("session_")}
 
 
@@ -157,14 +156,11 @@ def run_batch(
     cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
     people, folder = location(population), location(out)
     for one in (people, folder):
-        require(
-            not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
-            f"'{one}' is known to this process alone; take `jobs` 1 and no cluster, or another place.",
-        )
+        fault = f"'{one}' is known to this process alone; take `jobs` 1 and no cluster,"
+        require(not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None), f"{fault} or another place.")
     into = folder / "csv" if csv is None else csv
-    tables = {
-        (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
-    }
+    every = [(case.name, name) for case in settings.cases for name in settings.matchers]
+    tables = {(case, name): into / f"{case}_{name}.csv" for case, name in every}
     with contextlib.ExitStack() as stack:
         stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
         for table in tables.values():
@@ -239,9 +235,7 @@ _FILE = ".lock"
 
 @contextmanager
 def alone(store: Path) -> Iterator[None]:
-    """Hold the store for this run; a killed run lets go. Raises BadInput if another run holds it, or the folder cannot
-    be written.
-    """
+    """Hold the store for this run, a killed one lets go; BadInput if another holds it, or it cannot be written."""
     try:
         stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
     except OSError as error:
@@ -264,9 +258,8 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     solids = {matcher(name, settings.matching).source for name in settings.matchers} & set(SOLIDS)
     tasks = []
     for group, captures in sorted(groups.items()):
-        wanted = [
-            (case, tuple(capture.name for capture in captures if capture.name not in found)) for case, found in lacking
-        ]
+        names = [capture.name for capture in captures]
+        wanted = [(case, tuple(name for name in names if name not in found)) for case, found in lacking]
         missing = tuple((case, names) for case, names in wanted if names)
         if missing:
             named = {name for _, names in missing for name in names}
@@ -295,11 +288,8 @@ def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
     """Chunks of features beside which there is none of `kind`."""
     there = {file.stem for file in run.store.files(kind, case.name)}
     place, matching = _anywhere(run.population.folder), run.settings.matching
-    return [
-        ExtractionTask(run.store.folder, place, case, file.stem, kind, matching)
-        for file in run.store.files("features", case.name)
-        if file.stem not in there
-    ]
+    files = [file for file in run.store.files("features", case.name) if file.stem not in there]
+    return [ExtractionTask(run.store.folder, place, case, file.stem, kind, matching) for file in files]
 
 
 def _score_tasks(

@@ -58,10 +58,8 @@ def enroll_population(
     places = _found_in(folder)
     with contextlib.ExitStack() as stack:
         target = opened(gallery, key, settings.matching)
-        require(
-            target is None or target.settings_sha256 != MINUTIAE_HASH,
-            f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
-        )
+        cure = "enrol a population into a gallery of its own."
+        require(target is None or target.settings_sha256 != MINUTIAE_HASH, f"'{gallery}' keeps minutiae; {cure}")
         created = target is None
         if target is not None:
             stack.enter_context(target)
@@ -93,11 +91,9 @@ def enroll_population(
     }
     if unread:
         kept = "nothing was enrolled" if target is None else "the others are enrolled"
-        raise Refused(
-            f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {unread[0]['reason'].rstrip('.')})"
-            "; repair or remove them, and run the same again.",
-            facts,
-        )
+        first = unread[0]["reason"].rstrip(".")
+        fault = f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {first})"
+        raise Refused(f"{fault}; repair or remove them, and run the same again.", facts)
     return facts
 
 
@@ -129,11 +125,8 @@ def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: boo
         known = earlier.get((place.person, place.finger, place.session))
         if known is not None and known == source_hash(place.path):
             continue
-        require(
-            known is None or replace,
-            f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
-            "give `replace`, or name another gallery.",
-        )
+        fault = f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}"
+        require(known is None or replace, f"{fault}; give `replace`, or name another gallery.")
         waiting.append(place)
     return waiting
 

@@ -22,14 +22,10 @@ from splitknit_match.batch.chunks import load
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
-_KILLED = (
-    "a worker was killed, perhaps for want of memory; what is finished is kept: run the same again, with fewer jobs if "
-    "memory was short."
-)
-AHEAD = 3
-"""Tasks that the scheduler is given for each thread of the cluster: one under way, two waiting."""
-PATIENCE_S = 30.0
-"""How long a cluster is waited for."""
+_KEPT = "what is finished is kept: run the same again, with fewer jobs if memory was short."
+_KILLED = f"a worker was killed, perhaps for want of memory; {_KEPT}"
+AHEAD = 3  # tasks that the scheduler is given for each thread of the cluster: one under way, two waiting
+PATIENCE_S = 30.0  # how long a cluster is waited for
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,31 +34,22 @@ class Cluster:
     address is none, or anyone in the network could send code to the workers and `insecure` is not set.
     """
 
-    address: str
-    """``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer."""
-    ca_file: Path | None = None
-    """PEM file of the CA that signed the scheduler's certificate; Dask's configuration names it where this does not."""
-    cert_file: Path | None = None
-    """PEM file of this computer's certificate; the same."""
-    key_file: Path | None = None
-    """PEM file of its key, where `cert_file` does not hold it."""
-    insecure: bool = False
-    """Allow ``tcp://`` to another computer."""
+    address: str  # ``tls://HOST:PORT``, or ``tcp://HOST:PORT`` for a scheduler on this computer
+    ca_file: Path | None = None  # PEM file of the CA that signed the scheduler's certificate; else Dask's configuration
+    cert_file: Path | None = None  # PEM file of this computer's certificate; the same
+    key_file: Path | None = None  # PEM file of its key, where `cert_file` does not hold it
+    insecure: bool = False  # allow ``tcp://`` to another computer
 
     def __post_init__(self) -> None:
         found = re.fullmatch(r"(tls|tcp)://(?:([^\s:/\[\]]+)|\[([0-9A-Fa-f:.]+)\]):([0-9]{1,5})", self.address)
         if found is None or not 0 < int(found[4]) < 65536:
-            raise BadInput(
-                f"'{self.address}' is not the address of a cluster: name tls://HOST:PORT, or tcp://127.0.0.1:PORT for "
-                "one on this computer."
-            )
+            fault = f"'{self.address}' is not the address of a cluster"
+            raise BadInput(f"{fault}: name tls://HOST:PORT, or tcp://127.0.0.1:PORT for one on this computer.")
         require(self.cert_file is not None or self.key_file is None, "a cluster's key needs its certificate as well.")
         if found[1] == "tls":
             return
-        require(
-            self.ca_file is None and self.cert_file is None,
-            f"certificates are for tls://, but the cluster is '{self.address}'; name tls://HOST:PORT.",
-        )
+        fault = f"certificates are for tls://, but the cluster is '{self.address}'"
+        require(self.ca_file is None and self.cert_file is None, f"{fault}; name tls://HOST:PORT.")
         require(
             self.insecure or _is_loopback(found[2] or found[3]),
             f"the cluster '{self.address}' is on another computer, without encryption: anyone who reaches its port can "
@@ -74,18 +61,15 @@ class Cluster:
 
 @contextlib.contextmanager
 def connected(cluster: Cluster) -> Iterator[Any]:
-    """Connect to a cluster that has a worker; give the client. Raises BadInput if the cluster cannot be reached, the
-    certificates do not fit, or there is no worker.
-    """
+    """Give the client of a cluster that has a worker; BadInput if it cannot be reached, or certificates do not fit."""
     distributed = load("distributed", "cluster")
     security = _security(distributed, cluster)
     try:
         client = _client(distributed, cluster.address, security)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise BadInput(
-            f"the cluster '{cluster.address}' cannot be reached ({_cause(error)}); start a scheduler and workers, with "
-            "certificates of the same CA for tls:// (docs/guide/batch.md), and name the scheduler's address."
-        ) from error
+        fault = f"the cluster '{cluster.address}' cannot be reached ({_cause(error)})"
+        cure = "start a scheduler and workers, with certificates of the same CA for tls:// (docs/guide/batch.md),"
+        raise BadInput(f"{fault}; {cure} and name the scheduler's address.") from error
     try:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -152,14 +136,10 @@ def peak_memory_mb() -> float:
 class TaskDone:
     """What a task of a batch did."""
 
-    size: int
-    """Reconstructions, comparisons, or chunks."""
-    seconds: float = 0.0
-    """Time of one core, where it is counted."""
-    failures: tuple[str, ...] = ()
-    """Case, capture and sentence of each failure to acquire."""
-    peak_memory_mb: float = field(default_factory=peak_memory_mb)
-    """Peak memory of the process that did it."""
+    size: int  # reconstructions, comparisons, or chunks
+    seconds: float = 0.0  # time of one core, where it is counted
+    failures: tuple[str, ...] = ()  # case, capture and sentence of each failure to acquire
+    peak_memory_mb: float = field(default_factory=peak_memory_mb)  # peak memory of the process that did it
 
 
 def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, device: str) -> Iterator[Done]:
@@ -168,9 +148,8 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
         # a worker that has grown is replaced; nothing is lost by that
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
-        pool = joblib.Parallel(
-            n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs"
-        )
+        shared: Any = {"return_as": "generator_unordered", "batch_size": 1, "pre_dispatch": "2*n_jobs"}
+        pool = joblib.Parallel(n_jobs=min(jobs, len(tasks)), **shared)
         results = pool(joblib.delayed(_in_worker)(work, task, os.getpid(), device) for task in tasks)
         try:
             yield from results
@@ -199,15 +178,10 @@ def _security(distributed: Any, cluster: Cluster) -> Any:
         security = distributed.Security(require_encryption=True, tls_ciphers=None, tls_min_version=None, **files)
         certain = security.get_connection_args("client")["ssl_context"] is not None
     except (OSError, ValueError) as error:
-        raise BadInput(
-            f"the certificates for '{cluster.address}' cannot be used ({_cause(error)}); name PEM files of the CA, the "
-            "certificate and its key."
-        ) from error
-    require(
-        certain,
-        f"'{cluster.address}' needs certificates: name `cluster_ca`, `cluster_cert` and `cluster_key`, or set them in "
-        "Dask's configuration (docs/guide/batch.md).",
-    )
+        cure = "name PEM files of the CA, the certificate and its key."
+        raise BadInput(f"the certificates for '{cluster.address}' cannot be used ({_cause(error)}); {cure}") from error
+    fault = f"'{cluster.address}' needs certificates: name `cluster_ca`, `cluster_cert` and `cluster_key`,"
+    require(certain, f"{fault} or set them in Dask's configuration (docs/guide/batch.md).")
     return security
 
 
@@ -237,10 +211,9 @@ def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any
 
     def submit() -> list[Any]:
         room = AHEAD * max(sum(client.nthreads().values()), 1) - len(waiting)
-        new = [
-            client.submit(_in_cluster_worker, work, task, version, device, pure=False, retries=0)
-            for task in islice(rest, max(room, 0))
-        ]
+        begun = islice(rest, max(room, 0))
+        how: Any = {"pure": False, "retries": 0}
+        new = [client.submit(_in_cluster_worker, work, task, version, device, **how) for task in begun]
         waiting.update((future.key, future) for future in new)
         return new
 
@@ -261,10 +234,9 @@ def _result(distributed: Any, future: Any) -> Any:
     try:
         return future.result()
     except distributed.KilledWorker as error:
-        raise BadInput(
-            "one task was given to several workers and each of them was killed, perhaps for want of memory; what is "
-            "finished is kept: give the workers more memory and run the same again."
-        ) from error
+        fault = "one task was given to several workers and each of them was killed, perhaps for want of memory"
+        cure = "what is finished is kept: give the workers more memory and run the same again."
+        raise BadInput(f"{fault}; {cure}") from error
     except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
         raise BadInput("the cluster was lost; what is finished is kept: start it and run the same again.") from error
 

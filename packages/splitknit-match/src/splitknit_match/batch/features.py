@@ -34,8 +34,7 @@ from splitknit_match.matching.template import pack
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
 BANDS = ("white", "nir")
-VERSION = 1
-"""Version of a chunk's columns."""
+VERSION = 1  # version of a chunk's columns
 _EMPTY = "the ridge band that could be acquired is too small for a template."
 
 
@@ -48,12 +47,10 @@ class FeatureTask:
     population_sha256: str
     store: Location
     captures: tuple[CaptureRef, ...]
-    cases: tuple[tuple[Case, tuple[str, ...]], ...]
-    """Each case with the names of the captures that it lacks."""
+    cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
     matching: MatchingSettings
     images: bool
-    solids: tuple[str, ...] = ()
-    """Features in space that are made at once, of :data:`splitknit_match.batch.solids.SOLIDS`."""
+    solids: tuple[str, ...] = ()  # features in space that are made at once, of :data:`.solids.SOLIDS`
 
 
 def _feature_schema() -> Any:

@@ -47,8 +47,7 @@ from splitknit_match.gallery.shards import files_of_shards
 from splitknit_simulator import POPULATION_FILE
 from splitknit_simulator import TABLE_FILE as POPULATION_TABLE
 
-_WHO = ("person", "subject", "subject_a", "subject_b")
-"""Columns of our tables."""
+_WHO = ("person", "subject", "subject_a", "subject_b")  # columns of our tables
 _MAX_TABLE, _MAX_TEXT = 1_000_000_000, 20_000_000
 _UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")
 
@@ -57,8 +56,7 @@ _UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")
 class _Held:
     """Something about the person."""
 
-    what: str
-    """Such as "gallery"."""
+    what: str  # such as "gallery"
     path: Path
     records: int
     erase: Callable[[], object]
@@ -99,9 +97,8 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
         with _noted(gallery, unreached):
             held += _gallery(gallery, names, key)
     words = ", ".join(sorted(names))
-    nothing = (
-        f"nothing of {words} was found; names are compared letter by letter ('splitknit gallery list' shows them)."
-    )
+    nothing = f"nothing of {words} was found; names are compared letter by letter"
+    nothing += " ('splitknit gallery list' shows them)."
     require(bool(held or shards or unreached), nothing)
     facts: dict[str, Any] = {
         "people": sorted(names),
@@ -120,15 +117,13 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
     for folder in shards:
         with _noted(folder, unreached):
             _shards(folder, list(galleries.values()), key)
-    facts["mentions"] = [
-        str(folder / name) for folder, files in _walked(places, []) for name in files if _names(folder / name, names)
-    ]
+    every = (folder / name for folder, files in _walked(places, []) for name in files)
+    facts["mentions"] = [str(file) for file in every if _names(file, names)]
     facts["unnamed"] = [path for path in unnamed if Path(path).exists()]
     if unreached:
         first = f"{unreached[0]['path']}: {unreached[0]['reason'].rstrip('.')}"
-        raise Refused(
-            f"{len(unreached)} places could not be looked into or erased, the rest is (first: {first}).", facts
-        )
+        said = f"{len(unreached)} places could not be looked into or erased, the rest is (first: {first})."
+        raise Refused(said, facts)
     return facts
 
 

@@ -37,19 +37,13 @@ class Matcher:
     """One method of comparing two captures."""
 
     name: str
-    columns: tuple[str, ...]
-    """Beside the similarity."""
-    source: str
-    """Folder of the store that it reads."""
+    columns: tuple[str, ...]  # beside the similarity
+    source: str  # folder of the store that it reads
     blocks: Blocks
-    document: Any
-    """All settings."""
-    database: Callable[[Place], Any]
-    """One side, ready, or None where it could not be acquired."""
-    query: Callable[[Place], Any]
-    """The other side."""
-    compare: Callable[[Any, Any], Values]
-    """``similarity`` and the columns."""
+    document: Any  # all settings
+    database: Callable[[Place], Any]  # one side, ready, or None where it could not be acquired
+    query: Callable[[Place], Any]  # the other side
+    compare: Callable[[Any, Any], Values]  # ``similarity`` and the columns
 
     def blocks_for(self, impostors: float) -> Blocks:
         """Blocks of about as many comparisons where only a fraction of the impostors is compared."""
@@ -107,12 +101,9 @@ def _by_thesis(settings: ThesisSettings) -> Matcher:
         images, features = a
         found = thesis_match(images, b, every, features)
         chosen = [found.dissimilarity[name] for name in settings.attributes]
-        return {
-            "similarity": 1.0 - sum(chosen) / len(chosen),
-            "ratio": found.ratio,
-            "shift_px": float(found.shift_px),
-            **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
-        }
+        dissimilarity = {f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()}
+        similarity = 1.0 - sum(chosen) / len(chosen)
+        return {"similarity": similarity, "ratio": found.ratio, "shift_px": float(found.shift_px), **dissimilarity}
 
     document = {"thesis": every, "similarity_of": list(settings.attributes)}
     return Matcher("thesis", columns, "features", Blocks(128, 16), document, ready, images_of, compare)

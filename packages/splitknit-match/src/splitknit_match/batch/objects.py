@@ -20,13 +20,10 @@ from typing import IO, Any, BinaryIO
 from splitknit import BadInput, atomic_file, inside, open_file, read_bytes, require
 
 MEMORY = "memory"
-SCHEMES = ("s3", "gs", "az", MEMORY)
-"""Schemes of URLs that are accepted; nothing else on a network is ever contacted."""
+SCHEMES = ("s3", "gs", "az", MEMORY)  # schemes of URLs that are accepted; nothing else on a network is ever contacted
 _MAX_CAPTURE_BYTES = 20_000_000_000
-_SMALL_BYTES = 1 << 16
-"""What is read at least at a time; an object that is no longer in one piece."""
-_UNREAD = frozenset({"truth.npz", "impression.json"})
-"""Files of a simulated capture that nobody reconstructs from."""
+_SMALL_BYTES = 1 << 16  # what is read at least at a time; an object that is no longer in one piece
+_UNREAD = frozenset({"truth.npz", "impression.json"})  # files of a simulated capture that nobody reconstructs from
 _NO_METADATA = "AWS_EC2_METADATA_DISABLED"
 
 
@@ -34,8 +31,7 @@ _NO_METADATA = "AWS_EC2_METADATA_DISABLED"
 class Objects:
     """A folder or a file among objects, used as a :class:`pathlib.Path` is."""
 
-    url: str
-    """``s3://bucket/people``, without an end."""
+    url: str  # ``s3://bucket/people``, without an end
 
     def __truediv__(self, name: str) -> Objects:
         """Return what is called `name` below this."""
@@ -55,20 +51,16 @@ class Objects:
         return PurePosixPath(self.name).stem
 
 
-Location = Path | Objects
-"""Where a population, a store, or a file in it is."""
+Location = Path | Objects  # where a population, a store, or a file in it is
 
 
 @dataclass(slots=True)
 class Moved:
     """What this process asked of object storage so far."""
 
-    gets: int = 0
-    """Requests that read: of an object, a range of it, its size, a listing."""
-    puts: int = 0
-    """Objects that were written."""
-    read: int = 0
-    """Bytes."""
+    gets: int = 0  # requests that read: of an object, a range of it, its size, a listing
+    puts: int = 0  # objects that were written
+    read: int = 0  # bytes
     written: int = 0
 
 
@@ -89,11 +81,8 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
     scheme, found, rest = text.partition("://")
     if not found:
         return Path(text)
-    require(
-        scheme in SCHEMES,
-        f"'{scheme}://' is no object storage that a batch may lie in; use {', '.join(f'{one}://' for one in SCHEMES)}, "
-        "or a folder.",
-    )
+    cure = f"use {', '.join(f'{one}://' for one in SCHEMES)}, or a folder."
+    require(scheme in SCHEMES, f"'{scheme}://' is no object storage that a batch may lie in; {cure}")
     bucket, _, below = rest.strip("/").partition("/")
     require(
         "@" not in bucket and "?" not in rest and "#" not in rest,
@@ -171,9 +160,7 @@ class _Ranges(io.RawIOBase):
 
 @contextlib.contextmanager
 def whole_file(place: Location) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes `place`, as a whole, when the block ends without exception. Raises BadInput if
-    it cannot be written.
-    """
+    """Yield a binary file that becomes `place`, as a whole, when the block ends; BadInput if it cannot be written."""
     if isinstance(place, Path):
         with atomic_file(place) as stream:
             yield stream
@@ -247,10 +234,8 @@ def _copy(population: Objects, name: str, root: Path) -> None:
     source, target = population / name, inside(root, name, f"'{population}'", "the name of a capture")
     target.mkdir(parents=True)
     sizes = {file: size for file, size in _sizes(source, deep=True).items() if file not in _UNREAD}
-    require(
-        sum(sizes.values()) <= _MAX_CAPTURE_BYTES,
-        f"'{source}' is too large for a capture: {sum(sizes.values())} bytes, at most {_MAX_CAPTURE_BYTES} are read.",
-    )
+    fault = f"'{source}' is too large for a capture: {sum(sizes.values())} bytes,"
+    require(sum(sizes.values()) <= _MAX_CAPTURE_BYTES, f"{fault} at most {_MAX_CAPTURE_BYTES} are read.")
     (target / "truth.npz").touch()
     with _refusing(source, "read"):
         fs, path = _of(source)
@@ -285,7 +270,6 @@ def _refusing(place: Objects, what: str) -> Iterator[None]:
         package = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs"}.get(scheme, "fsspec")
         raise BadInput(f"{scheme}:// needs {package}, which cannot be imported; pip install {package}.") from error
     except Exception as error:
-        raise BadInput(
-            f"'{place}' cannot be {what} ({type(error).__name__}); check the bucket, its rights, the address of the "
-            "server and the credentials in the environment, and run the same again."
-        ) from error
+        fault = f"'{place}' cannot be {what} ({type(error).__name__})"
+        cure = "check the bucket, its rights, the address of the server and the credentials in the environment,"
+        raise BadInput(f"{fault}; {cure} and run the same again.") from error

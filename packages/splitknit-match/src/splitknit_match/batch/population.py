@@ -22,16 +22,12 @@ _SIMULATED = "population.json"
 class CaptureRef:
     """One capture folder of a population."""
 
-    name: str
-    """Path of its folder, relative to the population: ``S01/session_1/right_index``."""
+    name: str  # path of its folder, relative to the population: ``S01/session_1/right_index``
     subject: str
-    finger: str
-    """The finger, unique in the world: ``S01/right_index``."""
+    finger: str  # the finger, unique in the world: ``S01/right_index``
     session: str
-    place: int
-    """In the order of subjects, fingers and sessions of the plan, captured or not."""
-    number: int = 0
-    """Number of the finger in that order, the same in every session."""
+    place: int  # in the order of subjects, fingers and sessions of the plan, captured or not
+    number: int = 0  # number of the finger in that order, the same in every session
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +35,9 @@ class Population:
     """A population on disk, or among objects."""
 
     folder: Location
-    sha256: str
-    """Hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``."""
+    sha256: str  # hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``
     planned: int
-    captures: tuple[CaptureRef, ...]
-    """Those that are complete, in the order of the plan."""
+    captures: tuple[CaptureRef, ...]  # those that are complete, in the order of the plan
 
 
 def read_population(folder: Location) -> Population:
@@ -68,11 +62,8 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
         known = has(PLAN_FILE)
     except (OSError, ValueError):
         known = False
-    require(
-        known,
-        f"'{folder}' is no population: it holds no {PLAN_FILE}; name a folder of 'splitknit simulate population' or of "
-        "an enrolment.",
-    )
+    cure = "name a folder of 'splitknit simulate population' or of an enrolment."
+    require(known, f"'{folder}' is no population: it holds no {PLAN_FILE}; {cure}")
     plan = open_enrolment(plan_folder).plan
     captures = []
     for number, (subject, finger, session) in enumerate(
@@ -83,9 +74,8 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
     ):
         place = PlannedCapture(subject, session, finger)
         if has(f"{place.folder}/capture.json"):
-            captures.append(
-                CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)
-            )
+            who = subject, f"{subject}/{finger}", str(session)
+            captures.append(CaptureRef(place.folder, *who, number, number // plan.sessions))
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
     return Population(folder, _hash(plan_folder), plan.total, tuple(captures))
 
@@ -107,18 +97,15 @@ def _hash(folder: Path) -> str:
 class Blocks:
     """How many captures stand together."""
 
-    database: int
-    """Captures of the earlier session, kept ready for the whole block."""
-    query: int
-    """Captures of the later session, taken one after the other."""
+    database: int  # captures of the earlier session, kept ready for the whole block
+    query: int  # captures of the later session, taken one after the other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """The comparisons of one block."""
 
-    number: int
-    """In the order of all blocks of the plan."""
+    number: int  # in the order of all blocks of the plan
     pairs: Comparisons
 
 
@@ -126,11 +113,8 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     """Every finger of a session with every finger of every later one; of different fingers a fraction only, drawn by
     pairs of fingers, all sessions of a pair together. Raises BadInput if the captures are of one session.
     """
-    return comparisons(
-        [one.finger for one in captures],
-        [one.session for one in captures],
-        None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors,
-    )
+    drawn = None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors
+    return comparisons([one.finger for one in captures], [one.session for one in captures], drawn)
 
 
 def draw(a: str, b: str, seed: int) -> float:

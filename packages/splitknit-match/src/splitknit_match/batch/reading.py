@@ -35,10 +35,8 @@ def surface_of(place: Place) -> Surface | None:
     """The surface, to the last bit; None where the capture could not be acquired."""
     payload = _surfaces(place.file, _version(place.file))[place.row]
     if payload is None:
-        require(
-            small_column(place, "area_mm2") == 0.0,
-            f"'{place.file}' holds no surfaces: it was made without them; delete it and run the same again with them.",
-        )
+        fault = f"'{place.file}' holds no surfaces: it was made without them"
+        require(small_column(place, "area_mm2") == 0.0, f"{fault}; delete it and run the same again with them.")
         return None
     return naming(f"'{place.file}'", lambda: unpack_surface(payload))
 

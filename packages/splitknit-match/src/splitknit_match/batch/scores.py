@@ -16,8 +16,7 @@ from splitknit_match.batch.objects import Location
 from splitknit_match.batch.reading import Place, small_column
 from splitknit_match.matching.surface import MatchingSettings
 
-VERSION = 1
-"""Version of a chunk's columns."""
+VERSION = 1  # version of a chunk's columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +30,10 @@ class ScoreTask:
     matcher: str
     matching: MatchingSettings
     block: int
-    database: str
-    """By which a process knows what it has ready."""
-    pairs: tuple[tuple[str, str, bool], ...]
-    """Earlier capture, later capture, whether they are of one finger."""
-    places: Mapping[str, Place]
-    """Where the matcher's input is."""
-    origins: Mapping[str, Place]
-    """Where the features came from, for the hashes of the input."""
+    database: str  # by which a process knows what it has ready
+    pairs: tuple[tuple[str, str, bool], ...]  # earlier capture, later capture, whether they are of one finger
+    places: Mapping[str, Place]  # where the matcher's input is
+    origins: Mapping[str, Place]  # where the features came from, for the hashes of the input
     seed: int
 
 

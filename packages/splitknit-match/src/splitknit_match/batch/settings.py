@@ -18,17 +18,13 @@ MATCHERS = ("ridge", "thesis", "thesis-code", "minutiae", "voted", "minutiae3d",
 class Case:
     """One method of reconstruction: a preset and what is changed in it."""
 
-    name: str
-    """Name of the folder in the store: letters, digits, ``.``, ``-`` and ``_``."""
+    name: str  # name of the folder in the store: letters, digits, ``.``, ``-`` and ``_``
     preset: str
-    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    """From ``stage.field`` to a value."""
+    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # from ``stage.field`` to a value
 
     def __post_init__(self) -> None:
-        require(
-            re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name) is not None,
-            f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits, dots, - and _.",
-        )
+        fault = f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits,"
+        require(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name) is not None, f"{fault} dots, - and _.")
         object.__setattr__(self, "changes", dict(self.changes))
         self.settings()
 
@@ -39,11 +35,8 @@ class Case:
     def document(self) -> dict[str, Any]:
         """For the store: the preset, all settings, and their hash."""
         settings = asdict(self.settings())
-        return {
-            "preset": self.preset,
-            "settings_sha256": settings_hash({"preset": self.preset, "settings": settings}),
-            "settings": settings,
-        }
+        sha256 = settings_hash({"preset": self.preset, "settings": settings})
+        return {"preset": self.preset, "settings_sha256": sha256, "settings": settings}
 
 
 def preset_cases(names: tuple[str, ...] = ("metric", "snk", "pr", "ea")) -> tuple[Case, ...]:

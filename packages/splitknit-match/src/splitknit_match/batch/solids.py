@@ -32,8 +32,7 @@ SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surfa
 """Features in space: from the folder of the store to the column with the payload."""
 _VERSIONS = {"minutiae": 2}
 """Version of a kind's content, 1 where it is not listed. Minutiae of version 1 included ends at the outline."""
-_TIMINGS = {"minutiae": "extraction", "voted": "voting"}
-"""Folders of timings; of the others the kind with ``-making``."""
+_TIMINGS = {"minutiae": "extraction", "voted": "voting"}  # folders of timings; of the others the kind with ``-making``
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +43,11 @@ class ExtractionTask:
     population: Location
     case: Case
     name: str
-    kind: str
-    """``minutiae``, ``voted``, or one of :data:`SOLIDS`: the folder of the store."""
+    kind: str  # ``minutiae``, ``voted``, or one of :data:`SOLIDS`: the folder of the store
     matching: MatchingSettings
 
 
-_Found = tuple[str, bool, bytes]
-"""A capture, whether it was acquired, and the payload."""
+_Found = tuple[str, bool, bytes]  # a capture, whether it was acquired, and the payload
 
 
 def extract_features(task: ExtractionTask) -> TaskDone:

@@ -21,7 +21,7 @@ from splitknit import (
     require,
     settings_hash,
 )
-from splitknit_match.batch.chunks import chunk_files, load, read_chunk
+from splitknit_match.batch.chunks import SUFFIX, load, read_chunk
 from splitknit_match.batch.matchers import matcher
 from splitknit_match.batch.objects import Location, files_below, stored_bytes, there, whole_file
 from splitknit_match.batch.population import Population
@@ -55,16 +55,14 @@ class Store:
             known = known and all(isinstance(one, dict) for one in [*entries, pairs])
             float(pairs.get("impostors", 0.0))
         require(known, damaged)
-        require(
-            version == VERSION,
-            f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}; use the "
-            "splitknit that wrote it, or name another folder.",
-        )
+        fault = f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}"
+        require(version == VERSION, f"{fault}; use the splitknit that wrote it, or name another folder.")
         return dict(document)
 
     def files(self, kind: str, name: str) -> list[Location]:
         """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
-        return chunk_files(self.folder / kind / name)
+        folder = self.folder / kind / name  # what is being written there begins with a dot
+        return [folder / one for one in files_below(folder) if one.endswith(SUFFIX) and not one.startswith(".")]
 
     def captures(self, case: str) -> set[str]:
         """Names of the captures that are finished in a case."""
@@ -97,21 +95,16 @@ class Store:
         BadInput if there are none, or a chunk is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
-        require(
-            len(files) > 0, f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
-        )
+        none = f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
+        require(len(files) > 0, none)
         table = _joined([read_chunk(file, None, score_schema(()).names) for file in files], ["a", "b"])
-        require(
-            all(column.null_count == 0 for column in table.columns),
-            f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers; delete them and "
-            "run the same again.",
-        )
+        fault = f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers"
+        cure = "delete them and run the same again."
+        require(all(column.null_count == 0 for column in table.columns), f"{fault}; {cure}")
         return table
 
     def images(self, case: str, capture: str) -> FingerImages:
-        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them. Raises BadInput if
-        the store holds no surface of it.
-        """
+        """Channels of a capture for the thesis's matcher, as reconstruction gives them; BadInput without a surface."""
         place = stored_places(self.files("features", case)).get(capture)
         found = None if place is None else images_of(place)
         if found is None:
@@ -186,20 +179,16 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
 def check_store_target(folder: Location) -> None:
     """Refuse a folder that holds something else than a store. Raises BadInput."""
     if not isinstance(folder, Path):
-        require(
-            there(folder / STORE_FILE) or not files_below(folder, deep=True),
-            f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another place.",
-        )
+        fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store"
+        require(there(folder / STORE_FILE) or not files_below(folder, deep=True), f"{fault}; name another place.")
         return
     try:
         require(not folder.exists() or folder.is_dir(), f"'{folder}' is a file; name a folder for the store.")
         names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     except (OSError, ValueError) as error:
         raise BadInput(f"'{folder}' cannot be used as a store: {error}.") from error
-    require(
-        not names or STORE_FILE in names or names <= {".lock"},
-        f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another folder.",
-    )
+    fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store"
+    require(not names or STORE_FILE in names or names <= {".lock"}, f"{fault}; name another folder.")
     try:
         make_folder(folder)
     except OSError as error:
@@ -212,15 +201,11 @@ def _hashed(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_same(folder: Location, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    require(
-        earlier["population"].get("sha256") == wanted["population"]["sha256"],
-        f"the store '{folder}' is of another population; name another folder, or the population that it is of.",
-    )
-    require(
-        earlier.get("version") == wanted["version"],
-        f"the store '{folder}' was made by splitknit {earlier.get('version')}, and this is {wanted['version']}; use "
-        "that version, or name another folder.",
-    )
+    fault = f"the store '{folder}' is of another population"
+    cure = "name another folder, or the population that it is of."
+    require(earlier["population"].get("sha256") == wanted["population"]["sha256"], f"{fault}; {cure}")
+    fault = f"the store '{folder}' was made by splitknit {earlier.get('version')}, and this is {wanted['version']}"
+    require(earlier.get("version") == wanted["version"], f"{fault}; use that version, or name another folder.")
     for kind, words in (("cases", "case"), ("matchers", "matcher")):
         for name in earlier[kind].keys() & wanted[kind].keys():
             _check_settings(folder, f"{words} '{name}'", earlier[kind][name], wanted[kind][name])
@@ -231,19 +216,13 @@ def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
     """Which comparisons: a later run may request more of them, drawn the same way."""
     if not earlier or not wanted:
         return wanted or earlier
-    require(
-        earlier.get("seed") == wanted["seed"],
-        f"the impostors in the store '{folder}' were drawn with the seed {earlier.get('seed')}, not {wanted['seed']}; "
-        "use the same, or another folder.",
-    )
+    fault = f"the impostors in the store '{folder}' were drawn with the seed {earlier.get('seed')},"
+    require(earlier.get("seed") == wanted["seed"], f"{fault} not {wanted['seed']}; use the same, or another folder.")
     return wanted | {"impostors": max(wanted["impostors"], float(earlier.get("impostors", 0.0)))}
 
 
 def _check_settings(folder: Location, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     names = differing(earlier.get("settings", {}), wanted["settings"])
     where = f" ({', '.join(names[:4])})" if names else ""
-    require(
-        earlier.get("settings_sha256") == wanted["settings_sha256"],
-        f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name, or another "
-        "folder.",
-    )
+    fault = f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name,"
+    require(earlier.get("settings_sha256") == wanted["settings_sha256"], f"{fault} or another folder.")

@@ -32,8 +32,7 @@ not split; pitch in mm; matrix that takes the upright frame to the input; rows a
 _MAGIC = b"SKS1"
 _MAX_PIXELS = 40_000_000
 """Pixels of a capture's images, at most: five times the rig's camera. A surface takes 21 bytes a pixel unpacked."""
-_MAX_MM = 1000.0
-"""Largest height."""
+_MAX_MM = 1000.0  # largest height
 _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again."
 
 

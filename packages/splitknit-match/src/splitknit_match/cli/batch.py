@@ -98,10 +98,9 @@ def _case(text: str) -> Any:
 
 def _words(facts: dict[str, Any]) -> list[str]:
     waiting = facts["planned"] - facts["captures"]
-    lines = [
-        f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there: {facts['captures']} captures "
-        f"in {len(facts['cases'])} cases ({', '.join(facts['cases'])}) in {facts['out']}."
-    ]
+    made = f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there"
+    cases = f"{len(facts['cases'])} cases ({', '.join(facts['cases'])})"
+    lines = [f"{made}: {facts['captures']} captures in {cases} in {facts['out']}."]
     if waiting:
         lines.append(f"{waiting} captures of the plan are not there yet; run the same again when they are.")
     failures = facts["failures"]

@@ -79,10 +79,9 @@ class EnrollJob(Job):
         enrol = self._sources if self.population is None else self._population
         facts, lines = enrol(how, key, progress)
         locked = ", encrypted" if facts["encrypted"] else ""
-        lines.append(
-            f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
-            f"{count(facts['people'], 'person', 'people')}{locked}."
-        )
+        people = count(facts["people"], "person", "people")
+        held = f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
+        lines.append(f"{facts['gallery']} holds {held}{locked}.")
         return facts if presented is None else {**facts, "presentation": presented}, lines
 
     def _sources(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
@@ -90,9 +89,8 @@ class EnrollJob(Job):
         from splitknit_match.gallery.warm import enroll
 
         require(self.workers is None, "`workers` is for `population`.")
-        require(
-            len(self.sources) == 1 or not how.where.given, "`mask` and `box` are for one photograph; name one source."
-        )
+        cure = "name one source."
+        require(len(self.sources) == 1 or not how.where.given, f"`mask` and `box` are for one photograph; {cure}")
         if self.person is None or self.finger is None:
             raise BadInput("name whose finger it is: `person` NAME `finger` right_index (or `population` FOLDER).")
         found = enroll(
@@ -105,26 +103,20 @@ class EnrollJob(Job):
     def _population(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
         from splitknit_match.batch.enrol import enroll_population
 
-        refuse_given(
-            self,
-            ("person", "finger", "session", "mask", "box"),
-            "does not go with `population`, whose folders have names.",
-        )
+        apart = ("person", "finger", "session", "mask", "box")
+        refuse_given(self, apart, "does not go with `population`, whose folders have names.")
         refuse_given(self, ("duplicates",), "goes with sources; people of a `population` are not compared.")
         require(not self.sources, "name sources or a `population`, not both.")
         assert self.population is not None
         workers = 1 if self.workers is None else self.workers
-        facts = enroll_population(
-            path(self.gallery), path(self.population), how, key=key, workers=workers, progress=progress
-        )
+        gallery, folder = path(self.gallery), path(self.population)
+        facts = enroll_population(gallery, folder, how, key=key, workers=workers, progress=progress)
         failed = facts["failures_to_acquire"]
         new = count(facts["new"], "capture")
         lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
         if failed:
-            lines.append(
-                f"Please note: {count(len(failed), 'failure')} to acquire, kept as such "
-                f"(first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')})."
-            )
+            first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
+            lines.append(f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first}).")
         return facts, lines
 
 
@@ -148,6 +140,5 @@ def _words(one: EnrolledCapture, keep: str) -> str:
     notes = [one.note] if one.note else []
     if keep != "none" and one.images == "none":
         notes.append(f"a {one.kind} has no image to keep.")
-    return " ".join(
-        [f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}.", *(f"Please note: {n}" for n in notes)]
-    )
+    enrolled = f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}."
+    return " ".join([enrolled, *(f"Please note: {note}" for note in notes)])

@@ -78,11 +78,8 @@ class EvaluationJob(Job):
         if not self.fuse or (len(self.fuse) == 1 and self.fuse[0] in _METHODS):
             require(bool(given), "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE.")
             return given, self.fuse[0] if self.fuse else None
-        require(
-            not given,
-            "`fuse` takes score files in place of `scores` and `gallery`, or beside them one of "
-            f"{', '.join(_METHODS)}, but not '{' '.join(self.fuse)}'.",
-        )
+        fault = "`fuse` takes score files in place of `scores` and `gallery`,"
+        require(not given, f"{fault} or beside them one of {', '.join(_METHODS)}, but not '{' '.join(self.fuse)}'.")
         return [Path(name) for name in self.fuse], "all"
 
     def _gallery(self, progress: Progress) -> Any:

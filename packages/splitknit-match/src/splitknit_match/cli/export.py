@@ -42,14 +42,11 @@ def export_words(facts: dict[str, Any]) -> list[str]:
         lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
     if "relief_roughness" in files[0]:
         rough = files[0]["relief_roughness"]
-        lines.append(
-            f"Relief: Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um, Sdr "
-            f"{rough['Sdr_percent']:.1f} %."
-        )
+        heights = f"Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um"
+        lines.append(f"Relief: {heights}, Sdr {rough['Sdr_percent']:.1f} %.")
     lines += [f"Please note: {one['file']}: {one['note']}" for one in files if "note" in one]
     failed = facts["failures_to_acquire"]
     if failed:
-        lines.append(
-            f"Please note: {count(len(failed), 'file')} without minutiae (failure to acquire): {failed[0]} ..."
-        )
+        failures = f"{count(len(failed), 'file')} without minutiae (failure to acquire)"
+        lines.append(f"Please note: {failures}: {failed[0]} ...")
     return lines

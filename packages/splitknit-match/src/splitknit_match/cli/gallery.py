@@ -109,10 +109,9 @@ class InfoJob(_OfGallery):
         people = ""
         if facts["people"] is not None:
             people = f" of {count(facts['fingers'], 'finger')} of {count(facts['people'], 'person', 'people')}"
-        lines.append(
-            f"{count(facts['captures'], 'capture')}{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates "
-            f"(version {facts['template_version']}), {facts['file_bytes'] / 1e6:.2f} MB in all."
-        )
+        templates = f"{facts['template_bytes'] / 1e6:.2f} MB of templates (version {facts['template_version']})"
+        captures = f"{count(facts['captures'], 'capture')}{people}"
+        lines.append(f"{captures}, {templates}, {facts['file_bytes'] / 1e6:.2f} MB in all.")
         if facts["failures"]:
             lines.append(f"{facts['failures']} of them are failures to acquire.")
         lines.append(f"{facts['with_code']} have a search code, {facts['with_images']} have images.")
@@ -133,9 +132,8 @@ class RemoveJob(_OfGallery):
         """Remove it."""
         from splitknit_match.gallery.entry import check_person
 
-        require(
-            (self.person is None) != (not self.row), "name whose fingers are to be removed: `person` NAME, or `row` N."
-        )
+        fault = "name whose fingers are to be removed"
+        require((self.person is None) != (not self.row), f"{fault}: `person` NAME, or `row` N.")
         alone = not self.row or (self.finger is None and self.session is None)
         require(alone, "`row` goes without `finger` and `session`.")
         with self.opened() as gallery:
@@ -187,9 +185,8 @@ class ImportGalleryJob(_OfGallery):
 
         facts = import_gallery(self.file, path(self.folder), key=self.key, replace=self.replace)
         known = facts["found"] - facts["new"]
-        return facts, [
-            f"{facts['new']} captures came in, {known} were there already; {facts['captures']} are in it now."
-        ]
+        came = f"{facts['new']} captures came in, {known} were there already"
+        return facts, [f"{came}; {facts['captures']} are in it now."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +232,8 @@ class RepairJob(_OfGallery):
         with self.opened() as gallery:
             removed, captures = gallery.repair(), len(gallery)
         rows = f" (rows {', '.join(map(str, removed))})" if removed else ""
-        words = (
-            f"Took {count(len(removed), 'row')}{rows} out of {self.file}; {captures} others are accepted as they are."
-        )
+        took = f"Took {count(len(removed), 'row')}{rows} out of {self.file}"
+        words = f"{took}; {captures} others are accepted as they are."
         return {"gallery": str(self.file), "removed": removed, "captures": captures}, [words]
 
 
@@ -270,10 +266,8 @@ class IndexJob(_OfGallery):
         lines = [f"Made {facts['coded']} codes of version {facts['code_version']}."]
         if facts["shards"] is not None:
             written = count(facts["shards"]["written"], "shard")
-            lines.append(
-                f"{facts['shards']['shards']} holds {count(facts['shards']['fingers'], 'code')}; wrote {written}, "
-                f"{facts['shards']['kept']} were up to date."
-            )
+            held = f"{facts['shards']['shards']} holds {count(facts['shards']['fingers'], 'code')}"
+            lines.append(f"{held}; wrote {written}, {facts['shards']['kept']} were up to date.")
             if not facts["shards"]["keyed"]:
                 lines.append("Please note: without a key anyone can undo the codes' transform.")
         return facts, lines
@@ -294,11 +288,9 @@ class RekeyJob(_OfGallery):
         from splitknit_match.gallery.key import key_of
 
         new = None if self.plain else key_of(self.new_key_file, NEW_KEY_VARIABLE)
-        require(
-            (new is None) == self.plain,
-            f"give the new key with `new_key_file` or in {NEW_KEY_VARIABLE} (the old one with `key_file` or in "
-            f"{KEY_VARIABLE}), or give `plain` to take the encryption away.",
-        )
+        keys = f"`new_key_file` or in {NEW_KEY_VARIABLE} (the old one with `key_file` or in {KEY_VARIABLE})"
+        cure = "or give `plain` to take the encryption away."
+        require((new is None) == self.plain, f"give the new key with {keys}, {cure}")
         with self.opened() as gallery:
             captures, encrypted = gallery.rekey(new), gallery.encrypted
         facts = {"gallery": str(self.file), "captures": captures, "encrypted": encrypted}

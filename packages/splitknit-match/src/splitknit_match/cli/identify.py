@@ -51,10 +51,8 @@ def _words(found: Identification, raw: bool) -> list[str]:
     whose = ""
     if searched.people is not None and searched.fingers is not None:
         whose = f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
-    lines.append(
-        f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}"
-        + (" (chosen by their codes)." if searched.method in ("codes", "shards") else ".")
-    )
+    chosen = " (chosen by their codes)" if searched.method in ("codes", "shards") else ""
+    lines.append(f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}{chosen}.")
     if found.candidates and decision is not None:
         first = found.candidates[0].expected_false_matches or 0.0
         lines.append(
@@ -63,10 +61,8 @@ def _words(found: Identification, raw: bool) -> list[str]:
             f"and {decision.expected_false_matches:.2g} beyond the limit."
         )
     if searched.without_code:
-        lines.append(
-            f"Please note: {searched.without_code} captures had no code of this version, or none in the shards; "
-            "'splitknit gallery index' keeps them for the next search."
-        )
+        lacking = f"{searched.without_code} captures had no code of this version, or none in the shards"
+        lines.append(f"Please note: {lacking}; 'splitknit gallery index' keeps them for the next search.")
     if found.probe.note:
         lines.append(f"Please note: {found.probe.path}: {found.probe.note}")
     if searched.note:

@@ -36,16 +36,14 @@ class _Ending:
 
 
 def _show(facts: dict[str, Any], job: PadJob, how: _Ending) -> Outcome:
-    unlike = [
-        name for name, value in sorted((facts["suspicion"] or {}).items(), key=lambda one: -one[1]) if value > 1.0
-    ]
+    suspected = sorted((facts["suspicion"] or {}).items(), key=lambda one: -one[1])
+    unlike = [name for name, value in suspected if value > 1.0]
     words = {"live": "Live skin", "attack": "Presentation attack", "unknown": f"Unknown: {facts['reason']}"}
     lines = [words[facts["answer"]].rstrip(".") + "."]
     if facts["probability"] is not None:
-        lines.append(
-            f"Probability of live skin {facts['probability']:.3g}; distance to what the model was fitted to "
-            f"{facts['distance']:.2f}, covered up to {facts['covered']:.2f}."
-        )
+        distance = f"distance to what the model was fitted to {facts['distance']:.2f}"
+        live = f"Probability of live skin {facts['probability']:.3g}"
+        lines.append(f"{live}; {distance}, covered up to {facts['covered']:.2f}.")
         lines.append(f"Unlike live skin: {', '.join(unlike) or 'nothing'}.")
     return facts, [*lines, f"Please note: {facts['basis']}"]
 
@@ -80,9 +78,8 @@ def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
         reconstruct,
     )
 
-    require(
-        (folder / "capture.json").is_file(), f"'{folder}' is no capture folder (capture.json), which attacks show in."
-    )
+    no_capture = f"'{folder}' is no capture folder (capture.json), which attacks show in."
+    require((folder / "capture.json").is_file(), no_capture)
     features: dict[str, float] = {}
     kind: type[BadInput] = BadExposure  # as a screen's own light has it; other refusals on reading are of files
     try:

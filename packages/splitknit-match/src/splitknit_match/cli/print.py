@@ -21,10 +21,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
         "paper": "as it was pressed",
     }[facts["surface"]]
     period = facts["ridge_period_mm"]["median"]
-    lines = [
-        f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
-        f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart."
-    ]
+    size = f"{columns} x {rows} pixels at {facts['ppi']:g} ppi"
+    ridges = f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart"
+    lines = [f"Print ({facts['method']}) of {size}, {where}: {ridges}."]
     if "scale" in facts:
         lines.append(f"Please note: {facts['scale']}")
     if "rolled" in facts:
@@ -32,10 +31,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
         lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
     if "distortion" in facts:
         figures = facts["distortion"]
-        lines.append(
-            f"Lengths are off by {figures['length_median_percent']:.1f} % (median) and "
-            f"{figures['length_p95_percent']:.1f} % (95th percentile), whichever way is worse."
-        )
+        median, most = figures["length_median_percent"], figures["length_p95_percent"]
+        off = f"{median:.1f} % (median) and {most:.1f} % (95th percentile)"
+        lines.append(f"Lengths are off by {off}, whichever way is worse.")
     minutiae = facts["minutiae"]
     if minutiae["written"]:
         lines.append(f"{minutiae['count']} minutiae.")
@@ -52,9 +50,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
 
 def _rolled_words(rolled: dict[str, Any]) -> str:
     steps = [seam["step_rms_um"] for seam in rolled["seams"].values() if seam["step_rms_um"] is not None]
-    words = (
-        f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger, from {len(rolled['views'])} views"
-    )
+    reach = f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger"
+    words = f"{reach}, from {len(rolled['views'])} views"
     return words + (f"; seams step by {max(steps):.1f} um at most (rms)." if steps else ".")
 
 

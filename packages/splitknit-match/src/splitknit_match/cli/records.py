@@ -88,19 +88,16 @@ def _drawn(held: tuple[PrintFile | FingerView, ...], name: str) -> bytes:
         else:
             view, grey = one, np.full(one.size, 255, np.uint8)
         picture = np.repeat(grey[..., None], 3, axis=2)
-        tails = np.stack([view.x_px, view.y_px], axis=1) + 12 * np.stack(
-            [np.cos(view.direction_rad), -np.sin(view.direction_rad)], axis=1
-        )
+        along = np.stack([np.cos(view.direction_rad), -np.sin(view.direction_rad)], axis=1)
+        tails = np.stack([view.x_px, view.y_px], axis=1) + 12 * along
         for x, y, kind, tail in zip(view.x_px.tolist(), view.y_px.tolist(), view.type.tolist(), tails, strict=True):
             colour = SKY if kind == 1 else ORANGE if kind == 2 else (128, 128, 128)
             cv2.circle(picture, (x, y), 4, colour, 1, cv2.LINE_AA)
             cv2.line(picture, (x, y), tuple(np.rint(tail).astype(int).tolist()), colour, 1, cv2.LINE_AA)
         pictures.append(picture)
     highest = max(len(one) for one in pictures)
-    return encode_image(
-        np.hstack([np.pad(one, ((0, highest - len(one)), (0, 0), (0, 0)), constant_values=255) for one in pictures]),
-        ".png",
-    )
+    padded = [np.pad(one, ((0, highest - len(one)), (0, 0), (0, 0)), constant_values=255) for one in pictures]
+    return encode_image(np.hstack(padded), ".png")
 
 
 WHAT = Verb(WhatJob)

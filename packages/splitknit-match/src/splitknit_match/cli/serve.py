@@ -34,14 +34,10 @@ class ServeJob(Job):
         from splitknit_match.gallery.serve import make_app, read_token
         from splitknit_match.gallery.warm import OpenGallery
 
-        require(
-            (self.certificate is None) == (self.certificate_key is None),
-            "`certificate` and `certificate_key` go together.",
-        )
-        require(
-            self.host in LOCAL or self.certificate is not None,
-            f"'{self.host}' is not this machine alone; give `certificate` and `certificate_key` for TLS, or a proxy's.",
-        )
+        good = (self.certificate is None) == (self.certificate_key is None)
+        require(good, "`certificate` and `certificate_key` go together.")
+        cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
+        require(self.host in LOCAL or self.certificate is not None, f"'{self.host}' is not this machine alone; {cure}")
         token = read_token(path(self.token_file))
         with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
             import uvicorn

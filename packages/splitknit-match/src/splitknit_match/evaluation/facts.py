@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.intervals import FEW, Interval, Intervals
+from splitknit_match.evaluation.intervals import CONFIDENCE, FEW, Interval, Intervals
 from splitknit_match.evaluation.rates import error_bound, rule_of_three
 from splitknit_match.evaluation.scores import Scores
 
@@ -18,16 +18,11 @@ from splitknit_match.evaluation.scores import Scores
 class Cmc:
     """How often the right finger is among the best."""
 
-    rate: NDArray[np.float64]
-    """(G,) fraction of probes whose finger is among the first 1 ... G of the gallery."""
-    rank: NDArray[np.int64]
-    """(P,) of each probe; 0 where it gave no score with its own finger (a failure: never found)."""
-    probe_finger: NDArray[np.int64]
-    """(P,) code of its finger."""
-    gallery: int
-    """Fingers in the smallest gallery; ranks are given up to it."""
-    left_out: int
-    """Probes that were not compared with their whole gallery, or have no finger in it."""
+    rate: NDArray[np.float64]  # (G,) fraction of probes whose finger is among the first 1 ... G of the gallery
+    rank: NDArray[np.int64]  # (P,) of each probe; 0 where it gave no score with its own finger (a failure: never found)
+    probe_finger: NDArray[np.int64]  # (P,) code of its finger
+    gallery: int  # fingers in the smallest gallery; ranks are given up to it
+    left_out: int  # probes that were not compared with their whole gallery, or have no finger in it
 
 
 def cmc(scores: Scores) -> Cmc | None:
@@ -78,16 +73,14 @@ def cmc(scores: Scores) -> Cmc | None:
     )
 
 
-def rank_one_interval(
-    result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
-) -> tuple[float, float]:
+def rank_one_interval(result: Cmc, *, replicates: int = 1000, seed: int = 0) -> tuple[float, float]:
     """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
     fingers = int(finger.max()) + 1
     found = np.bincount(finger, weights=result.rank == 1, minlength=fingers)
     number = np.bincount(finger, minlength=fingers)
     drawn = np.random.default_rng(seed).multinomial(fingers, np.full(fingers, 1 / fingers), size=replicates)
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile((drawn @ found) / (drawn @ number), [tail, 1 - tail])
     value = float(np.mean(result.rank == 1))
     if int(np.sum(found < number)) < FEW:  # fingers that were missed
@@ -102,8 +95,7 @@ class Result:
     """One system with its intervals."""
 
     scores: Scores
-    primary: str
-    """The scheme of drawing whose intervals stand in the first place."""
+    primary: str  # the scheme of drawing whose intervals stand in the first place
     by_method: Mapping[str, Intervals]
 
     @property
@@ -133,15 +125,11 @@ def notes_of(result: Result, *, variant: bool) -> list[str]:
     notes = []
     missing = int(np.isnan(scores.score).sum())
     if missing and not variant:
-        notes.append(
-            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count them as "
-            "rejections, FMR and FNMR leave them out."
-        )
-    points = {
-        key: rates.gar_at_far(genuine, impostor, float(key[4:]))
-        for key in result.intervals.figures
-        if key.startswith("gar@") and not key.endswith("_made")
-    }
+        none = f"{missing} of {scores.score.size} comparisons gave no score"
+        counted = "FAR and GAR count them as rejections, FMR and FNMR leave them out."
+        notes.append(f"{name}: {none}. {counted}")
+    gars = [key for key in result.intervals.figures if key.startswith("gar@") and not key.endswith("_made")]
+    points = {key: rates.gar_at_far(genuine, impostor, float(key[4:])) for key in gars}
     lost = [point.target for point in points.values() if not point.resolved]
     if lost:
         fars = " or ".join(f"{100 * target:g} %" for target in lost)
@@ -154,9 +142,8 @@ def notes_of(result: Result, *, variant: bool) -> list[str]:
     if variant:
         return notes
     if rates.auc(genuine, impostor) < 0.5:
-        notes.append(
-            f"{name}: genuine scores are lower than impostor ones; if they are distances, use `dissimilarity`."
-        )
+        cure = "if they are distances, use `dissimilarity`."
+        notes.append(f"{name}: genuine scores are lower than impostor ones; {cure}")
     notes += _width_note(result)
     drawn = result.intervals.drawn
     if drawn < 20:
@@ -172,7 +159,6 @@ def _width_note(result: Result) -> list[str]:
     widths = [found.figures["eer"].high - found.figures["eer"].low for found in (other, result.intervals)]
     if result.intervals.figures["eer"].value == 0 or widths[1] <= 0 or widths[0] < 1.3 * widths[1]:
         return []
-    return [
-        f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
-        "so that fingers of one subject are similarly hard; trust the wider one."
-    ]
+    wider = f"drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide"
+    alike = "so that fingers of one subject are similarly hard; trust the wider one."
+    return [f"{result.scores.name}: {wider}, {alike}"]

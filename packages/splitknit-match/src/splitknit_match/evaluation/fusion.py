@@ -22,8 +22,7 @@ from splitknit import BadInput, Checked, Limits, require
 from splitknit_match.evaluation.protocol import mismatch, pair_up
 from splitknit_match.evaluation.scores import Ids, Scores
 
-_PENALTY = 1e-3
-"""Weight of the penalty of ``trained``, half the sum of the squared weights."""
+_PENALTY = 1e-3  # weight of the penalty of ``trained``, half the sum of the squared weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +46,12 @@ class FusionSettings(Checked):
 class Fused:
     """Fused scores, and how they came about."""
 
-    scores: Scores
-    """In the order of the first system; NaN where no system gave a score."""
+    scores: Scores  # in the order of the first system; NaN where no system gave a score
     systems: tuple[str, ...]
-    by: str
-    """``subject`` or ``finger``: what was dealt to folds."""
-    fold: NDArray[np.int64]
-    """(names,) of each subject (finger)."""
-    models: dict[tuple[int, int], _Model]
-    """By the two folds, the smaller first, whose comparisons it scored and of which it saw none."""
-    missing: tuple[int, ...]
-    """How many scores of each system were missing."""
+    by: str  # ``subject`` or ``finger``: what was dealt to folds
+    fold: NDArray[np.int64]  # (names,) of each subject (finger)
+    models: dict[tuple[int, int], _Model]  # by the two folds, the smaller first, that it scored and saw none of
+    missing: tuple[int, ...]  # how many scores of each system were missing
 
     @property
     def folds(self) -> int:
@@ -96,10 +90,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     settings = settings or FusionSettings()
     aligned = _aligned(systems)
     first = aligned[0]
-    require(
-        settings.weights == () or len(settings.weights) == len(aligned),
-        f"{len(aligned)} systems need as many weights, but there are {len(settings.weights)}.",
-    )
+    good = settings.weights == () or len(settings.weights) == len(aligned)
+    require(good, f"{len(aligned)} systems need as many weights, but there are {len(settings.weights)}.")
     table = np.stack([one.score for one in aligned], axis=1)
     by, ids = _named(first)
     fold = _deal(ids, settings.folds, settings.seed)
@@ -138,11 +130,9 @@ def _cross_fit(
         seen = ~np.isin(fold, (i, j)).any(axis=1)
         known = ~np.isnan(table[seen]).all(axis=1)
         both = genuine[seen][known]
-        require(
-            both.size > 0 and bool(both.any()) and not bool(both.all()),
-            "without the subjects of two folds no genuine or no impostor scores are left to learn from; give more "
-            "subjects, or fewer folds.",
-        )
+        fault = "without the subjects of two folds no genuine or no impostor scores are left to learn from"
+        cure = "give more subjects, or fewer folds."
+        require(both.size > 0 and bool(both.any()) and not bool(both.all()), f"{fault}; {cure}")
         models[i, j] = fit(table[seen], genuine[seen])
         fused[chosen] = models[i, j](table[chosen])
     return models, fused
@@ -165,10 +155,8 @@ def _aligned(systems: Sequence[Scores]) -> list[Scores]:
         alike = (systems[0].finger is None) == (other.finger is None)  # else several fingers would count as one
         wrong = "" if alike and paired is not None else mismatch(systems[0], other)
         if wrong or paired is None:
-            raise BadInput(
-                f"'{systems[0].name}' and '{other.name}' did not score the same pairs: {wrong}; give every pair once "
-                "in both, with a blank score where there is none."
-            )
+            cure = "give every pair once in both, with a blank score where there is none."
+            raise BadInput(f"'{systems[0].name}' and '{other.name}' did not score the same pairs: {wrong}; {cure}")
         aligned.append(paired)
     return aligned
 
@@ -178,10 +166,8 @@ def _named(scores: Scores) -> tuple[str, Ids]:
         return "subject", scores.subject
     if scores.finger is not None:
         return "finger", scores.finger
-    raise BadInput(
-        f"{scores.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b), so as never to be "
-        "trained on those that it is tested on."
-    )
+    fault = f"{scores.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b),"
+    raise BadInput(f"{fault} so as never to be trained on those that it is tested on.")
 
 
 # How the scores of several systems become one: a weighted sum of normalised scores, and a logistic regression.
@@ -193,18 +179,15 @@ Table = NDArray[np.float64]
 class _Model:
     """What was learned of one training part."""
 
-    weight: Table
-    """(S,) of the systems' normalised scores; ones where log-likelihood ratios count as they are."""
-    scored: Callable[[Table], Table]
-    """(N,) from scores (N, S)."""
+    weight: Table  # (S,) of the systems' normalised scores; ones where log-likelihood ratios count as they are
+    scored: Callable[[Table], Table]  # (N,) from scores (N, S)
 
     def __call__(self, scores: Table) -> Table:
         """(N,) from scores (N, S), NaN where all are missing."""
         return np.where(np.isnan(scores).all(axis=1), np.nan, self.scored(scores))
 
 
-_BINS = 1024
-"""Bins of the densities of scores."""
+_BINS = 1024  # bins of the densities of scores
 
 
 def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _Model:
@@ -223,9 +206,8 @@ def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _Model:
         logarithms = []
         for side in (column[genuine], column[~genuine]):
             known = side[~np.isnan(side)]
-            require(
-                known.size > 0, f"system {k + 1} has only genuine or only impostor scores in the part to learn from."
-            )
+            one_kind = f"system {k + 1} has only genuine or only impostor scores in the part to learn from."
+            require(known.size > 0, one_kind)
             counts = np.histogram(known, _BINS, (low[k], high[k]))[0].astype(np.float64)
             middle = np.subtract(*np.percentile(known, [75, 25])) / 1.34
             spread = min(float(known.std()), float(middle) or np.inf)
@@ -308,11 +290,8 @@ def _spread(scores: Table) -> tuple[Table, Table]:
     known: Any = np.ma.masked_invalid(scores)
     mean, spread = (np.asarray(found.filled(0.0)) for found in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
-    require(
-        not bool(flat.any()),
-        f"the scores of system {int(np.argmax(flat)) + 1} of {scores.shape[1]} do not vary in the part to learn from; "
-        "leave it out of the fusion.",
-    )
+    one = f"the scores of system {int(np.argmax(flat)) + 1} of {scores.shape[1]} do not vary in the part to learn from"
+    require(not bool(flat.any()), f"{one}; leave it out of the fusion.")
     return mean, spread
 
 

@@ -23,8 +23,7 @@ from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minu
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import unpack
 
-_BLOCK = 128
-"""Fingers kept ready at a time: 2 MB each."""
+_BLOCK = 128  # fingers kept ready at a time: 2 MB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,10 +31,8 @@ class GalleryScores:
     """What an evaluation needs of a gallery."""
 
     scores: Scores
-    table: bytes
-    """The same as a score file."""
-    sha256: str
-    """Hash of the gallery's file."""
+    table: bytes  # the same as a score file
+    sha256: str  # hash of the gallery's file
     notes: tuple[str, ...]
 
 

@@ -23,24 +23,18 @@ from splitknit_match.evaluation.scores import Ids, Scores
 # are few enough. Point estimates never come from cells.
 
 
-CELLS = 60_000
-"""At most about so many."""
+CELLS = 60_000  # at most about so many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
     """Where the scores lie; cell 0 holds the highest."""
 
-    genuine: NDArray[np.int64]
-    """(N,) the cell of each; ``count`` where it is a failure."""
-    impostor: NDArray[np.int64]
-    """(M,)"""
-    count: int
-    """Cells without that of the failures."""
-    crowded: NDArray[np.bool_]
-    """(count,) whether a cell holds several distinct impostor scores, and no genuine one."""
-    moments: NDArray[np.float64]
-    """(2, 2, count): genuine, impostor; mean and variance of the standardised scores of a cell."""
+    genuine: NDArray[np.int64]  # (N,) the cell of each; ``count`` where it is a failure
+    impostor: NDArray[np.int64]  # (M,)
+    count: int  # cells without that of the failures
+    crowded: NDArray[np.bool_]  # (count,) whether a cell holds several distinct impostor scores, and no genuine one
+    moments: NDArray[np.float64]  # (2, 2, count): genuine, impostor; mean and variance of a cell's standardised scores
 
 
 def _make_cells(genuine: NDArray[np.float64], impostor: NDArray[np.float64], limit: int = CELLS) -> _Cells:
@@ -94,8 +88,7 @@ def _moments(cell: NDArray[np.int64], values: NDArray[np.float64], count: int) -
 # nothing failed the rule of three.
 
 
-FEW = 5
-"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
+FEW = 5  # fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone
 
 
 def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
@@ -138,8 +131,7 @@ METHODS = ("plain", "finger", "subject")
 Progress = Callable[[float], None]
 
 
-CONFIDENCE = 0.95
-"""Fraction of the resampled figures that an interval spans, between 0 and 1."""
+CONFIDENCE = 0.95  # fraction of the resampled figures that an interval spans, between 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,14 +161,10 @@ class Interval:
 class Intervals:
     """All figures of one system by one scheme of drawing."""
 
-    method: str
-    """``plain``, ``finger`` or ``subject``."""
-    drawn: int
-    """Comparisons of the smaller class, fingers or subjects."""
-    figures: Mapping[str, Interval]
-    """By the names of :class:`_Layout`."""
-    curve_far: NDArray[np.float64]
-    """(P,) and the band of the GAR there:"""
+    method: str  # ``plain``, ``finger`` or ``subject``
+    drawn: int  # comparisons of the smaller class, fingers or subjects
+    figures: Mapping[str, Interval]  # by the names of :class:`_Layout`
+    curve_far: NDArray[np.float64]  # (P,) and the band of the GAR there:
     curve_low: NDArray[np.float64]
     curve_high: NDArray[np.float64]
 
@@ -194,27 +182,19 @@ def bootstrap(
     values = _figure_values(scores, settings.targets)
     layout = _Layout(settings.targets, _curve(scores, settings))
     cells = _make_cells(scores.genuine, scores.impostor)
-    units = (
-        _plain_units(cells.genuine, cells.impostor, cells.count + 1) if method == "plain" else _clusters(scores, method)
-    )
+    of_plain = method == "plain"
+    units = _plain_units(cells.genuine, cells.impostor, cells.count + 1) if of_plain else _clusters(scores, method)
     rows = _rows(units, [cells], layout, settings, progress)[0]
     possible = _bounds(scores, method, settings.targets)
-    lows, highs = _limits(rows, CONFIDENCE)
-    figures = {
-        name: _holding(values[name], lows[k], highs[k], possible.get(name, ()))
-        for k, name in enumerate(layout.names)
-        if name in values
-    }
+    lows, highs = _limits(rows)
+    there = [(k, name) for k, name in enumerate(layout.names) if name in values]
+    figures = {name: _holding(values[name], lows[k], highs[k], possible.get(name, ())) for k, name in there}
     band = slice(len(layout.names) - len(layout.curve), None)
     return Intervals(method, units.clusters, figures, np.array(layout.curve), lows[band], highs[band])
 
 
 def differences(
-    first: Scores,
-    second: Scores,
-    method: str = "plain",
-    settings: BootstrapSettings = DEFAULTS,
-    progress: Progress | None = None,
+    first: Scores, second: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS
 ) -> dict[str, Interval]:
     """Figures of `first` minus figures of `second`, which scored the same pairs in the same order. Both get the same
     replicates, so that what is hard for both cancels; a difference is beyond chance where its interval leaves out zero.
@@ -228,8 +208,8 @@ def differences(
         units = _plain_units(np.arange(first.genuine.size), np.arange(first.impostor.size))
     else:
         units = _clusters(first, method)
-    rows = _rows(units, systems, layout, settings, progress)
-    lows, highs = _limits(rows[0] - rows[1], CONFIDENCE)
+    rows = _rows(units, systems, layout, settings, None)
+    lows, highs = _limits(rows[0] - rows[1])
     values = [_figure_values(one, settings.targets) for one in (first, second)]
     both = [name for name in layout.names if name in values[0] and name in values[1]]
     places = {name: layout.names.index(name) for name in both}
@@ -271,10 +251,8 @@ def _clusters(scores: Scores, method: str) -> _Units:
     if ids is None:
         raise BadInput(f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.")
     units = _cluster_units(scores.label, ids)
-    require(
-        units.clusters >= 3,
-        f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are {units.clusters}.",
-    )
+    fault = f"{scores.name}: a bootstrap by {method} needs three of them at least,"
+    require(units.clusters >= 3, f"{fault} but there are {units.clusters}.")
     return units
 
 
@@ -285,9 +263,9 @@ def _curve(scores: Scores, settings: BootstrapSettings) -> tuple[float, ...]:
     return tuple(float(far) for far in np.geomspace(lowest, 1.0, settings.curve_points))
 
 
-def _limits(rows: NDArray[np.float64], confidence: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _limits(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Percentiles over replicates; those in which a class was not drawn at all are left out."""
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
     for k, column in enumerate(rows.T):
         known = column[np.isfinite(column)]
@@ -310,10 +288,8 @@ Row = NDArray[np.float64]
 class _Layout:
     """Which number of a replicate's row is what."""
 
-    targets: tuple[float, ...]
-    """FARs at which the GAR is asked."""
-    curve: tuple[float, ...] = ()
-    """FARs of the band around the ROC."""
+    targets: tuple[float, ...]  # FARs at which the GAR is asked
+    curve: tuple[float, ...] = ()  # FARs of the band around the ROC
 
     @property
     def names(self) -> list[str]:
@@ -336,10 +312,8 @@ def _figures_of(cells: _Cells, genuine: Row, impostor: Row, layout: _Layout) -> 
         k = np.searchsorted(accepted_i, np.array(fars) * total_i * (1 + SLACK), side="right") - 1
         return [float(value) for value in accepted_g[k] / total_g]
 
-    eers = [
-        _equal_error(accepted_g / total_g, accepted_i / total_i, cells.crowded)
-        for total_g, total_i in ((all_g, all_i), (made_g, made_i))
-    ]
+    totals = (all_g, all_i), (made_g, made_i)
+    eers = [_equal_error(accepted_g / total_g, accepted_i / total_i, cells.crowded) for total_g, total_i in totals]
     area = _dot(g, made_i - accepted_i[1:] + 0.5 * i) / (made_g * made_i)
     of_all, of_made = gars(layout.targets, all_g, all_i), gars(layout.targets, made_g, made_i)
     d_prime = _d_prime(cells, g / made_g, i / made_i)
@@ -395,26 +369,19 @@ def _dot(a: Row, b: Row) -> float:
 # Vision, 2024 (a review: bootstraps cover too often or too rarely where errors are few).
 
 Weights = NDArray[np.float64]
-BATCH = 1_000_000
-"""Numbers held at a time for one side, about."""
+BATCH = 1_000_000  # numbers held at a time for one side, about
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Units:
     """What is drawn, for both sides: each comparison belongs to a unit."""
 
-    genuine: NDArray[np.int64]
-    """(N,) unit of each genuine comparison"""
-    impostor: NDArray[np.int64]
-    """(M,)"""
-    clusters: int
-    """Things that are drawn: comparisons of the smaller side, fingers or subjects."""
-    sizes: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-    """Plain: comparisons in each unit, of both sides."""
-    cluster: NDArray[np.int64] | None = None
-    """Clustered: (U,) cluster of each unit of genuine comparisons."""
-    pairs: NDArray[np.int64] | None = None
-    """Clustered: (V, 2) clusters of each unit of impostor comparisons."""
+    genuine: NDArray[np.int64]  # (N,) unit of each genuine comparison
+    impostor: NDArray[np.int64]  # (M,)
+    clusters: int  # things that are drawn: comparisons of the smaller side, fingers or subjects
+    sizes: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None  # plain: comparisons in each unit, of both sides
+    cluster: NDArray[np.int64] | None = None  # clustered: (U,) cluster of each unit of genuine comparisons
+    pairs: NDArray[np.int64] | None = None  # clustered: (V, 2) clusters of each unit of impostor comparisons
 
     def draw(self, generator: np.random.Generator, count: int) -> tuple[Weights, Weights]:
         """How often each unit counts in `count` replicates: (U, count) and (V, count)."""
@@ -455,10 +422,8 @@ def _cell_weights(
 ) -> Iterator[list[tuple[Weights, Weights]]]:
     """Draw the same replicates for all systems: weights (count + 1, R) of the cells (last: failures), both sides."""
     generator = np.random.default_rng(seed)
-    gather = [
-        (_sums(cells.genuine, units.genuine, cells.count + 1), _sums(cells.impostor, units.impostor, cells.count + 1))
-        for cells in systems
-    ]
+    sides = [((one.genuine, units.genuine), (one.impostor, units.impostor), one.count + 1) for one in systems]
+    gather = [(_sums(*genuine, count), _sums(*impostor, count)) for genuine, impostor, count in sides]
     size = min(units.batch(), max(1, BATCH // (max(cells.count for cells in systems) + 1)))
     for start in range(0, replicates, size):
         genuine, impostor = units.draw(generator, min(size, replicates - start))

@@ -151,7 +151,7 @@ def _difference_facts(one: Difference, settings: BootstrapSettings) -> dict[str,
 def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
     if found is None:
         return None
-    low, high = rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
+    low, high = rank_one_interval(found, replicates=settings.replicates, seed=settings.seed)
     return {
         "gallery": found.gallery,
         "probes": found.rank.size,
@@ -288,10 +288,9 @@ def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
 def _histogram_chart(name: str, edges: Values, genuine: Values, impostor: Values, threshold: float | None) -> Markup:
     """Fractions of genuine and impostor scores in each bin, and where both rates are equal."""
     edges = np.repeat(edges, 2)
-    drawn = [
-        Curve(label, edges, np.concatenate([[0.0], np.repeat(side, 2), [0.0]]), filled=True)
-        for label, side in (("genuine", genuine), ("impostor", impostor))
-    ]
+    both = {"genuine": genuine, "impostor": impostor}
+    heights = {name: np.concatenate([[0.0], np.repeat(side, 2), [0.0]]) for name, side in both.items()}
+    drawn = [Curve(name, edges, height, filled=True) for name, height in heights.items()]
     low, high = float(edges[0]), float(edges[-1])
     top = max(float(genuine.max()), float(impostor.max()))
     x = Axis("score", low, high, tuple((v, f"{v:g}") for v in round_marks(low, high, 7)))

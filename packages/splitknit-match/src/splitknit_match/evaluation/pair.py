@@ -44,8 +44,7 @@ from splitknit_match.matching.template import make_template
 
 Array = NDArray[np.float64]
 
-STEP_MM = 0.05
-"""Pixels on which is compared, at least."""
+STEP_MM = 0.05  # pixels on which is compared, at least
 BANDS_MM = {
     "relief": (0.0, 1.7),
     "below 0.25 mm": (0.0, 0.25),
@@ -55,21 +54,17 @@ BANDS_MM = {
     "above 8 mm": (8.0, np.inf),
 }
 """Shortest and longest wavelength; ``relief``: the ridge band of :mod:`splitknit.accuracy`."""
-_SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
-"""Standard deviation of a Gaussian that halves waves of length one (ISO 16610-61)."""
+_SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)  # of a Gaussian that halves waves of length one (ISO 16610-61)
 SLANTS_DEG = {"0 to 40": (0.0, 40.0), "0 to 20": (0.0, 20.0), "20 to 40": (20.0, 40.0), "40 to 60": (40.0, 60.0)}
-ELASTIC_MM = 2.5
-"""Longest wavelength that is compared on skin that may shift."""
+ELASTIC_MM = 2.5  # longest wavelength that is compared on skin that may shift
 _BLOCK_MM, _FEW, _REPLICATES = 2.0, 6, 1000
-_LEAST_SIMILARITY = 0.4
-"""Least similarity of the ridges of one finger; ridges of two fingers have about 0.2."""
+_LEAST_SIMILARITY = 0.4  # least similarity of the ridges of one finger; ridges of two fingers have about 0.2
 _EDGE_MM = 0.4
 _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
 _ROLL_STEP_MM, _ROLL_BLOCK_MM, _ROLL_REPLICATES, _ROLL_ERROR_DEG = 0.1, 4.0, 50, 0.9
 """Pixels, blocks and draws of :func:`roll_between`, and the error of the shape (``validation/thesis/rolls.py``)."""
-_STEPS, _ORDER = 25, 9
-"""Steps of the rigid fit; order of the polynomial for the slow shape."""
+_STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
 PROTOCOLS = {
     "powder-5": ((2.6, 1.06), (1.0, 1.07), (1.5, 1.08), (1.0, 1.01), (1.1, 1.0), (0.7, 1.0)),
@@ -87,23 +82,17 @@ class PairComparison:
     """How measurement A differs from measurement B of one surface."""
 
     fit: Fit
-    similarity: float
-    """Similarity of the ridges, -1 to 1."""
-    scale: float
-    """Length in A over length in B, by the ridges (unrolled)."""
-    rotation: Array
-    """(3, 3), and"""
+    similarity: float  # similarity of the ridges, -1 to 1
+    scale: float  # length in A over length in B, by the ridges (unrolled)
+    rotation: Array  # (3, 3), and
     shift_mm: Array
     """(3,): A = rotation @ B + shift, both about the middle of their image; of the start where the fit is elastic."""
-    strain_mm: float
-    """Rms of the shifts of single patches of skin that are left after a rigid fit."""
+    strain_mm: float  # rms of the shifts of single patches of skin that are left after a rigid fit
     figures: Mapping[str, Mapping[str, Mapping[str, Any]]]
     """By band and slant: ``correlation``, ``gain``, ``rms_um`` (each an interval, whose ends are None where there are
     too few blocks), ``std_um`` of B, ``area_mm2``."""
-    difference_um: FloatArray
-    """(H, W) A minus B in the band ``relief``, NaN where nothing is compared."""
-    relief_um: FloatArray
-    """(2, H, W) that band of A and of B."""
+    difference_um: FloatArray  # (H, W) A minus B in the band ``relief``, NaN where nothing is compared
+    relief_um: FloatArray  # (2, H, W) that band of A and of B
     pitch_mm: float
     notes: tuple[str, ...] = ()
 
@@ -156,11 +145,9 @@ def compare_results(
         fields, left = _elastic_fields(one, two, affine)
     form = _form((fields.heights[0] + fields.heights[1]) * np.float32(0.5), fields.valid)
     detail = replace(fields, heights=(fields.heights[0] - form, fields.heights[1] - form))
-    figures = {
-        band: _by_slant(detail if limits[1] <= ELASTIC_MM else fields, limits, one.step)
-        for band, limits in BANDS_MM.items()
-        if fit == "rigid" or limits[1] <= ELASTIC_MM
-    }
+    bands = {band: limits for band, limits in BANDS_MM.items() if fit == "rigid" or limits[1] <= ELASTIC_MM}
+    parts = {band: detail if limits[1] <= ELASTIC_MM else fields for band, limits in bands.items()}
+    figures = {band: _by_slant(parts[band], limits, one.step) for band, limits in bands.items()}
     reliefs = [_band(part, fields.valid, BANDS_MM["relief"], one.step) * fields.cosine for part in detail.heights]
     shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * np.float32(1e3)
     notes = []
@@ -170,9 +157,8 @@ def compare_results(
         notes.append(f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both.")
     if fit == "rigid" and left > 0.012:
         notes.append(f"Patches of skin have shifted by {1e3 * left:.0f} um; compare with the elastic fit as well.")
-    return PairComparison(
-        fit, similarity, scale, rotation, shift, left, figures, shown[0] - shown[1], shown, one.step, tuple(notes)
-    )
+    relief = shown[0] - shown[1], shown
+    return PairComparison(fit, similarity, scale, rotation, shift, left, figures, *relief, one.step, tuple(notes))
 
 
 class _Side:
@@ -269,11 +255,10 @@ def _sampled(values: FloatArray, known: BoolArray, place: Sequence[Array], coars
 def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     """Similarity of the ridges, and the affine map (2, 3) of a place in B's unrolled ridges to A's."""
     found = ridge_match(a.ridges, b.ridges)
-    require(
-        found.similarity >= _LEAST_SIMILARITY,
-        f"the ridges of A and B are not the same (similarity {found.similarity:.2f}, at least {_LEAST_SIMILARITY:g} is "
-        "needed); give two measurements of one finger, or of one phantom.",
-    )
+    seen = f"similarity {found.similarity:.2f}, at least {_LEAST_SIMILARITY:g} is needed"
+    cure = "give two measurements of one finger, or of one phantom."
+    same = found.similarity >= _LEAST_SIMILARITY
+    require(same, f"the ridges of A and B are not the same ({seen}); {cure}")
     one, two = (side.ridges.template.valid.shape for side in (a, b))
     affine = rigid(one, two, np.deg2rad(found.rotation_deg), (found.right_mm / a.step, -found.up_mm / a.step))
     for _ in range(3):
@@ -346,11 +331,9 @@ def roll_between(a: Reconstruction, b: Reconstruction) -> tuple[float, float]:
 class _Fields:
     """Both surfaces on one grid."""
 
-    heights: tuple[FloatArray, FloatArray]
-    """(H, W) each, mm."""
+    heights: tuple[FloatArray, FloatArray]  # (H, W) each, mm
     valid: BoolArray
-    cosine: FloatArray
-    """From heights to distances along the normal."""
+    cosine: FloatArray  # from heights to distances along the normal
     slant_deg: FloatArray
 
 
@@ -418,10 +401,8 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
             on = _inside(first_on, place) & second_on
             more = _shifts((_sampled(first, first_on, place), second), on, b.step)
         moved = [down + more[0], right + more[1]]
-        shift = [
-            one + ndimage.map_coordinates(old, moved, order=1, mode="nearest")
-            for old, one in zip(shift, more, strict=True)
-        ]
+        there = (ndimage.map_coordinates(old, moved, order=1, mode="nearest") for old in shift)
+        shift = [one + old for old, one in zip(there, more, strict=True)]
     place = placed(shift)
     valid = _inside(first_on, place) & second_on
     angle = ndimage.map_coordinates(slant, place, order=1, mode="nearest")

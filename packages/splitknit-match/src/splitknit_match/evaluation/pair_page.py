@@ -86,10 +86,9 @@ def headline(facts: Mapping[str, Any]) -> list[str]:
     for band in ("relief", "0.25 to 0.8 mm"):
         one = facts["bands"][band].get(_MAIN)
         if one is not None:
-            lines.append(
-                f"{band}, slant {_MAIN} deg: correlation {_cell(one['correlation'], 3)}, gain {_cell(one['gain'], 2)}, "
-                f"rms of A - B {_cell(one['rms_um'], 1)} um; B's own waves {one['std_um']:.1f} um"
-            )
+            fits = f"correlation {_cell(one['correlation'], 3)}, gain {_cell(one['gain'], 2)}"
+            apart = f"rms of A - B {_cell(one['rms_um'], 1)} um; B's own waves {one['std_um']:.1f} um"
+            lines.append(f"{band}, slant {_MAIN} deg: {fits}, {apart}")
             lines += [
                 f"  own error ({source}): {bands[band]['rms_um']:.1f} um; without it {bands[band]['left_um']:.1f} um"
                 for source, bands in facts["own_error"].items()

@@ -18,10 +18,8 @@ from splitknit_match.evaluation.scores import Ids, Scores
 class Comparisons:
     """Which captures to compare, as places in the list of captures."""
 
-    a: NDArray[np.int64]
-    """(N,) the capture of the earlier session."""
-    b: NDArray[np.int64]
-    """(N,)"""
+    a: NDArray[np.int64]  # (N,) the capture of the earlier session
+    b: NDArray[np.int64]  # (N,)
     genuine: NDArray[np.bool_]
 
 
@@ -80,18 +78,12 @@ def scores_of_comparisons(
 
     def ids(of_captures: Sequence[Any]) -> Ids:
         names, codes = np.unique(np.asarray(of_captures).astype(str), return_inverse=True)
-        return Ids(
-            np.stack([codes[pairs.a], codes[pairs.b]], axis=1).astype(np.int64), tuple(str(one) for one in names)
-        )
+        both = np.stack([codes[pairs.a], codes[pairs.b]], axis=1).astype(np.int64)
+        return Ids(both, tuple(str(one) for one in names))
 
-    return Scores(
-        pairs.genuine,
-        np.asarray(score, dtype=np.float64),
-        finger=ids(finger),
-        subject=None if subject is None else ids(subject),
-        session=ids(session),
-        name=name,
-    )
+    who = None if subject is None else ids(subject)
+    values = np.asarray(score, dtype=np.float64)
+    return Scores(pairs.genuine, values, finger=ids(finger), subject=who, session=ids(session), name=name)
 
 
 def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
@@ -122,13 +114,9 @@ def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
         of_finger = np.zeros(len(scores.finger.names), dtype=np.int64)
         of_finger[finger.ravel()] = scores.subject.codes.ravel()
         subject = Ids(of_finger[fingers], scores.subject.names)
-    return Scores(
-        fingers[:, 0] == fingers[:, 1],
-        mean,
-        finger=Ids(fingers, scores.finger.names),
-        subject=subject,
-        name=f"{scores.name}, averaged over sessions",
-    )
+    name = f"{scores.name}, averaged over sessions"
+    pairs = Ids(fingers, scores.finger.names)
+    return Scores(fingers[:, 0] == fingers[:, 1], mean, finger=pairs, subject=subject, name=name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +124,7 @@ class Exclusion:
     """A finger, or its capture of one session, that is left out, and by which rule."""
 
     finger: str
-    session: str | None = None
-    """None: of all sessions."""
+    session: str | None = None  # None: of all sessions
     reason: str = ""
 
 
@@ -153,10 +140,8 @@ def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> tuple[Scores, in
     gone = np.zeros(scores.label.shape, dtype=np.bool_)
     unknown = []
     for one in exclusions:
-        require(
-            one.session is None or scores.session is not None,
-            f"{scores.name}: the list of exclusions names sessions, but there are no columns for them.",
-        )
+        fault = f"{scores.name}: the list of exclusions names sessions,"
+        require(one.session is None or scores.session is not None, f"{fault} but there are no columns for them.")
         hit = scores.finger.codes == place.get(one.finger, -1)
         if one.session is not None and scores.session is not None:
             hit &= scores.session.codes == when.get(one.session, -1)

@@ -32,31 +32,29 @@ def rule_of_three(trials: int) -> float:
     return min(1.0, 3.0 / max(trials, 1))
 
 
-def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
-    """Upper bound of a rate from ``rate * trials`` errors in independent trials: the rule of three, continued by the
-    bound of C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
-    binomial", Biometrika 26(4), 1934.
+def error_bound(rate: float, trials: int) -> float:
+    """95 % upper bound of a rate from ``rate * trials`` errors in independent trials: the rule of three, then that of
+    C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
+    Biometrika 26(4), 1934.
     """
     errors = rate * trials
     if errors >= trials:
         return 1.0
-    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, confidence))
+    return rule_of_three(trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, 0.95))
 
 
 # The scores of one class in rising order, and its failures to acquire.
 
 
 Scores1D = NDArray[np.float64]
-Counting = Literal["all", "made"]
-"""Whether failures count as rejections or are left out; see :mod:`splitknit_match.evaluation.rates`."""
+Counting = Literal["all", "made"]  # whether failures count as rejections or are left out; see the module's docstring
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Side:
     """The scores of one class."""
 
-    scores: Scores1D
-    """(n,) rising, without failures."""
+    scores: Scores1D  # (n,) rising, without failures
     failures: int
 
     def attempts(self, counting: Counting) -> int:
@@ -76,8 +74,7 @@ def _sort_scores(scores: Any, name: str = "scores") -> _Side:
     return _Side(array[:known], array.size - known)
 
 
-SLACK = 1e-12
-"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
+SLACK = 1e-12  # relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +83,7 @@ class Roc:
     once where genuine and impostor scores tie.
     """
 
-    threshold: Scores1D
-    """Falling, the first infinite: nobody is accepted."""
+    threshold: Scores1D  # falling, the first infinite: nobody is accepted
     far: Scores1D
     gar: Scores1D
 
@@ -101,12 +97,10 @@ class Roc:
 class _EqualError:
     """Where FAR and FRR meet."""
 
-    value: float
-    """(FAR + FRR) / 2 at `threshold`."""
+    value: float  # (FAR + FRR) / 2 at `threshold`
     far: float
     frr: float
-    threshold: float | None
-    """None where accepting nobody comes closest."""
+    threshold: float | None  # None where accepting nobody comes closest
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +109,11 @@ class _OperatingPoint:
 
     target: float
     gar: float
-    far: float
-    """The FAR that is reached, at most the target."""
-    threshold: float | None
-    """Lowest score that is accepted there; None if none is."""
+    far: float  # the FAR that is reached, at most the target
+    threshold: float | None  # lowest score that is accepted there; None if none is
     false_accepts: int
-    resolved: bool
-    """Whether there are impostors enough for one false accept at the target."""
-    far_upper: float | None
-    """Where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)."""
+    resolved: bool  # whether there are impostors enough for one false accept at the target
+    far_upper: float | None  # where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)
 
 
 def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:

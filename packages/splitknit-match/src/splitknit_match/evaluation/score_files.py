@@ -23,30 +23,23 @@ from splitknit import BadInput, plain_text, read_bytes, require
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
-LARGEST = 1e150
-"""Largest score whose square is still a number."""
+LARGEST = 1e150  # largest score whose square is still a number
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 _EXPECTED = "a line of column names and a line for each comparison are expected"
-_MAX_BYTES = 500_000_000
-"""Ten million comparisons."""
+_MAX_BYTES = 500_000_000  # ten million comparisons
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoreFile:
     """The columns of a score file, comparison by comparison."""
 
-    label: NDArray[np.bool_]
-    """(N,)"""
-    score: NDArray[np.float64]
-    """(N,) NaN where the field is blank."""
-    line: NDArray[np.int64]
-    """(N,) the line of the file, from 1."""
+    label: NDArray[np.bool_]  # (N,)
+    score: NDArray[np.float64]  # (N,) NaN where the field is blank
+    line: NDArray[np.int64]  # (N,) the line of the file, from 1
     ids: Mapping[str, tuple[NDArray[np.int64], tuple[str, ...]]]
     """For each of ``finger``, ``subject``, ``session`` that is given: codes (N, 2) and their names."""
-    system: tuple[NDArray[np.int64], tuple[str, ...]] | None
-    """Codes (N,) and names, if there is such a column."""
-    ignored: tuple[str, ...]
-    """Columns that were not read."""
+    system: tuple[NDArray[np.int64], tuple[str, ...]] | None  # codes (N,) and names, if there is such a column
+    ignored: tuple[str, ...]  # columns that were not read
     sha256: str
 
 
@@ -74,15 +67,9 @@ def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
     if "system" in names:
         codes, systems = _codes(names["system"])
         system = codes[:, 0], systems
-    return ScoreFile(
-        np.array(label, dtype=np.bool_),
-        np.array(score),
-        np.array(lines, dtype=np.int64),
-        ids,
-        system,
-        tuple(column for column in header if column not in places),
-        hashlib.sha256(data).hexdigest(),
-    )
+    columns = np.array(label, dtype=np.bool_), np.array(score), np.array(lines, dtype=np.int64)
+    ignored = tuple(column for column in header if column not in places)
+    return ScoreFile(*columns, ids, system, ignored, hashlib.sha256(data).hexdigest())
 
 
 def read_exclusions(path: str | os.PathLike[str]) -> tuple[list[dict[str, str]], str]:
@@ -121,10 +108,8 @@ def _codes(*columns: _Names) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Codes (N, columns) in one list of names, which are in order, numbers by their size."""
     names = sorted({name for column in columns for name in column.places}, key=_order)
     place = {name: k for k, name in enumerate(names)}
-    codes = [
-        np.array([place[name] for name in column.places], dtype=np.int64)[np.array(column.codes, dtype=np.int64)]
-        for column in columns
-    ]
+    ways = [np.array([place[name] for name in column.places], dtype=np.int64) for column in columns]
+    codes = [way[np.array(column.codes, dtype=np.int64)] for way, column in zip(ways, columns, strict=True)]
     return np.stack(codes, axis=1), tuple(names)
 
 
@@ -155,10 +140,8 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
                 yield line, _header(row, name, line)
                 continue
             if len(row) != columns:
-                raise BadInput(
-                    f"{name}, line {line}: {columns} fields are expected, as in the line of column names, "
-                    f"but there are {len(row)}."
-                )
+                fault = f"{name}, line {line}: {columns} fields are expected,"
+                raise BadInput(f"{fault} as in the line of column names, but there are {len(row)}.")
             yield line, row
     except csv.Error as error:
         raise BadInput(f"{name} is not a CSV file: line {reader.line_num}: {error}.") from error
@@ -167,18 +150,12 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
 
 def _check_columns(header: Sequence[str], name: str, line: int) -> None:
     for column in ("label", "score"):
-        require(
-            column in header,
-            f"{name}, line {line}: there is no column '{column}'; columns 'label' (1 genuine, 0 impostor) and "
-            "'score' are needed.",
-        )
+        cure = "columns 'label' (1 genuine, 0 impostor) and 'score' are needed."
+        require(column in header, f"{name}, line {line}: there is no column '{column}'; {cure}")
     for kind in IDS:
         given = [side for side in "ab" if f"{kind}_{side}" in header]
-        require(
-            len(given) != 1,
-            f"{name}, line {line}: there is a column '{kind}_{(given or 'a')[0]}' alone; both '{kind}_a' and "
-            f"'{kind}_b' are needed.",
-        )
+        cure = f"both '{kind}_a' and '{kind}_b' are needed."
+        require(len(given) != 1, f"{name}, line {line}: there is a column '{kind}_{(given or 'a')[0]}' alone; {cure}")
 
 
 def _header(row: Sequence[str], name: str, line: int) -> list[str]:
@@ -186,11 +163,8 @@ def _header(row: Sequence[str], name: str, line: int) -> list[str]:
     twice = next((field for k, field in enumerate(header) if field in header[:k]), None)
     require(twice is None, f"{name}, line {line}: there are two columns '{_short(twice or '')}'; name each once.")
     known = {"label", "score", "finger"} & set(header)
-    require(
-        bool(known),
-        f"{name}, line {line}: a line of column names apart by commas is expected, with 'label' and 'score' among "
-        f"them, but it is '{_short(','.join(row))}'.",
-    )
+    fault = f"{name}, line {line}: a line of column names apart by commas is expected,"
+    require(bool(known), f"{fault} with 'label' and 'score' among them, but it is '{_short(','.join(row))}'.")
     return header
 
 
@@ -209,10 +183,8 @@ def _score(text: str, name: str, line: int) -> float:
         if value is not None:
             return value
     if value is None or not abs(value) <= LARGEST:
-        raise BadInput(
-            f"{name}, line {line}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to "
-            f"acquire, but it is '{_short(text)}'."
-        )
+        fault = f"{name}, line {line}: a score is a finite number (of at most {LARGEST:g}),"
+        raise BadInput(f"{fault} or blank for a failure to acquire, but it is '{_short(text)}'.")
     return value
 
 

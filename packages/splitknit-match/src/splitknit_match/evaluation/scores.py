@@ -19,15 +19,12 @@ Codes = NDArray[np.int64]
 class Ids:
     """One kind of name for both sides of every comparison."""
 
-    codes: Codes
-    """(N, 2), places in `names`; column 0 is the probe, 1 the reference."""
+    codes: Codes  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        require(
-            self.codes.ndim == 2 and self.codes.shape[1] == 2,
-            f"ids must have the shape (N, 2), but they have {self.codes.shape}.",
-        )
+        fault = "ids must have the shape (N, 2),"
+        require(self.codes.ndim == 2 and self.codes.shape[1] == 2, f"{fault} but they have {self.codes.shape}.")
         inside = self.codes.size == 0 or (self.codes.min() >= 0 and self.codes.max() < len(self.names))
         require(bool(inside), "ids must be places in their list of names.")
 
@@ -69,35 +66,27 @@ def score_table(
 class Scores:
     """N comparisons; a higher score means more similar."""
 
-    label: NDArray[np.bool_]
-    """(N,) true where genuine: both sides are one finger."""
-    score: NDArray[np.float64]
-    """(N,) NaN where a comparison gave none (failure to acquire)."""
-    finger: Ids | None = None
-    """Fingers of the world: the index fingers of two people have two names."""
+    label: NDArray[np.bool_]  # (N,) true where genuine: both sides are one finger
+    score: NDArray[np.float64]  # (N,) NaN where a comparison gave none (failure to acquire)
+    finger: Ids | None = None  # fingers of the world: the index fingers of two people have two names
     subject: Ids | None = None
     session: Ids | None = None
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        require(
-            self.label.ndim == 1 and self.label.shape == self.score.shape,
-            f"{self.name}: labels and scores must be of one length, but they are {self.label.shape} and "
-            f"{self.score.shape}.",
-        )
+        good = self.label.ndim == 1 and self.label.shape == self.score.shape
+        fault = f"{self.name}: labels and scores must be of one length,"
+        require(good, f"{fault} but they are {self.label.shape} and {self.score.shape}.")
         require(self.label.dtype == np.bool_, f"{self.name}: labels must be boolean, true where genuine.")
-        require(
-            not bool(np.isinf(self.score).any()), f"{self.name}: scores must be finite, or NaN where there is none."
-        )
+        finite = not bool(np.isinf(self.score).any())
+        require(finite, f"{self.name}: scores must be finite, or NaN where there is none.")
         for ids in (self.finger, self.subject, self.session):
             require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
         for words, label in (("genuine (label 1)", True), ("impostor (label 0)", False)):
             chosen = self.score[self.label == label]
             require(chosen.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
-            require(
-                not bool(np.isnan(chosen).all()),
-                f"{self.name} holds no {words} score: all {chosen.size} are failures to acquire.",
-            )
+            fault = f"{self.name} holds no {words} score"
+            require(not bool(np.isnan(chosen).all()), f"{fault}: all {chosen.size} are failures to acquire.")
         wrong = contradiction(self.label, self.finger, self.subject)
         require(wrong is None, f"{self.name}: comparison {wrong} and its label contradict each other: check its ids.")
 
@@ -113,9 +102,8 @@ class Scores:
 
     def taken(self, index: Any, name: str | None = None) -> Scores:
         """Some of the comparisons, by a mask or by their places."""
-        finger, subject, session = (
-            None if ids is None else ids.taken(index) for ids in (self.finger, self.subject, self.session)
-        )
+        every = (self.finger, self.subject, self.session)
+        finger, subject, session = (None if ids is None else ids.taken(index) for ids in every)
         return Scores(self.label[index], self.score[index], finger, subject, session, name or self.name)
 
 

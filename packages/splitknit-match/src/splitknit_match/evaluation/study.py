@@ -23,8 +23,7 @@ from splitknit_match.evaluation.scores import Ids, Scores, contradiction
 if TYPE_CHECKING:
     from splitknit_match.evaluation.gallery_scores import GalleryScores
 
-SCORES_FILE = "scores.csv"
-"""Where the scores of a gallery are written, beside the report."""
+SCORES_FILE = "scores.csv"  # where the scores of a gallery are written, beside the report
 MAX_SYSTEMS = 12
 
 
@@ -50,27 +49,21 @@ class Difference:
 
     first: str
     second: str
-    method: str
-    """The scheme of drawing."""
-    figures: Mapping[str, Interval]
-    """``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on."""
+    method: str  # the scheme of drawing
+    figures: Mapping[str, Interval]  # ``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
     """What an evaluation found."""
 
-    results: tuple[Result, ...]
-    """Scores, error rates and their intervals for every system and variant."""
+    results: tuple[Result, ...]  # scores, error rates and their intervals for every system and variant
     differences: tuple[Difference, ...]
-    notes: tuple[str, ...]
-    """For the reader."""
-    fused: Mapping[str, Fused]
-    """The systems' fusions that were asked for, by method."""
+    notes: tuple[str, ...]  # for the reader
+    fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
     settings: EvaluationSettings
     inputs_sha256: Mapping[str, str]
-    tables: Mapping[str, bytes]
-    """Files beside the report, by name."""
+    tables: Mapping[str, bytes]  # files beside the report, by name
     timings_s: Mapping[str, float]
 
 
@@ -102,10 +95,8 @@ def evaluate_scores(
         systems, notes = [*systems, one.scores], notes + _notes(one, method)
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
-    require(
-        count <= MAX_SYSTEMS,
-        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
-    )
+    fault = f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}"
+    require(count <= MAX_SYSTEMS, f"{fault}; give fewer files.")
     notes += said
     read_s = time.perf_counter() - started
     results, compared = _figures(groups, settings, progress)
@@ -160,11 +151,8 @@ def _figures(
         for one in group:
             methods = _methods(one)
             wanted = settings.cluster
-            require(
-                wanted == "auto" or wanted in methods,
-                f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
-                f"{one.name} does not have.",
-            )
+            fault = f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least,"
+            require(wanted == "auto" or wanted in methods, f"{fault} which {one.name} does not have.")
             by_method = {}
             for method in methods:
                 by_method[method] = bootstrap(one, method, settings.bootstrap, step)
@@ -206,15 +194,11 @@ _MISSING = {
 
 
 def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> Fused:
-    """Fuse all systems. Raises BadInput if there is one system only, or as
-    :func:`splitknit_match.evaluation.fusion.fuse`.
-    """
-    require(
-        len(systems) >= 2, "`fuse` needs two systems at least; give several score files, or one with a column system."
-    )
-    how: Mapping[str, Any] = (
-        {"method": "linear", "normalisation": "minmax"} if method == "minmax" else {"method": method}
-    )
+    """Fuse all systems; BadInput if there is one only, or as :func:`splitknit_match.evaluation.fusion.fuse`."""
+    cure = "give several score files, or one with a column system."
+    require(len(systems) >= 2, f"`fuse` needs two systems at least; {cure}")
+    minmax = {"method": "linear", "normalisation": "minmax"}
+    how: Mapping[str, Any] = minmax if method == "minmax" else {"method": method}
     return fuse(systems, FusionSettings(**how, seed=seed), name=f"fused, {method}")
 
 
@@ -227,9 +211,8 @@ def _notes(fused: Fused, method: str) -> list[str]:
         f"normalised scores: {fractions}."
     ]
     if fused.by == "finger":
-        notes.append(
-            "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
-        )
+        learned = "fusion may have learned from other fingers of who it was tested on."
+        notes.append(f"Subjects are not named, so that {learned}")
     if any(fused.missing):
         counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
         notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {_MISSING[method]}.")
@@ -268,10 +251,8 @@ def _read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], s
         if scores.subject is not None and scores.finger is not None:
             subject = entry.get("subject", "")
             fitting = [one for one in scores.finger.names if one.endswith(f"/{name}")]
-            require(
-                bool(subject) or len(fitting) < 2,
-                f"{path}: several subjects have a finger '{name}', so that the list needs its subject.",
-            )
+            fault = f"{path}: several subjects have a finger '{name}',"
+            require(bool(subject) or len(fitting) < 2, f"{fault} so that the list needs its subject.")
             name = f"{subject}/{name}" if subject else (fitting or [name])[0]
         listed.append(Exclusion(name, entry.get("session") or None, entry.get("reason", "")))
     return listed, sha256

@@ -12,8 +12,7 @@ from splitknit import BoolArray, Checked, FloatArray, Limits, require
 from splitknit_match.rolled.register import RidgeSearchSettings
 
 Array = NDArray[np.float64]
-STEEPEST_DEG = 72.0
-"""Slant, as a view sees it, from which it counts for nothing."""
+STEEPEST_DEG = 72.0  # slant, as a view sees it, from which it counts for nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +50,10 @@ class RolledSettings:
 class Blended:
     """One relief from all views."""
 
-    relief_mm: FloatArray
-    """(n, m) along the skin's normal, zero where no view shows the finger."""
-    deviation_mm: FloatArray
-    """(n, m)."""
-    known: BoolArray
-    """(n, m)."""
-    fractions: FloatArray
-    """(V, n, m) of each view; they sum to one where known."""
+    relief_mm: FloatArray  # (n, m) along the skin's normal, zero where no view shows the finger
+    deviation_mm: FloatArray  # (n, m)
+    known: BoolArray  # (n, m)
+    fractions: FloatArray  # (V, n, m) of each view; they sum to one where known
 
 
 def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -> Blended:

@@ -23,16 +23,11 @@ Array = NDArray[np.float64]
 class Chart:
     """Rays around a finger."""
 
-    centre_mm: Array
-    """(3,) on the axis, where the fan of the tip starts; rig's frame."""
-    axes: Array
-    """(3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed."""
-    angle_rad: Array
-    """(m,) two at least, ascending; 0 faces the camera, positive to the right."""
-    length_mm: Array
-    """(n,) falling, two at least: negative below the centre, above it the fan's angle times `cap_mm`."""
-    cap_mm: float
-    """Typical distance of the skin from the centre at the tip."""
+    centre_mm: Array  # (3,) on the axis, where the fan of the tip starts; rig's frame
+    axes: Array  # (3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed
+    angle_rad: Array  # (m,) two at least, ascending; 0 faces the camera, positive to the right
+    length_mm: Array  # (n,) falling, two at least: negative below the centre, above it the fan's angle times `cap_mm`
+    cap_mm: float  # typical distance of the skin from the centre at the tip
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -89,8 +84,7 @@ def read(
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
 
-BEYOND_MM = 16.0
-"""The camera's rays are followed from this far above the finger's axis."""
+BEYOND_MM = 16.0  # the camera's rays are followed from this far above the finger's axis
 
 
 def heights(sight: Sight, chart: Chart, radius_mm: Any, view: View) -> FloatArray:

@@ -14,10 +14,8 @@ from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, R
 from splitknit_match.rolled.chart import Chart, surface_normals
 from splitknit_match.rolled.work import MIN_MEETING, MirrorViews, ReliefSettings, Work
 
-_POWER = 8.0
-"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
-_DEVIATION_FLOOR_UM = 4.0
-"""Added to the relief's standard deviation, so that no view is trusted without limit."""
+_POWER = 8.0  # views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone
+_DEVIATION_FLOOR_UM = 4.0  # added to the relief's standard deviation, so that no view is trusted without limit
 Array = NDArray[np.float64]
 
 
@@ -26,24 +24,17 @@ class Rolled:
     """A finger around its front, on its chart."""
 
     chart: Chart
-    points_mm: FloatArray
-    """(n, m, 3) of the skin without its ridges, rig's frame."""
-    normals: FloatArray
-    """(n, m, 3)."""
+    points_mm: FloatArray  # (n, m, 3) of the skin without its ridges, rig's frame
+    normals: FloatArray  # (n, m, 3)
     blended: Blended
-    names: tuple[str, ...]
-    """Names of the views, in the order of ``blended.fractions``."""
-    view_reliefs: FloatArray
-    """(V, n, m) relief of each view, along the skin's normal; zero where it shows nothing."""
-    places: FloatArray
-    """(V, n, m, 2) column and row of the image at which each view shows each point."""
-    glasses: tuple[Glass, ...]
-    """Mirrors where the ridges have them."""
+    names: tuple[str, ...]  # names of the views, in the order of ``blended.fractions``
+    view_reliefs: FloatArray  # (V, n, m) relief of each view, along the skin's normal; zero where it shows nothing
+    places: FloatArray  # (V, n, m, 2) column and row of the image at which each view shows each point
+    glasses: tuple[Glass, ...]  # mirrors where the ridges have them
     facts: Mapping[str, object]
 
 
-SURE_MEETING = 0.4
-"""Correlation of two views' ridges below which it is said that they may not meet."""
+SURE_MEETING = 0.4  # correlation of two views' ridges below which it is said that they may not meet
 
 
 def rolled_finger(

@@ -23,9 +23,8 @@ def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArr
     weight = known.astype(np.float32)
     filled = np.where(known, relief, np.float32(0.0)).astype(np.float32)
     sigma = 0.32 / pitch_mm  # mm: the ridge band of this package
-    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / np.maximum(
-        cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3)
-    )
+    fraction = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3))
+    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / fraction
     return np.where(known, filled - mean, np.float32(0.0)).astype(np.float32)
 
 
@@ -40,37 +39,26 @@ def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
 
 Array = NDArray[np.float64]
 
-KNOT_MM = 2.5
-"""Distance of the knots of the correction of the surface."""
-POSE_PRIOR = (0.004, 0.002, 0.05)
-"""Standard deviations of a mirror's two turns (rad) and its shift (mm) against where it is taken to be."""
-DEPTH_PRIOR_MM = 0.15
-"""Standard deviation of the surface against where it is taken to be."""
-UNSEEN_PRIOR_MM = 0.03
-"""The same where no two views show it."""
+KNOT_MM = 2.5  # distance of the knots of the correction of the surface
+POSE_PRIOR = (0.004, 0.002, 0.05)  # standard deviations of a mirror's two turns (rad) and its shift (mm)
+DEPTH_PRIOR_MM = 0.15  # standard deviation of the surface against where it is taken to be
+UNSEEN_PRIOR_MM = 0.03  # the same where no two views show it
 OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
 """The same where the front's outline determines the surface, this near to a right angle from the front."""
-BEND_PRIOR_MM = 0.04
-"""Standard deviation of the correction's second difference from knot to knot."""
-CORRELATED_MM = 0.3
-"""Ridges are independent at about this distance."""
-ROBUST = 1.0
-"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
+BEND_PRIOR_MM = 0.04  # standard deviation of the correction's second difference from knot to knot
+CORRELATED_MM = 0.3  # ridges are independent at about this distance
+ROBUST = 1.0  # difference of two views' ridges, of unit contrast, from which it counts less and less
 ROUNDS = 12
-FEW = 500
-"""Pixels that both views show; with fewer a mirror is left as it is."""
+FEW = 500  # pixels that both views show; with fewer a mirror is left as it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Correction:
     """What moves the surface and the mirrors."""
 
-    radius_mm: Array
-    """(n, m) to be added to the surface on the chart."""
-    poses: tuple[tuple[float, float, float], ...]
-    """Two turns (rad) and a shift (mm) of each mirror, see :meth:`splitknit.mirrors.reflection.Plane.moved`."""
-    before: tuple[float, ...]
-    """Correlation of each mirror's ridges with the front's where both see them, as it was."""
+    radius_mm: Array  # (n, m) to be added to the surface on the chart
+    poses: tuple[tuple[float, float, float], ...]  # turns (rad) and shift (mm) of each mirror, see :meth:`Plane.moved`
+    before: tuple[float, ...]  # correlation of each mirror's ridges with the front's where both see them, as it was
     after: tuple[float, ...]
 
 
@@ -105,10 +93,8 @@ class ViewRidges:
     """A view's ridges on the chart."""
 
     sight: Sight
-    band: FloatArray
-    """(n, m) ridge band, zero where the view does not show the finger."""
-    known: BoolArray
-    """(n, m) where it does; of a mirror, where the front does, too."""
+    band: FloatArray  # (n, m) ridge band, zero where the view does not show the finger
+    known: BoolArray  # (n, m) where it does; of a mirror, where the front does, too
 
 
 def align(
@@ -173,14 +159,12 @@ class _Part:
         by_depth = self.spread @ depths
         moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
         column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
-        seen, across, down = (
-            scipy.ndimage.map_coordinates(f, [row, column], order=1).astype(np.float64) for f in self.fields
-        )
+        found = (scipy.ndimage.map_coordinates(one, [row, column], order=1) for one in self.fields)
+        seen, across, down = (one.astype(np.float64) for one in found)
         score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
-        matrix: Any = scipy.sparse.hstack(
-            [scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread, scipy.sparse.csr_array(jacobian[:, 1:])]
-        ).tocsr()
+        by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
+        matrix: Any = scipy.sparse.hstack([by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]).tocsr()
         return matrix, self.target - seen, score
 
 
@@ -191,9 +175,8 @@ def _ridge_moves(
     points = chart.points(radius_mm)
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    (of_front, _), (of_mirror, by_pose) = (
-        _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
-    )
+    by_view = (_shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights)
+    (of_front, _), (of_mirror, by_pose) = by_view
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
 
@@ -244,26 +227,19 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
     near = scipy.sparse.diags_array(1.0 / deviation_mm.ravel() ** 2)
     spreads = np.array(POSE_PRIOR) if pose_free else np.full(3, 1e-9)
-    return scipy.sparse.block_diag(
-        [smooth + near, scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))]
-    ).tocsr()
+    of_poses = scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))
+    return scipy.sparse.block_diag([smooth + near, of_poses]).tocsr()
 
 
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-_SEARCHED = 6000
-"""So many pixels show which of many guesses is best."""
-APART_MM = 0.15
-"""Moves that differ by less than this lead to the same place."""
-OUTER = 0.9
-"""How much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation."""
-LIKE_PLACES, MOVE_MM = 20.0, 0.05
-"""A move counts as so many measured ones, each with this standard deviation."""
-_DOUBT = 0.01
-"""Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
-MIN_CORRELATION = 0.2
-"""Correlation below which nothing is changed."""
+_SEARCHED = 6000  # so many pixels show which of many guesses is best
+APART_MM = 0.15  # moves that differ by less than this lead to the same place
+OUTER = 0.9  # how much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation
+LIKE_PLACES, MOVE_MM = 20.0, 0.05  # a move counts as so many measured ones, each with this standard deviation
+_DOUBT = 0.01  # correlation that a number must gain to be believed one standard deviation from what the outlines show
+MIN_CORRELATION = 0.2  # correlation below which nothing is changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,12 +268,9 @@ class RidgeSearchSettings(Checked):
 class _ViewMatch:
     """Surface and pose at which two views' ridges lie on each other."""
 
-    radius_mm: Array
-    """(n, m) to be added to the surface."""
-    pose: tuple[float, float, float]
-    """Turns (rad) and shift (mm) of the mirror."""
-    correlation: float
-    """Correlation of the ridges in the overlap."""
+    radius_mm: Array  # (n, m) to be added to the surface
+    pose: tuple[float, float, float]  # turns (rad) and shift (mm) of the mirror
+    correlation: float  # correlation of the ridges in the overlap
 
 
 def search(
@@ -363,9 +336,8 @@ def search(
     best = score(modes @ at.astype(np.float32), slice(None))
     if best < MIN_CORRELATION:
         return _ViewMatch(nothing.radius_mm, nothing.pose, best)
-    there = (
-        (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)
-    )
+    angle = chart.angle_rad
+    there = (np.sign(angle) == side) * np.sin(2 * angle) ** 2 * (np.abs(angle) < np.pi / 2)
     rising = (chart.length_mm - float(chart.length_mm[rows].mean())) / 10.0
     rising = np.clip(rising, float(along.min()), float(along.max()))
     further = (np.abs(chart.angle_rad) - np.pi / 4) / np.deg2rad(20.0)

@@ -30,8 +30,7 @@ from splitknit import (
 )
 
 Array = NDArray[np.float64]
-EDGE_BAND_MM = 0.3
-"""Beside a light's edge it counts for nothing; as far again until it counts in full."""
+EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,19 +38,14 @@ class Skin:
     """Points of the finger on a grid of one view's pixels."""
 
     sight: Sight
-    origin_mm: Array
-    """(3,) of the grid, in the view's frame."""
+    origin_mm: Array  # (3,) of the grid, in the view's frame
     grid: Grid
-    points_mm: Array
-    """(h, w, 3) in the rig's frame."""
-    normals: Array
-    """(h, w, 3) in the rig's frame."""
+    points_mm: Array  # (h, w, 3) in the rig's frame
+    normals: Array  # (h, w, 3) in the rig's frame
 
     @staticmethod
     def of(heights_mm: FloatArray, grid: Grid, sight: Sight, origin_mm: Array) -> Skin:
-        """The surface with heights (h, w) on a grid in a view's frame, whose origin is moved to `origin_mm`; of a
-        perspective camera, heights along its rays.
-        """
+        """The surface of heights (h, w), in perspective along the rays, on a view's grid moved to `origin_mm`."""
         normals = grid.view.in_rig(normals_from_gradients(*height_gradients(heights_mm, grid.pitch_mm)))
         points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(np.float64) + origin_mm)
         return Skin(sight, origin_mm, grid, points, sight.turned(np.asarray(normals, dtype=np.float64)))
@@ -84,12 +78,9 @@ class _Light:
     """An LED or its image, in the rig's frame."""
 
     led: Led
-    path: str
-    """The mirror's name; empty for the LED itself."""
-    facing: NDArray[np.float32]
-    """(h, w) fraction that the skin is not turned away from."""
-    through: NDArray[np.float32] | None = None
-    """(h, w) fraction that comes within the mirror's outline."""
+    path: str  # the mirror's name; empty for the LED itself
+    facing: NDArray[np.float32]  # (h, w) fraction that the skin is not turned away from
+    through: NDArray[np.float32] | None = None  # (h, w) fraction that comes within the mirror's outline
 
 
 def _lights(led: Led, glasses: Sequence[Glass], skin: Skin) -> list[_Light]:

@@ -52,11 +52,8 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
     views = views_in(mean, capture.rig, binning, settings.mask)
     seen = [name for name in SIDES if name in views.mirrors]
-    require(
-        bool(seen),
-        "only the front view of the finger can be used: no mirror beside it shows it; turn the mirrors towards the "
-        "finger, or print with `method` unroll.",
-    )
+    cure = "turn the mirrors towards the finger, or print with `method` unroll."
+    require(bool(seen), f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
     sides = replace(views, mirrors={name: views.mirrors[name] for name in seen})
     shape = mirror_shape(
         sides,

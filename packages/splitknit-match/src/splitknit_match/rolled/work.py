@@ -62,10 +62,8 @@ Array = NDArray[np.float64]
 
 LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
 """Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
-UNKNOWN_MM = 0.02
-"""Standard deviation of a relief that no network estimated."""
-_ROWS = 64
-"""Rows of the grid whose normals are computed at once."""
+UNKNOWN_MM = 0.02  # standard deviation of a relief that no network estimated
+_ROWS = 64  # rows of the grid whose normals are computed at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,21 +73,17 @@ class _ViewRelief:
     sight: Sight
     window: Window
     binning: int
-    relief_mm: FloatArray
-    """(h, w) along the skin's normal, NaN outside the finger."""
-    deviation_mm: FloatArray
-    """(h, w) its standard deviation, NaN outside."""
-    trust: FloatArray
-    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside."""
+    relief_mm: FloatArray  # (h, w) along the skin's normal, NaN outside the finger
+    deviation_mm: FloatArray  # (h, w) its standard deviation, NaN outside
+    trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside
     how: str
 
     def places(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
         """Columns and rows of the window's blocks at which points (..., 3) of the rig's frame are seen."""
         size, half = np.float32(self.binning), np.float32(0.5)
-        column, row = (
-            ((place - np.float32(side.start) + half) / size - half).astype(np.float32)
-            for place, side in zip(self.sight.pixels(points_mm), self.window[::-1], strict=True)
-        )
+        seen = zip(self.sight.pixels(points_mm), self.window[::-1], strict=True)
+        blocks = (((place - np.float32(side.start) + half) / size - half) for place, side in seen)
+        column, row = (block.astype(np.float32) for block in blocks)
         return column, row
 
     def sampled(self, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -261,12 +255,9 @@ def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, gri
 
 # The finger between its mirrors as a smooth body: where it lies, and its chart.
 
-SHAPE_PITCH_MM = 0.25
-"""Pitch of the chart of the smooth finger."""
-FAN_DEG = 75.0
-"""How far the chart bends over the tip."""
-BELOW_MM = 4.0
-"""The chart goes on below what the outlines show: light from there matters."""
+SHAPE_PITCH_MM = 0.25  # pitch of the chart of the smooth finger
+FAN_DEG = 75.0  # how far the chart bends over the tip
+BELOW_MM = 4.0  # the chart goes on below what the outlines show: light from there matters
 AROUND_DEG = 172.0
 STATIONS = 60
 
@@ -276,10 +267,8 @@ class _Shape:
     """A smooth finger on a chart all around it."""
 
     chart: Chart
-    radius_mm: Array
-    """(n, m)."""
-    half_mm: float
-    """Half its typical breadth."""
+    radius_mm: Array  # (n, m)
+    half_mm: float  # half its typical breadth
 
 
 def _shape_of(body: Body) -> _Shape:
@@ -299,12 +288,9 @@ def _shape_of(body: Body) -> _Shape:
     return _Shape(chart, radius + _rolled_pad(body, chart, radius), half)
 
 
-SEARCH_PITCH_MM = 0.1
-"""Pitch of the chart on which ridges are compared."""
-MIN_COSINE = 0.25
-"""Views are compared where both see the skin less steeply than this."""
-MIN_MEETING = 0.3
-"""Correlation of two views' ridges below which they are taken not to meet."""
+SEARCH_PITCH_MM = 0.1  # pitch of the chart on which ridges are compared
+MIN_COSINE = 0.25  # views are compared where both see the skin less steeply than this
+MIN_MEETING = 0.3  # correlation of two views' ridges below which they are taken not to meet
 _SEARCH_CUT = RidgeSearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), deviations=(0.2, 0.6, 0.6))
 """For views that are cut: their mirrors' poses are known less well."""
 
@@ -313,14 +299,10 @@ _SEARCH_CUT = RidgeSearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), d
 class MirrorView:
     """What a capture with mirrors shows once."""
 
-    name: str
-    """``front``, ``left``, ``right`` or ``tip``."""
-    mask: BoolArray | None
-    """(H, W) where the view shows the finger; None for a mirror whose light counts, but not its view."""
-    glass: Glass | None = None
-    """The mirror; None for the front."""
-    cut: bool = False
-    """Whether the border of picture or mirror cuts the view, so that the mirror's pose is known less well."""
+    name: str  # ``front``, ``left``, ``right`` or ``tip``
+    mask: BoolArray | None  # (H, W) where the view shows the finger; None for a mirror whose light alone counts
+    glass: Glass | None = None  # the mirror; None for the front
+    cut: bool = False  # whether the border of picture or mirror cuts the view, so that the mirror's pose is less sure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,10 +310,8 @@ class MirrorViews:
     """All views of a finger, and what their outlines determine."""
 
     views: tuple[MirrorView, ...]
-    body: Body
-    """The smooth finger."""
-    notes: tuple[str, ...] = ()
-    """What became of views that are not used, or not whole: sentences."""
+    body: Body  # the smooth finger
+    notes: tuple[str, ...] = ()  # what became of views that are not used, or not whole: sentences
 
     def __iter__(self) -> Iterator[MirrorView]:
         return iter(self.views)

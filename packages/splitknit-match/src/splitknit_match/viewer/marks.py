@@ -25,19 +25,13 @@ _Values = NDArray[np.float64]
 class Marks:
     """Minutiae, in the print's and in the surface's frame."""
 
-    x_px: NDArray[np.float64]
-    """(N,) column in the print as it is stored."""
-    y_px: NDArray[np.float64]
-    """(N,) row."""
-    direction_rad: NDArray[np.float64]
-    """(N,) counter-clockwise from the right, as seen in the print."""
+    x_px: NDArray[np.float64]  # (N,) column in the print as it is stored
+    y_px: NDArray[np.float64]  # (N,) row
+    direction_rad: NDArray[np.float64]  # (N,) counter-clockwise from the right, as seen in the print
     kind: tuple[str, ...]
-    quality: NDArray[np.int64]
-    """(N,) 0 to 100."""
-    place_mm: NDArray[np.float64]
-    """(N, 3) on the surface; NaN where there is none."""
-    tail_mm: NDArray[np.float64]
-    """(N, 3) a little further along the direction, on the surface."""
+    quality: NDArray[np.int64]  # (N,) 0 to 100
+    place_mm: NDArray[np.float64]  # (N, 3) on the surface; NaN where there is none
+    tail_mm: NDArray[np.float64]  # (N, 3) a little further along the direction, on the surface
 
     def document(self) -> list[dict[str, Any]]:
         """For the page."""

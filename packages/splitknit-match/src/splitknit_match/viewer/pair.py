@@ -20,8 +20,7 @@ from splitknit_match.viewer.marks import Marks
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
 _PICTURE_PX = 1000
-_FIT_MM = 0.08
-"""Distance of the places that are compared: a fifth of a ridge."""
+_FIT_MM = 0.08  # distance of the places that are compared: a fifth of a ridge
 _MIN_PLACES = 300
 _MAX_STEPS, _STILL = 30, 2e-5
 _Values = NDArray[np.float64]
@@ -31,14 +30,10 @@ _Values = NDArray[np.float64]
 class Alignment:
     """The rigid motion that lays the second finger on the first."""
 
-    how: str
-    """``photographs`` (both from the same ones), ``ridges``, or ``none``."""
-    rotation: _Values = field(default_factory=lambda: np.eye(3))
-    """(3, 3)"""
-    shift_mm: _Values = field(default_factory=lambda: np.zeros(3))
-    """(3,), after the rotation."""
-    similarity: float | None = None
-    """Similarity of the ridges, where they were compared."""
+    how: str  # ``photographs`` (both from the same ones), ``ridges``, or ``none``
+    rotation: _Values = field(default_factory=lambda: np.eye(3))  # (3, 3)
+    shift_mm: _Values = field(default_factory=lambda: np.zeros(3))  # (3,), after the rotation
+    similarity: float | None = None  # similarity of the ridges, where they were compared
     overlap_mm2: float | None = None
 
     @property
@@ -195,9 +190,8 @@ def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
             residuals.append(-residual * weight)
         move = np.linalg.lstsq(np.hstack(jacobian).T, np.concatenate(residuals), rcond=None)[0]
         rotation = _turned(*move[:3])
-        found = replace(
-            found, rotation=rotation @ found.rotation, shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:]
-        )
+        shift = rotation @ (found.shift_mm - middle) + middle + move[3:]
+        found = replace(found, rotation=rotation @ found.rotation, shift_mm=shift)
         if np.abs(move).max() < _STILL:
             break
     return found

@@ -13,8 +13,7 @@ from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.key import Key, key_of
 from splitknit_match.matching.template import unpack
 
-_GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)
-"""Deep valley to high ridge: ridges dark, as in a print."""
+_GREYS = np.array([255, 176, 80, 0], dtype=np.uint8)  # deep valley to high ridge: ridges dark, as in a print
 
 
 class People:
@@ -30,10 +29,9 @@ class People:
     def document(self) -> list[dict[str, Any]]:
         """For the page."""
         names = ("person", "finger", "session", "area_mm2")
-        return [
-            {"row": one.row, "acquired": one.template_bytes > 0, **{name: getattr(one.entry, name) for name in names}}
-            for one in self._rows
-        ]
+        facts = ({name: getattr(one.entry, name) for name in names} for one in self._rows)
+        each = zip(self._rows, facts, strict=True)
+        return [{"row": one.row, "acquired": one.template_bytes > 0, **about} for one, about in each]
 
     def picture(self, row: str) -> bytes:
         """Return the template of a row as PNG: tip up, as the camera sees it, one pixel for each of its own. Raises

@@ -82,10 +82,8 @@ class ImportJob(Job):
         images = self.photographs.folder
         both = images is not None and bool(self.files)
         require(not both, "photographs (`folder` DIR) and prints (FILE ...) are imported one after the other.")
-        require(
-            images is not None or bool(self.files),
-            "name photographs (`folder` DIR `lights` FILE) or files of prints to import.",
-        )
+        fault = "name photographs (`folder` DIR `lights` FILE)"
+        require(images is not None or bool(self.files), f"{fault} or files of prints to import.")
         if self.fingers is not None:
             require(self.people is None and len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
             self._check_rig_captures()
@@ -109,10 +107,8 @@ class ImportJob(Job):
         """Refuse options that lack their partner."""
         given = self.photographs
         refuse_given(self, () if self.table else _CIRCLE, "goes with `table`.")
-        require(
-            self.table is not None or self.fingers is not None or not self.keep,
-            "`keep` goes with `table` and `fingers`.",
-        )
+        good = self.table is not None or self.fingers is not None or not self.keep
+        require(good, "`keep` goes with `table` and `fingers`.")
         require(self.table is None or given.lights is None, "`table` and `lights` both give the lights; choose one.")
         require(self.table is None or given.px_per_mm is not None, "`table` needs the scale; give `px_per_mm`.")
         require(self.people is not None or not self.dry_run, "`dry_run` goes with `people`.")
@@ -200,12 +196,10 @@ def _told(capture: Capture, notes: list[str], out: Path) -> Outcome:
     scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
     covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
     kind += f" and {facts['nir']} near-infrared" if facts["nir"] else ""
-    lines = [
-        f"{count} {kind} photographs of {columns} x {rows} pixels ({capture.encoding}, {capture.material}, {scale}, "
-        f"{covered}) written to {out}.",
-        *(f"Please note: {note}" for note in notes),
-        f"Next: splitknit reconstruct {out} --out RESULT",
-    ]
+    how = f"{capture.encoding}, {capture.material}, {scale}, {covered}"
+    lines = [f"{count} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}."]
+    lines += [f"Please note: {note}" for note in notes]
+    lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
     return facts, lines
 
 

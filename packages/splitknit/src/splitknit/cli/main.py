@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
 DONE, INTERNAL_ERROR, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-ANSWERS = {
-    **{"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12},
-    **{"live": DONE, "attack": 10, "unknown": 11},
-}
+_MATCHED = {"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12}
+ANSWERS = {**_MATCHED, "live": DONE, "attack": 10, "unknown": 11}
 """How a verb with ``--exit-code`` ends, by the ``answer`` among its facts."""
 _INTERRUPTED = "splitknit: interrupted; nothing was left half-written."
 _interrupts: list[int] = []
@@ -88,11 +86,9 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     from splitknit.cli.verb import Parser, add_group
     from splitknit.registry import GROUP, VERBS, objects_of, registered
 
-    parser = Parser(
-        prog="splitknit",
-        description="Metric 3D fingerprints from photographs of a finger under one light after another.",
-        epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
-    )
+    about = "Metric 3D fingerprints from photographs of a finger under one light after another."
+    codes = "Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
+    parser = Parser(prog="splitknit", description=about, epilog=codes)
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     others = {} if verb in VERBS else dict.fromkeys(name.split(" ")[0] for name in registered(GROUP))
     for name in dict.fromkeys((*VERBS, *others)):

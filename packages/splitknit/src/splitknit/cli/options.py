@@ -11,8 +11,7 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
 
-_MAX_BYTES = 64_000
-"""Settings documents here have 2 kB; the parser's time grows with the square of a name's length."""
+_MAX_BYTES = 64_000  # settings documents here have 2 kB; the parser's time grows with the square of a name's length
 
 
 def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:

@@ -11,8 +11,7 @@ from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, Positive, Progress, path
 
-Columns = dict[str, Any]
-"""Columns of the table, (N,) each."""
+Columns = dict[str, Any]  # columns of the table, (N,) each
 _NUMBER = r"[-+]?(?:\d{1,5}\.?\d{0,9}|\.\d{1,9})"
 _LEFT, _TOP, _WIDE, _TALL = 90, 30, 900, 260
 
@@ -99,11 +98,10 @@ def _drawn(columns: Columns) -> bytes:
 
 def _show(facts: dict[str, Any], job: ProfileJob) -> Outcome:
     few = f" ({facts['sampling_lengths']} sampling lengths, ISO 4288 wants 5)" if facts["sampling_lengths"] < 5 else ""
-    return facts, [
-        f"Ra {facts['Ra_um']:.3g} um, Rz {facts['Rz_um']:.3g} um, Rq {facts['Rq_um']:.3g} um, cut-off "
-        f"{facts['cutoff_mm']:g} mm{few}, over {facts['flat_mm']:.2f} mm.",
-        f"Written to {Path(job.out)}: profile.csv, profile.png.",
-    ]
+    ra, rz, rq = (f"{facts[name]:.3g} um" for name in ("Ra_um", "Rz_um", "Rq_um"))
+    over = f"cut-off {facts['cutoff_mm']:g} mm{few}, over {facts['flat_mm']:.2f} mm"
+    written = f"Written to {Path(job.out)}: profile.csv, profile.png."
+    return facts, [f"Ra {ra}, Rz {rz}, Rq {rq}, {over}.", written]
 
 
 PROFILE = Verb(ProfileJob, _show)

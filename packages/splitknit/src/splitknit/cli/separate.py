@@ -17,11 +17,9 @@ def _show(facts: dict[str, Any], job: SeparateJob) -> Outcome:
             f"Written to {job.out}: specular_K.png and diffuse_K.png of each light, specular.png of all.",
             *notes,
         ]
-    lines = [
-        f"{len(facts['images'])} images separated by {facts['method']}: "
-        f"{100 * facts['direct_share']:.0f} % of the light is direct in the median.",
-        f"Written to {job.out}: {', '.join(facts['files'])}.",
-    ]
+    direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
+    lines = [f"{len(facts['images'])} images separated by {facts['method']}: {direct}."]
+    lines.append(f"Written to {job.out}: {', '.join(facts['files'])}.")
     if facts["against_white"] is not None:
         error = facts["against_white"]["median_error"]
         lines.append(f"Direct and global light add up to the white image within {100 * error:.1f} % in the median.")

@@ -126,15 +126,13 @@ class Verb:
 def add_verb(verbs: Any, name: str, verb: Verb) -> None:
     """Add a verb: `name` is its last word."""
     names = options_of(verb)
-    does = with_options(_does(verb.job), names)  # one line of help, without a full stop
+    words = " ".join((verb.job.__doc__ or "").partition("\n\n")[0].split()).removesuffix(".")
+    does = with_options(words[0].lower() + words[1:] if words[1:2].islower() else words, names)  # one line of help
     parser = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
     parser.add_argument("--traceback", action="store_true", help="show where an error came from")
-    parser.add_argument(
-        "--group-readable",
-        action="store_true",
-        help="let your group read what is written (0640, 0750); by default only you can (0600, 0700)",
-    )
+    private = "let your group read what is written (0640, 0750); by default only you can (0600, 0700)"
+    parser.add_argument("--group-readable", action="store_true", help=private)
     places: dict[str, Any] = {}
     for part in (verb.job, verb.also):
         if part is not None:
@@ -156,12 +154,6 @@ def add_group(verbs: Any, name: str, words: str, objects: Mapping[str, str]) -> 
         verbs = group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
     for last, value in objects.items():
         add_verb(verbs, last or name, load(value))
-
-
-def _does(job: Any) -> str:
-    """The first sentence of a job's docstring as a verb's line of help, without a full stop."""
-    words = " ".join((job.__doc__ or "").partition("\n\n")[0].split()).removesuffix(".")
-    return words[0].lower() + words[1:] if words[1:2].islower() else words
 
 
 def options_of(verb: Verb) -> dict[str, str]:
@@ -228,9 +220,8 @@ def _add_option(place: Any, field: Field, names: Mapping[str, str]) -> None:
     given: dict[str, Any] = {"help": with_options(with_default(field), names).replace("%", "%%")}
     needed = field.default is MISSING
     if field.kind is bool:
-        place.add_argument(
-            _option(field), *words.also, dest=field.name, action=f"store_{str(not field.default).lower()}", **given
-        )
+        given["action"] = f"store_{str(not field.default).lower()}"
+        place.add_argument(_option(field), *words.also, dest=field.name, **given)
         return
     given["default"] = None if needed or field.many else field.default
     given["type"] = _reader(field)
@@ -242,11 +233,8 @@ def _add_option(place: Any, field: Field, names: Mapping[str, str]) -> None:
     if pair:
         given |= {"nargs": len(get_args(field.kind)), "type": get_args(field.kind)[0]}
     if words.positional:
-        given["nargs"] = (
-            words.nargs
-            or {(True, True): "+", (True, False): "*"}.get((field.many, needed))
-            or (None if needed else "?")
-        )
+        usual = ("+" if needed else "*") if field.many else (None if needed else "?")
+        given["nargs"] = words.nargs or usual
         place.add_argument(field.name, **given)
         return
     if words.alone:
@@ -263,8 +251,8 @@ def _reader(field: Field) -> Callable[[str], Any] | None:
         return field.kind if field.kind is not str else None
     kind, noun = field.kind, "a whole number" if field.kind is int else "a number"
     if rule is not None:
-        within = "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
-        noun = "a positive number" if within == "positive" else f"{noun} {within}"
+        span = "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
+        noun = "a positive number" if span == "positive" else f"{noun} {span}"
 
     def checked(text: str) -> Any:
         try:
@@ -370,14 +358,9 @@ def run_verb(options: argparse.Namespace) -> Outcome:
 
 
 def _add_settings(place: Any) -> None:
-    place.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="STAGE.FIELD=VALUE",
-        dest="assignments",
-        help="change one setting; may be repeated and wins over --settings",
-    )
+    wins = "change one setting; may be repeated and wins over --settings"
+    named: dict[str, Any] = {"metavar": "STAGE.FIELD=VALUE", "dest": "assignments", "help": wins}
+    place.add_argument("--set", action="append", default=[], **named)
     place.add_argument("--settings", type=Path, metavar="FILE", help="JSON or TOML file of settings")
 
 

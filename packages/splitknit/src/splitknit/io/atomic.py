@@ -26,17 +26,14 @@ from splitknit.errors import UNFINISHED, BadInput, read_bytes, refuse_links, req
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""
-_MAX_MANIFEST = 16_000_000
-"""Bytes of it that are read: 300,000 names."""
+_MAX_MANIFEST = 16_000_000  # bytes of it that are read: 300,000 names
 GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _TEMPORARY = re.compile(r"\.splitknit-[0-9a-f]{12}\.tmp")
 _MARK, _MARK_FORMAT = "mark.json", "splitknit-temporary"
 """File in a temporary folder that names the target: what has none is not ours, whatever it is called."""
-_WINDOWS = os.name == "nt"
-"""Has no locks of this kind, opens no folders, and renames no open files."""
-_AT_WORK: set[Path] = set()
-"""Folders that this process is filling."""
+_WINDOWS = os.name == "nt"  # has no locks of this kind, opens no folders, and renames no open files
+_AT_WORK: set[Path] = set()  # folders that this process is filling
 
 
 @contextlib.contextmanager

@@ -17,14 +17,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.capture_file import (
-    BANDS,
-    CAPTURE_FORMAT,
-    CAPTURE_VERSION,
-    CapturePlan,
-    check_pair,
-    read_plan,
-)
+from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, CapturePlan, check_pair, read_plan
 from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz

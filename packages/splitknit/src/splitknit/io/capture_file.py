@@ -19,34 +19,29 @@ POLARISATIONS = ("", "parallel", "crossed")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
 _MAX_IMAGES = 1000
-_AS_NEAR = 0.01
-"""Difference of cosines below which a light is equally near to two others."""
+_AS_NEAR = 0.01  # difference of cosines below which a light is equally near to two others
 
 
 @dataclass(frozen=True, slots=True)
 class BandPlan:
     """One band as the document describes it."""
 
-    band: Band
-    """Without pixels; its files are relative to the folder."""
+    band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
     ambient: Path | None
     flat: tuple[Path, ...]
-    exposed: bool
-    """Whether the document states the exposures."""
+    exposed: bool  # whether the document states the exposures
 
 
 @dataclass(frozen=True, slots=True)
 class CapturePlan:
     """A whole capture as the document describes it; all paths lie inside the folder."""
 
-    capture: Capture
-    """Without images."""
+    capture: Capture  # without images
     rig_file: Path
     bands: dict[str, BandPlan]
     mask: Path | None
-    documents: dict[Path, bytes]
-    """The JSON files and what was read from them."""
+    documents: dict[Path, bytes]  # the JSON files and what was read from them
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +157,7 @@ def _band(fields: Fields, folder: Path, rig: Rig, key: str) -> BandPlan:
 
 
 def _ambient_value(fields: Fields, own: float | None, images: list[float | None], key: str, default: float) -> float:
-    """Of the ambient image: its `own`, else what all images of the band have; the default where the document leaves it
-    out or has no ambient image; else unknown.
-    """
+    """The ambient image's `own`, else what all images of the band have, else unknown; the default if not stated."""
     if own is not None or None in images or not fields.has("ambient"):
         return default if own is None else own
     fault = f'needs its own {key}, as the images of the band differ in theirs; write {{"file": ..., "{key}": ...}}.'

@@ -24,10 +24,8 @@ from splitknit.model import FloatArray
 
 MAX_POINTS = 40_000_000
 UNITS_MM = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
-FAR_MM = 500.0
-"""A cloud that begins further from the origin is moved there: single precision would not do."""
-_COARSEST_MM = 0.01
-"""Steps of coordinates that are still fine enough for ridges: 100 m from the origin in single precision."""
+FAR_MM = 500.0  # a cloud that begins further from the origin is moved there: single precision would not do
+_COARSEST_MM = 0.01  # steps of coordinates that are fine enough for ridges: 100 m from the origin in single precision
 _MAX_BYTES = 4_000_000_000
 _ROWS, _BLOCK = 1 << 18, 1 << 23
 _TYPES = {
@@ -232,5 +230,4 @@ def _stl(stream: BinaryIO, size: int, unit_mm: float, damaged: str) -> Cloud:
 
 
 _READERS = {".ply": _ply, ".pcd": _pcd, ".xyz": _xyz, ".asc": _xyz, ".obj": _obj, ".stl": _stl}
-CLOUDS = (*_READERS, ".x3p", ".tmd")
-"""Suffixes of :func:`read_cloud`."""
+CLOUDS = (*_READERS, ".x3p", ".tmd")  # suffixes of :func:`read_cloud`

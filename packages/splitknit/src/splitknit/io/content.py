@@ -19,12 +19,9 @@ _DARK_FRACTION = 0.01
 """Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits hold no shading."""
 _RELATIVE_DARK = 0.03
 """Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor of 3 at most."""
-_BRIGHT_QUANTILE = 0.999
-"""Which pixels are "bright": all but the brightest thousandth, so that hot pixels do not count as light."""
-_FULL_SCALE = 0.995
-"""A stored value from here on counts as clipped (254 of 255; 10- and 12-bit data shifted to 16 bits end above)."""
-_LIT_FRACTION = 0.02
-"""Pixels above this (black level taken off) are lit: the finger, not its black background."""
+_BRIGHT_QUANTILE = 0.999  # which pixels are "bright": all but the brightest thousandth; hot pixels are no light
+_FULL_SCALE = 0.995  # stored values from here on are clipped (254 of 255; 10- and 12-bit data in 16 bits end above)
+_LIT_FRACTION = 0.02  # pixels above this (black level taken off) are lit: the finger, not its black background
 _SATURATED_FRACTION = 0.2
 """Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
 _SATURATED_AREA = 0.005

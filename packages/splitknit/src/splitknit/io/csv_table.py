@@ -10,8 +10,7 @@ import io
 from collections.abc import Iterable
 from typing import Any
 
-_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")
-"""What a formula begins with; signs of full width count in East Asian spreadsheets."""
+_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")  # what a formula begins with; signs of full width count in East Asian sheets
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:

@@ -29,8 +29,7 @@ _FORMAT, _VERSION = "splitknit-enrolment", 1
 
 @dataclass(frozen=True, slots=True)
 class _EnrolmentPlan:
-    subjects: int = 17
-    """The thesis has 17, with all ten fingers, in four sessions."""
+    subjects: int = 17  # the thesis has 17, with all ten fingers, in four sessions
     sessions: int = 4
     fingers: tuple[str, ...] = FINGERS
 
@@ -50,11 +49,6 @@ class _EnrolmentPlan:
     def subject_ids(self) -> tuple[str, ...]:
         """S01, S02, ..."""
         return tuple(f"S{number:02d}" for number in range(1, self.subjects + 1))
-
-    def covers(self, earlier: _EnrolmentPlan) -> bool:
-        """Whether everything that `earlier` plans is planned here too."""
-        grown = self.subjects >= earlier.subjects and self.sessions >= earlier.sessions
-        return grown and set(self.fingers) >= set(earlier.fingers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +148,8 @@ def plan_enrolment(
         plan = f"{earlier.subjects} subjects, {earlier.sessions} sessions and {len(earlier.fingers)} fingers"
         remedy = "leave out `subjects`, `sessions` and `fingers`, or name another folder."
         shrinks = f"the enrolment in '{folder}' is planned for {plan}; a plan may grow but not shrink: {remedy}"
-        require(wanted.covers(earlier), shrinks)
+        grown = wanted.subjects >= earlier.subjects and wanted.sessions >= earlier.sessions
+        require(grown and set(wanted.fingers) >= set(earlier.fingers), shrinks)
     return Enrolment(folder, wanted)
 
 

@@ -24,14 +24,12 @@ from splitknit.model import FloatArray
 
 _NEEDS_X3PIO = "X3P files need the package x3pio: pip install 'splitknit[x3p]' ({error})."
 _TMD = b"Binary TrueMap Data File v2.0\r\n\0"
-_TMD_COMMENT = b"Created by splitknit \r\n\0"
-"""24 bytes, for readers that take its length for granted."""
+_TMD_COMMENT = b"Created by splitknit \r\n\0"  # 24 bytes, for readers that take its length for granted
 _MAX_PIXELS = 40_000_000
 _MAX_BYTES = 1_000_000_000
 _MAX_XML, _MAX_PARTS = 32_000_000, 2_000_000
 """Bytes of an X3P file's description, and of its tags and attributes: a surface of a megapixel as text."""
-_LIGHTS = 400
-"""Directions of the hemisphere that a relightable picture is fitted under."""
+_LIGHTS = 400  # directions of the hemisphere that a relightable picture is fitted under
 Grid = tuple[FloatArray, tuple[float, float]]
 """Heights (H, W) in mm, NaN where nothing was measured, row 0 at the top (largest y); steps along x and y in mm."""
 

@@ -42,8 +42,7 @@ MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
 """Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file can claim any."""
 _MAPPED_BYTES = 1_000_000_000
 """Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
-STACK_BYTES = 4_000_000_000
-"""Bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour."""
+STACK_BYTES = 4_000_000_000  # bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
 
 
 def read_image(path: str | os.PathLike[str]) -> PixelArray:
@@ -193,19 +192,15 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
-APP1 = 0xE1
-"""Second byte of the marker of a segment that may hold EXIF data."""
+APP1 = 0xE1  # second byte of the marker of a segment that may hold EXIF data
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
-_MAX_SCANS = 100
-"""Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
+_MAX_SCANS = 100  # each scan costs a pass through the whole image; a progressive image has about ten
 _BLOCK_PIXELS = 64
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 
 
 def _jpeg_header(data: bytes, name: str) -> _ImageInfo:
-    """The frame's size of a JPEG file, all segments walked. BadInput if it ends early, has no frame or a kind that is
-    not supported, or claims more pixels than can be.
-    """
+    """Size of a JPEG file's frame, all segments walked; BadInput if it is damaged, cut short or of a kind not read."""
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: _ImageInfo | None = None
     finest, position, scans = 0.0, 2, 0

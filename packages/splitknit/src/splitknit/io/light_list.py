@@ -41,8 +41,7 @@ class LightList:
 
     lights: NDArray[np.float64]
     names: tuple[str, ...]
-    places: bool
-    """Whether the lights are places in mm."""
+    places: bool  # whether the lights are places in mm
     intensities: NDArray[np.float64] | None = None
     """(L, 1) or (L, 3) brightness of the lights, or of their red, green and blue; None where the list has none."""
 

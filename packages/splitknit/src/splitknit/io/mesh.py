@@ -78,8 +78,7 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
 #
 # STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
-"""One triangle of a binary file."""
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])  # one triangle of a binary file
 HEADER_BYTES = 80
 _CHUNK = 1 << 16
 
@@ -172,12 +171,8 @@ def glb_chunks(
     check_mesh(vertices_mm, faces, normals, intensity)
     colours = np.full((count, 4), 255, dtype=np.uint8)
     colours[:, :3] = np.asarray(intensity, dtype=np.uint8)[:, None]
-    blocks = [
-        np.ascontiguousarray(vertices_mm, dtype="<f4"),
-        np.ascontiguousarray(normals, dtype="<f4"),
-        colours,
-        np.ascontiguousarray(faces.reshape(-1), dtype="<u4"),
-    ]
+    places, directions = (np.ascontiguousarray(one, dtype="<f4") for one in (vertices_mm, normals))
+    blocks = [places, directions, colours, np.ascontiguousarray(faces.reshape(-1), dtype="<u4")]
     text = json.dumps(_document(blocks, extras or {}), separators=(",", ":"), sort_keys=True).encode("utf-8")
     text += b" " * (-len(text) % 4)
     body = sum(block.nbytes for block in blocks)

@@ -29,10 +29,8 @@ from splitknit.io.png import codecs
 _LIMIT = (1 << 32) - 1
 _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP archive knows
 _DEFLATE = 8
-RESULT_BYTES = 600_000_000
-"""Largest arrays that are read at once: what a result of 25 million pixels, three times the rig's, needs."""
-_MAX_FILES, _LIMIT_OF_END = 1000, 22 + 65535
-"""Files of an archive, and the bytes of its end, of a fixed length and a comment."""
+RESULT_BYTES = 600_000_000  # arrays read at once, at most: a result of 25 million pixels, three times the rig's
+_MAX_FILES, _LIMIT_OF_END = 1000, 22 + 65535  # files of an archive, and the bytes of its end, comment included
 _LONGEST_HEADER = 4096
 _HEADER = re.compile(
     rb"\{'descr': '(?P<dtype>[<>|][biufcSU]\d{1,7})', 'fortran_order': (?P<order>True|False), "

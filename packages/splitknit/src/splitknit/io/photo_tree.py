@@ -33,10 +33,8 @@ class PhotographTree:
 
     captures: tuple[tuple[PlannedCapture, tuple[Path, ...]], ...]
     """Complete ones, in the order of an enrolment: paths of white and NIR photographs with ``{light}``."""
-    plan: dict[str, Any]
-    """``subjects``, ``sessions`` and ``fingers`` of the enrolment."""
-    faults: tuple[str, ...]
-    """What is missing, doubled or not understood, one sentence each; captures that are named here are left out."""
+    plan: dict[str, Any]  # ``subjects``, ``sessions`` and ``fingers`` of the enrolment
+    faults: tuple[str, ...]  # what is missing, doubled or not understood, a sentence each; those captures are left out
 
 
 def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:

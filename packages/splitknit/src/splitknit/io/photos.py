@@ -32,8 +32,7 @@ _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photo
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _PIXELS_PER_BYTE = 16384
 """Pixels per byte of a WEBP file, at most (38 bytes can claim any number): photographs have up to 100, masks 4000."""
-_RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}
-"""LibRaw's ``flip`` as EXIF's orientation."""
+_RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's ``flip`` as EXIF's orientation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,12 +40,9 @@ _DIVERGING = np.array([(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 
 class PictureFrame:
     """A small upright frame over a part of a large input."""
 
-    input_from_picture: NDArray[np.float64]
-    """(3, 3) on (column, row, 1)."""
-    size: tuple[int, int]
-    """Rows, columns of the picture."""
-    pitch_mm: float
-    """Size of one picture pixel."""
+    input_from_picture: NDArray[np.float64]  # (3, 3) on (column, row, 1)
+    size: tuple[int, int]  # rows, columns of the picture
+    pitch_mm: float  # size of one picture pixel
 
 
 def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> PictureFrame:

@@ -47,26 +47,21 @@ from splitknit.model import (
 )
 from splitknit.steps import IN_MEMORY, large_array, let_go
 
-_SAME_DEG = 0.5
-"""Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
+_SAME_DEG = 0.5  # lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
-_ASKED, _ASKED_PIXELS = 24, 20_000
-"""Photographs and pixels of each that show the encoding."""
-_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
-"""Size of one photograph, and of all, above which a note is given."""
+_ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
+_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0  # size of one photograph, and of all, above which a note is given
 _FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
 """Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
 _NEGATIVE = 0.02
 """Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
-_BRIGHTEST = 0.9
-"""What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
+_BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
 
 
 _LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
-UNKNOWN = "unknown"
-"""In place of the lights: nobody knows their directions, which are estimated."""
+UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
 _NO_OPTIONS = PhotographOptions()
 
 
@@ -90,8 +85,10 @@ def capture_from_photographs(
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
-    Raises BadInput as :func:`capture_from_plain_images`; also if the folder holds no photographs, their number is not
-    that of the lights, or the lights' file names one that is not there. `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
+    Photographs under one light (directions within 0.5 deg) are averaged; those of floats are brought to 16 bits by one
+    factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF data,
+    their number is not that of the lights, the lights do not determine a normal or their file names a photograph that
+    is not there, an image is black or overexposed. `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
     or RAW files, all of one size, in the order of their names; or a pattern of their names, such as
     ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
     (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
@@ -313,32 +310,6 @@ def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[
         require(len(fits) == 1, f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.")
         chosen.append(fits[0])
     return chosen, [file for file in found if file not in chosen]
-
-
-def capture_from_plain_images(
-    images: Sequence[str | os.PathLike[str]],
-    lights: NDArray[np.float64],
-    px_per_mm: float | None,
-    options: PhotographOptions = _NO_OPTIONS,
-    intensities: Sequence[float] | None = None,
-) -> Capture:
-    """Make a capture of images of one object under distant lights; all of them form the band ``white``.
-
-    Photographs under one light (directions within 0.5 deg) are averaged. Photographs of floats are brought to 16 bits
-    by one factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF
-    data, lights and images differ in number, the lights do not determine a normal, an image is black or overexposed.
-    `images`: files of :func:`splitknit.io.photos.read_photo`, of one size, at least three, in the order of the lights;
-    `lights`: (L, 3) directions *towards* the lights, x right, y up, z to the camera, of any length; `px_per_mm`: pixels
-    a millimetre on the object; heights scale with it. None where it is unknown; `options`: mask, material and others;
-    without an encoding the images are linear; `intensities`: relative strength of each light; equal where None.
-    """
-    files = [Path(image) for image in images]
-    rig = _distant_rig(np.asarray(lights, dtype=np.float64))
-    strengths = [1.0] * len(rig.leds) if intensities is None else [float(value) for value in intensities]
-    differ = f"there are {len(strengths)} intensities for {len(rig.leds)} lights; give one each."
-    require(len(strengths) == len(rig.leds), differ)
-    rig = replace(rig, leds=tuple(replace(led, intensity=one) for led, one in zip(rig.leds, strengths, strict=True)))
-    return _assembled(files, rig, px_per_mm, replace(options, encoding=options.encoding or "linear"))[0]
 
 
 def capture_of_arrays(

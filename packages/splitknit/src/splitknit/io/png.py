@@ -31,8 +31,7 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 DECODED_BYTES = 400_000_000
 """Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
-DEFLATE_RATIO = 1032
-"""Deflate makes no more of a byte (zlib, technical details): a longer image cannot be in the file."""
+DEFLATE_RATIO = 1032  # deflate makes no more of a byte (zlib, technical details): a longer image cannot be in the file
 _PLAIN = frozenset((0, 2))  # row filters none and up, section 9.2
 
 
@@ -40,10 +39,8 @@ _PLAIN = frozenset((0, 2))  # row filters none and up, section 9.2
 class _PngHeader:
     rows: int
     columns: int
-    depth: int
-    """Bits per sample."""
-    colour: int
-    """0 grey, 2 RGB, 3 palette, 4 grey and alpha, 6 RGB and alpha."""
+    depth: int  # bits per sample
+    colour: int  # 0 grey, 2 RGB, 3 palette, 4 grey and alpha, 6 RGB and alpha
     interlaced: bool
 
     @property

@@ -34,8 +34,7 @@ _METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
 _APP0 = 0xE0
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
 """Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
-_AFTER_HEADER = 33
-"""First bytes of a PNG file: signature and IHDR."""
+_AFTER_HEADER = 33  # first bytes of a PNG file: signature and IHDR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,9 +130,8 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
     require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
-    return PrintFile(
-        square, ppi, text, note=f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
-    )
+    note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
+    return PrintFile(square, ppi, text, note=note)
 
 
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
@@ -205,9 +203,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 
 def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
-    """A print (H, W) uint8 as uncompressed TIFF, the same bytes each time, `text` as JSON in its description. Raises
-    BadInput if image or resolution is of another kind.
-    """
+    """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of another kind."""
     array, description = _checked(image, ppi), canonical_json(dict(text)) if text else None
     return encode_tiff(array, description=description, resolution=(float(ppi), float(ppi)), resolutionunit="INCH")
 

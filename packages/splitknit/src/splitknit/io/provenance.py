@@ -62,11 +62,8 @@ def known_json(value: Any, nulls: Container[str] = ()) -> Any:
     """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
-        return {
-            item.name: known_json(one, nulls)
-            for item, one in given
-            if one is not None or item.default is not None or item.name in nulls
-        }
+        kept = ((to, one) for to, one in given if one is not None or to.default is not None or to.name in nulls)
+        return {item.name: known_json(one, nulls) for item, one in kept}
     return [known_json(item, nulls) for item in value] if isinstance(value, (list, tuple)) else plain_json(value)
 
 

@@ -29,8 +29,7 @@ from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
-LARGEST_MM = 1000.0
-"""Longest side of a result's frame."""
+LARGEST_MM = 1000.0  # longest side of a result's frame
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
 _DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."

@@ -14,8 +14,7 @@ from splitknit.io.png import SIGNATURE
 from splitknit.io.rig import RIG_FORMAT
 from splitknit.io.tiff import SIGNATURES
 
-_HEAD_BYTES = 16_000_000
-"""By which the kind of a file is known."""
+_HEAD_BYTES = 16_000_000  # by which the kind of a file is known
 
 
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:

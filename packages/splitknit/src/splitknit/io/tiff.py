@@ -41,8 +41,7 @@ _READ = _OPTIONAL | {
 }
 _TYPES = {1: ("u1", 1), 2: ("u1", 1), 3: ("u2", 1), 4: ("u4", 1), 5: ("u4", 2), 7: ("u1", 1), 16: ("u8", 1)}
 """Types of a tag's values: kind, and how many make one value."""
-_WHOLE = frozenset({1, 3, 4, 16})
-"""Types of whole numbers, which all tags but the optional ones hold."""
+_WHOLE = frozenset({1, 3, 4, 16})  # types of whole numbers, which all tags but the optional ones hold
 _KINDS = {1: "uint", 2: "int", 3: "float"}
 _NONE, _LZW, _DEFLATE, _OLD_DEFLATE, _PACKBITS = 1, 5, 8, 32946, 32773
 _RATIO = {_NONE: 1, _LZW: 2560, _DEFLATE: DEFLATE_RATIO, _OLD_DEFLATE: DEFLATE_RATIO, _PACKBITS: 64}
@@ -61,15 +60,11 @@ class TiffPage:
 
     rows: int
     columns: int
-    samples: int
-    """Channels as stored, with alpha."""
-    dtype: np.dtype[Any]
-    """As stored, with its order of bytes."""
+    samples: int  # channels as stored, with alpha
+    dtype: np.dtype[Any]  # as stored, with its order of bytes
     photometric: int
-    separate: bool
-    """Whether each channel has strips or tiles of its own."""
-    tags: Mapping[int, NDArray[Any]]
-    """Values by the number of the tag; those of fractions alternate."""
+    separate: bool  # whether each channel has strips or tiles of its own
+    tags: Mapping[int, NDArray[Any]]  # values by the number of the tag; those of fractions alternate
 
     @property
     def channels(self) -> int:

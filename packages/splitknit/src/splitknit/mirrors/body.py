@@ -9,7 +9,7 @@ over the length: near its tip any smooth body is like that. Centre lines, A and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 
 import cv2
@@ -23,8 +23,7 @@ from splitknit.model import BoolArray, Camera, FloatArray
 Array = NDArray[np.float64]
 
 OVAL_NODES = 400
-MAX_SQUARE = 0.45
-"""Beyond, the oval is no longer convex."""
+MAX_SQUARE = 0.45  # beyond, the oval is no longer convex
 
 
 SeenHeights = tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]
@@ -99,10 +98,6 @@ class Body:
         x, y = plane_x * nearer, plane_y * nearer
         return x, y, *_looked_up(self, table, x, y)
 
-    def grown(self, step: Array) -> Body:
-        """With `step` (4 K,) added to the coefficients."""
-        return replace(self, coefficients=self.coefficients + step.reshape(self.coefficients.shape))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sections:
@@ -167,8 +162,7 @@ def _basis_table(count: int) -> Array:
 # A body as seen from above: z over every pixel, and slopes.
 
 _DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
-STEEPEST_DEG = 24.0
-"""Slopes of the skin are used up to here: steeper skin looks flatter than it is."""
+STEEPEST_DEG = 24.0  # slopes of the skin are used up to here: steeper skin looks flatter than it is
 
 
 def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
@@ -213,12 +207,9 @@ def _looked_up(
 class Slopes:
     """Measured slopes of the skin at places of the front view."""
 
-    places_mm: Array
-    """(n, 2) on the finger plane."""
-    x: Array
-    """(n,) dz/dx."""
-    y: Array
-    """(n,) dz/dy."""
+    places_mm: Array  # (n, 2) on the finger plane
+    x: Array  # (n,) dz/dx
+    y: Array  # (n,) dz/dy
 
 
 def slopes_across(body: Body, slopes: Slopes) -> Array:

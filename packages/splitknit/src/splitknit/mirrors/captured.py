@@ -28,14 +28,10 @@ from splitknit.mirrors.views import Views, find_views, view_binning
 from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
-SLOPES_MM = 0.25
-"""Pitch of the images from which slopes are measured."""
-OUTLINE_PX_PER_MM = 10.0
-"""Scale at which outlines are found; between its pixels they are interpolated."""
-APART_MM = 1.0
-"""Distance of the places whose slopes are used."""
-RIM_MM = 1.2
-"""Skin nearer to the outline than this is not used: light is lost there."""
+SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
+OUTLINE_PX_PER_MM = 10.0  # scale at which outlines are found; between its pixels they are interpolated
+APART_MM = 1.0  # distance of the places whose slopes are used
+RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,9 +60,8 @@ def mirror_shape_of(
         shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
-        finer = crossover(
-            np.where(inside, detail_mm, np.float32(0)), shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside
-        )
+        from_light = np.where(inside, detail_mm, np.float32(0))
+        finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
     kept[window] &= known
@@ -101,11 +96,8 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
     rig = capture.rig
-    require(
-        bool(rig.mirrors),
-        "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take `shape` nir or "
-        "white.",
-    )
+    fault = "the rig has no mirrors, so that the shape cannot come from them"
+    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
     views, grey = found_views(capture, mask)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)
@@ -124,18 +116,10 @@ def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray
 
 def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Views:
     """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
-    mask = replace(
-        mask,
-        fine_px_per_mm=min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM),
-        coarse_px_per_mm=min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM),
-    )
-    return find_views(
-        mean,
-        rig,
-        lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
-        binning,
-        lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),
-    )
+    fine, coarse = min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM), min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM)
+    mask = replace(mask, fine_px_per_mm=fine, coarse_px_per_mm=coarse)
+    region, outline = partial(finger_region, settings=mask), partial(finger_outline, settings=mask)
+    return find_views(mean, rig, region, binning, outline)
 
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:

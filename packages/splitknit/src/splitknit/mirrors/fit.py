@@ -22,8 +22,7 @@ from splitknit.model import BoolArray
 
 Array = NDArray[np.float64]
 
-_STATIONS = 80
-"""Places along the body at which a plane seen from the tip is tried."""
+_STATIONS = 80  # places along the body at which a plane seen from the tip is tried
 _MAX_STEP = {"tip_mm": 1.0, "turn_rad": 0.04, "lean_rad": 0.04, "shift_mm": 2.0}
 _MAX_STEP |= {"squareness": 0.15, "shear": 0.2, "shear_slope": 0.2}
 """Largest steps of one correction."""
@@ -35,15 +34,11 @@ _Parameters = list[tuple[str, float]]
 class MirrorOutline:
     """Planes that touch the finger along its outline in one mirror, and where the mirror nominally is."""
 
-    touching: Touching
-    """As the camera sees them, not yet reflected."""
+    touching: Touching  # as the camera sees them, not yet reflected
     plane: Plane
-    from_tip: bool = False
-    """Whether it looks along the finger."""
-    turn_rad: float = 0.0
-    """Its turn, as the tips of the views show it."""
-    turn_sd_rad: float | None = None
-    """Standard deviation of that; None: it is undefined."""
+    from_tip: bool = False  # whether it looks along the finger
+    turn_rad: float = 0.0  # its turn, as the tips of the views show it
+    turn_sd_rad: float | None = None  # standard deviation of that; None: it is undefined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,16 +94,14 @@ class Estimate:
         return Estimate(replace(self.body, **changed), self.poses)
 
     def stepped(self, step: Array, parameters: _Parameters) -> Estimate:
-        """After a correction, of the splines' coefficients, then of `parameters`; beyond a limit it is shortened as a
-        whole, as lean and shift of a mirror belong together.
-        """
+        """After a correction of the splines' coefficients and `parameters`, shortened as a whole beyond a limit."""
         count = self.body.coefficients.size
         shared = [name for name, _ in parameters]
-        sizes = [
-            abs(float(by)) / _MAX_STEP[name.partition(" ")[0]] for name, by in zip(shared, step[count:], strict=True)
-        ]
+        most = [_MAX_STEP[name.partition(" ")[0]] for name in shared]
+        sizes = [abs(float(by)) / one for one, by in zip(most, step[count:], strict=True)]
         step = step / max(1.0, *sizes)
-        estimate = Estimate(self.body.grown(step[:count]), self.poses)
+        coefficients = self.body.coefficients + step[:count].reshape(self.body.coefficients.shape)
+        estimate = Estimate(replace(self.body, coefficients=coefficients), self.poses)
         for name, by in zip(shared, step[count:], strict=True):
             estimate = estimate.moved(name, float(by))
         return estimate.convex()
@@ -149,10 +142,8 @@ class Fit:
     @property
     def rms_mm(self) -> dict[str, float]:
         """Weighted root mean square of each view's misfit."""
-        return {
-            name: float(np.sqrt(np.sum(weight * self.misfit_mm[name] ** 2) / max(float(weight.sum()), 1e-9)))
-            for name, weight in self.weights.items()
-        }
+        squares = {name: float(np.sum(one * self.misfit_mm[name] ** 2)) for name, one in self.weights.items()}
+        return {name: float(np.sqrt(squares[name] / max(float(one.sum()), 1e-9))) for name, one in self.weights.items()}
 
 
 def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array]:
@@ -195,14 +186,10 @@ def touched(body: Body, planes: Touching) -> Array:
 
 # What is expected without any outline, what the skin's slopes add, and how far points of an outline are trusted.
 
-_SLOPE_ERROR = 0.1
-"""Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
-SHEAR_SD = 0.05
-"""Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
-INDEPENDENT_SLOPES = 20.0
-"""Slopes err together: at specular reflections, and where light by way of a mirror ends."""
-TIP_SD_MM = 0.05
-"""Standard deviation of the tip's place as the front view's outline has it."""
+_SLOPE_ERROR = 0.1  # standard deviation of a measured slope of the skin, which looks flatter than it is
+SHEAR_SD = 0.05  # standard deviation of the shear: a roll by 8 deg gives about 0.045
+INDEPENDENT_SLOPES = 20.0  # slopes err together: at specular reflections, and where light by way of a mirror ends
+TIP_SD_MM = 0.05  # standard deviation of the tip's place as the front view's outline has it
 
 
 _ANGLE = 0.0, float(np.deg2rad(ANGLE_DEG))
@@ -275,17 +262,13 @@ def _tukey(residual: Array, limit: float) -> Array:
     return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
 
 
-TIP_TRUST = 0.1
-"""Weight of a view from beyond the tip: it sees the largest sections only."""
-COMMON_MM = 4.0
-"""Points of an outline that are nearer to each other than this err together."""
+TIP_TRUST = 0.1  # weight of a view from beyond the tip: it sees the largest sections only
+COMMON_MM = 4.0  # points of an outline that are nearer to each other than this err together
 EDGE_MM = 0.1
 """Standard deviation of the error that a whole edge of a view has in common, at its middle and from there to its end:
 shading, blur and the threshold move it as a whole, which a mirror's pose would otherwise explain."""
-_END_SURE = 2
-"""Corrections before points of an outline may be left out altogether."""
-_END_SETTLED = 2e-4
-"""A correction (mm, rad) below this is the last one."""
+_END_SURE = 2  # corrections before points of an outline may be left out altogether
+_END_SETTLED = 2e-4  # a correction (mm, rad) below this is the last one
 
 
 def _fitted_ends(
@@ -317,13 +300,11 @@ def _fitted_ends(
     return estimate
 
 
-SURE_FROM = 4
-"""Corrections before points of an outline may be left out altogether."""
+SURE_FROM = 4  # corrections before points of an outline may be left out altogether
 _HELD, _HELD_ROUNDS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}, 3
 """Mirrors stay where they nominally are for so many corrections, in which the body finds its size: under spreading rays
 a wrong size is otherwise taken for another height, and mirrors follow it."""
-SETTLED = 0.01
-"""A correction of the splines (mm) below this is the last one."""
+SETTLED = 0.01  # a correction of the splines (mm) below this is the last one
 
 
 def fit_body(
@@ -378,8 +359,7 @@ def fit_body(
     return Fit(estimate.body, estimate.poses, split, weights)
 
 
-APART_MM = 0.12
-"""Views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07."""
+APART_MM = 0.12  # views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
 
 
 def fit_views(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None = None) -> Fit:
@@ -457,9 +437,7 @@ def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, resi
 
 
 def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
-    """What one error of an edge does to the residuals (n, 4 of each view): even and linear along the finger, for both
-    edges.
-    """
+    """What one error of each edge does to the residuals (n, 4 a view): even, and linear along the finger."""
     body, ends = estimate.body, [0, *outlines.ends, None]
     planes = [part for part, _ in estimate.planes(outlines)]
     errors = np.zeros((sum(len(part.offset_mm) for part in planes), 4 * len(planes)))
@@ -487,24 +465,18 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:
         w = body.fraction(u)
         s = np.sqrt(w)
         along, root = basis(w, count), basis(s, count)
-        rows.append(
-            np.column_stack(
-                [normal[:, :1] * along, normal[:, 2:] * along, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]
-            )
-        )
+        by_centre = normal[:, :1] * along, normal[:, 2:] * along
+        rows.append(np.column_stack([*by_centre, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]))
         residuals.append(residual)
     return np.concatenate(residuals), np.concatenate(rows)
 
 
 # Whether views are of one finger, and what was found.
 
-_MISFIT_MM = 0.6
-"""Views that agree no better than this (rms) are not of one finger."""
+_MISFIT_MM = 0.6  # views that agree no better than this (rms) are not of one finger
 
-THICKNESS = (0.4, 1.4)
-"""Thickness of fingers over their breadth, from and to."""
-MAX_DEG = 7.0
-"""A mirror that would be further off than this is rejected."""
+THICKNESS = (0.4, 1.4)  # thickness of fingers over their breadth, from and to
+MAX_DEG = 7.0  # a mirror that would be further off than this is rejected
 
 
 def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
@@ -513,24 +485,17 @@ def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
         if name in mirrors and mirrors[name].from_tip:
             continue
         size = float(np.median(np.abs(misfit)))
-        require(
-            size < _MISFIT_MM,
-            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'; check "
-            "that the rig file's mirrors are the ones in the picture and that one finger alone is in view.",
-        )
+        fault = f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside the others'"
+        cure = "check that the rig file's mirrors are the ones in the picture and that one finger alone is in view."
+        require(size < _MISFIT_MM, f"{fault}; {cure}")
     thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
-    require(
-        THICKNESS[0] < thickness < THICKNESS[1],
-        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as thick as it is broad in "
-        "front; check that one finger alone is in view.",
-    )
+    fault = "the views do not fit one finger"
+    thick = f"in the mirrors it would be {thickness:.2f} times as thick as it is broad in front"
+    require(THICKNESS[0] < thickness < THICKNESS[1], f"{fault}: {thick}; check that one finger alone is in view.")
     for name, pose in fit.poses.items():
         worst = max(abs(float(np.rad2deg(angle))) for angle in (pose.turn_rad, pose.lean_rad))
-        require(
-            worst < MAX_DEG,
-            f"the views do not fit one finger: the {name} mirror would be {worst:.0f} deg off its place in the rig "
-            "file; check that one finger alone is in view, or correct the rig file.",
-        )
+        off = f"the {name} mirror would be {worst:.0f} deg off its place in the rig file"
+        require(worst < MAX_DEG, f"{fault}: {off}; check that one finger alone is in view, or correct the rig file.")
 
 
 def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:

@@ -31,7 +31,6 @@ from splitknit.mirrors.fit import (
 from splitknit.mirrors.outline import (
     OutlineRows,
     finger_axis,
-    front_axis,
     is_cut,
     medial_line,
     pad_side,
@@ -47,10 +46,8 @@ Array = NDArray[np.float64]
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
-_KNOTS = 11
-"""Spans of the splines along the finger."""
-_MAX_TURN_RAD = 0.12
-"""Mirrors are not turned by more."""
+_KNOTS = 11  # spans of the splines along the finger
+_MAX_TURN_RAD = 0.12  # mirrors are not turned by more
 _TIPS_APART = (
     "the views do not fit one finger: the fingertip in the {} mirror is not beside the one in front; check that the "
     "rig file's mirrors are those in the picture and that one finger alone is in view."
@@ -62,10 +59,8 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: Plane, axis: Ar
     reason. The line that joins a point with its mirror image touches both outlines at the tip (a frontier point).
     """
     across = np.array([axis[1], -axis[0]])
-    front, side = (
-        rows_of(mask, camera, views.binning, across, trust_ends=True).places("left")[0]
-        for mask in (views.front, views.mirrors[name])
-    )
+    both = (rows_of(one, camera, views.binning, across, trust_ends=True) for one in (views.front, views.mirrors[name]))
+    front, side = (rows.places("left")[0] for rows in both)
 
     def apart(turn: float) -> float:
         moved = plane.posed(turn, 0.0, 0.0)
@@ -119,20 +114,13 @@ def first_body(
 class _Ellipses:
     """One ellipse for each row that both views have."""
 
-    axis: Array
-    """(2,) of the front view's medial line, towards the tip."""
-    from_tip_mm: Array
-    """(n,) distance of the rows from the tip, growing."""
-    tip_mm: float
-    """Where the tip lies on the axis."""
-    middle_mm: Array
-    """(n,) middle of the front view's row, to the right of the axis."""
-    half_width_mm: Array
-    """(n,) of the front view."""
-    half_height_mm: Array
-    """(n,) of the lateral view."""
-    centre_mm: Array
-    """(n,) height of the lateral view's middle, beside its medial line."""
+    axis: Array  # (2,) of the front view's medial line, towards the tip
+    from_tip_mm: Array  # (n,) distance of the rows from the tip, growing
+    tip_mm: float  # where the tip lies on the axis
+    middle_mm: Array  # (n,) middle of the front view's row, to the right of the axis
+    half_width_mm: Array  # (n,) of the front view
+    half_height_mm: Array  # (n,) of the lateral view
+    centre_mm: Array  # (n,) height of the lateral view's middle, beside its medial line
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
         """As :meth:`Body.heights`; beside the ellipses the nearest z goes on."""
@@ -178,14 +166,10 @@ def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -
 
 _TURN_DEG, _CUT_TURN_DEG = 0.2, 0.6
 """Standard deviation of a mirror's turn as the views' tips show it, and where the view is cut."""
-_FEW = 20
-"""A view with fewer points of its outline is not used."""
-_MAX_MISSING = 0.4
-"""Largest fraction of the pad's outline that may be missing; beyond, the rest may be the mirror's edge."""
-_NEAR_EDGE_MM = 3.0
-"""A straight outline this near to where the mirror should end is the mirror's edge."""
-_CUT_ROUNDS = 20
-"""Corrections of the fit where views are cut."""
+_FEW = 20  # a view with fewer points of its outline is not used
+_MAX_MISSING = 0.4  # largest fraction of the pad's outline that may be missing; the rest may be the mirror's edge
+_NEAR_EDGE_MM = 3.0  # a straight outline this near to where the mirror should end is the mirror's edge
+_CUT_ROUNDS = 20  # corrections of the fit where views are cut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,10 +178,8 @@ class MirrorShape:
 
     camera: Camera
     model: Body | _Ellipses
-    facts: Mapping[str, Any]
-    """What was found: mirrors' poses, misfits, the sections' form."""
-    outlines: Mapping[str, OutlineRows] = field(default_factory=dict)
-    """Measured outlines of ``front`` and every mirror."""
+    facts: Mapping[str, Any]  # what was found: mirrors' poses, misfits, the sections' form
+    outlines: Mapping[str, OutlineRows] = field(default_factory=dict)  # measured outlines of ``front`` and every mirror
     fit: Fit | None = None
     touching: Mapping[str, Touching] = field(default_factory=dict)
     """As the camera sees them: of ``front`` and every mirror beside the finger."""
@@ -219,9 +201,7 @@ class MirrorShape:
         )
 
     def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x, y and z (h, w), mm, of the surface that a window's pixels of the front view see, in blocks of `binning`
-        pixels a side; NaN beside it.
-        """
+        """x, y, z (h, w), mm, of the surface seen by a window's pixels, in blocks of `binning`; NaN beside it."""
         x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
         return x, y, np.where(inside, z, np.float32(np.nan))
 
@@ -268,7 +248,8 @@ def mirror_shape(
     """
     settings = settings or MirrorShapeSettings()
     require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")
-    axis, front = front_axis(views.front, rig.camera, views.binning, tip_direction_deg)
+    turn = np.deg2rad(tip_direction_deg)
+    axis, front = finger_axis(views.front, rig.camera, views.binning, np.array([-np.sin(turn), np.cos(turn)]))
     if settings.method == "thesis":
         return _by_thesis(views, rig, axis, front)
     seen = _seen_outlines(views, rig, axis, cut_too=cut_too)
@@ -311,11 +292,8 @@ def _by_thesis(views: Views, rig: Rig, axis: Array, front: OutlineRows) -> Mirro
     name, mirror = next(iter(_mirrors_of(views, rig, axis)[1].items()))
     _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis)
     side = pad_side(mirror, lateral)
-    require(
-        not is_cut(lateral, side),
-        f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in "
-        "the middle, so that the mirror shows all of its pad.",
-    )
+    fault = f"the view in the {name} mirror is cut off at the mirror's edge: lay the finger in the middle,"
+    require(not is_cut(lateral, side), f"{fault} so that the mirror shows all of its pad.")
     outward = 1.0 if side == "right" else -1.0
     model = _ellipses(front, lateral, outward)
     facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
@@ -329,11 +307,9 @@ class _SeenOutlines:
     mirrors: Mapping[str, MirrorOutline]
     poses: Mapping[str, Pose]
     rows: Mapping[str, OutlineRows]
-    lateral: Mapping[str, OutlineRows]
-    """Of mirrors beside the finger, with enough of both edges."""
+    lateral: Mapping[str, OutlineRows]  # of mirrors beside the finger, with enough of both edges
     cut: list[str]
-    useless: list[str]
-    """Cut so much that they determine nothing."""
+    useless: list[str]  # cut so much that they determine nothing
 
 
 def _seen_outlines(views: Views, rig: Rig, axis: Array, *, cut_too: bool) -> _SeenOutlines:
@@ -370,12 +346,8 @@ def _seen_outlines(views: Views, rig: Rig, axis: Array, *, cut_too: bool) -> _Se
             lateral[name] = rows
     lay = "lay the finger in the middle, so that the mirror shows all of its pad."
     where = f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's"
-    require(
-        bool(lateral),
-        "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle."
-        if cut_too or not cut
-        else f"{where}: {lay}",
-    )
+    nothing = "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle."
+    require(bool(lateral), nothing if cut_too or not cut else f"{where}: {lay}")
     return _SeenOutlines(mirrors, poses, all_rows, lateral, cut, useless)
 
 

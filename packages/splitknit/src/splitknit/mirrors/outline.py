@@ -16,26 +16,19 @@ from splitknit.model import BoolArray, Camera, Mirror
 
 Array = NDArray[np.float64]
 
-_EVERY = 2
-"""Rows that are averaged to one point of an outline in the fit."""
-STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05
-"""An outline that is straighter than this (rms) is a mirror's edge: pads bulge, and their ends are round."""
-BLUR_PX = 1.2
-"""A mask is smoothed by this much before its outline is measured between the pixels."""
+_EVERY = 2  # rows that are averaged to one point of an outline in the fit
+STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05  # rms below which an outline is a mirror's edge: pads bulge, ends are round
+BLUR_PX = 1.2  # a mask is smoothed by this much before its outline is measured between the pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlineRows:
     """A view's outline, row by row across an axis of the picture."""
 
-    axis: Array
-    """(2,) unit vector on the finger plane along which rows follow each other."""
-    along_mm: Array
-    """(n,) place of each row on the axis, growing."""
-    left_mm: Array
-    """(n,) where the row enters the finger, towards the right of the axis; NaN where it does not or is cut."""
-    right_mm: Array
-    """(n,) where it leaves."""
+    axis: Array  # (2,) unit vector on the finger plane along which rows follow each other
+    along_mm: Array  # (n,) place of each row on the axis, growing
+    left_mm: Array  # (n,) where the row enters the finger, towards the right; NaN where it does not or is cut
+    right_mm: Array  # (n,) where it leaves
 
     @property
     def across(self) -> Array:
@@ -64,9 +57,7 @@ class OutlineRows:
         return OutlineRows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
 
     def places(self, side: str) -> tuple[Array, Array, Array]:
-        """Points of one side of the outline: `places_mm`, `along` it and `outward`, away from the finger, (m, 2) each
-        on the finger plane.
-        """
+        """Of one side: `places_mm` on the finger plane, `along` it and `outward`, off the finger, (m, 2) each."""
         edge = self.left_mm if side == "left" else self.right_mm
         row = np.flatnonzero(np.isfinite(edge))
         if row.size < 3:
@@ -107,12 +98,6 @@ def touching_planes(rows: OutlineRows, camera: Camera, sides: tuple[str, ...] = 
     """Planes that touch the finger along these sides of a view's outline."""
     parts = [touching(camera, *(part[::_EVERY] for part in rows.places(side))) for side in sides]
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
-
-
-def front_axis(mask: BoolArray, camera: Camera, binning: int, tip_direction_deg: float) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger in the front view's mask, and its outline; `tip_direction_deg` as of a capture."""
-    turn = np.deg2rad(tip_direction_deg)
-    return finger_axis(mask, camera, binning, np.array([-np.sin(turn), np.cos(turn)]))
 
 
 def medial_line(rows: OutlineRows) -> tuple[float, float]:
@@ -159,9 +144,7 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger on the finger plane, towards its tip within about 75 deg of `hint` (2,), and its
-    outline across it.
-    """
+    """Direction (2,) of the finger towards its tip, within about 75 deg of `hint` (2,), and its outline across it."""
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)
     for _ in range(4):

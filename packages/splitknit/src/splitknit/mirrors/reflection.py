@@ -24,14 +24,10 @@ Array = NDArray[np.float64]
 class Touching:
     """Rays that touch the finger, and planes that do (n of them), in the rig's frame, mm."""
 
-    point: Array
-    """(n, 3) on the ray."""
-    direction: Array
-    """(n, 3) of the ray, unit length, away from the camera."""
-    normal: Array
-    """(n, 3) out of the finger, unit length."""
-    offset_mm: Array
-    """(n,) normal . X on the plane."""
+    point: Array  # (n, 3) on the ray
+    direction: Array  # (n, 3) of the ray, unit length, away from the camera
+    normal: Array  # (n, 3) out of the finger, unit length
+    offset_mm: Array  # (n,) normal . X on the plane
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
@@ -58,10 +54,8 @@ def _unit(vectors: Array) -> Array:
 class Plane:
     """Where a mirror lies."""
 
-    point_mm: Array
-    """(3,) on the reflecting face."""
-    normal: Array
-    """(3,) unit length, towards the camera (z > 0)."""
+    point_mm: Array  # (3,) on the reflecting face
+    normal: Array  # (3,) unit length, towards the camera (z > 0)
 
     def __post_init__(self) -> None:
         shapes = np.shape(self.point_mm), np.shape(self.normal)
@@ -82,9 +76,7 @@ class Plane:
         return Plane(self.point_mm + shift_mm * normal, normal)
 
     def posed(self, turn_rad: float, lean_rad: float, shift_mm: float) -> Plane:
-        """The plane turned about z by `turn_rad`, leaned by `lean_rad` more towards lying flat, both about its point,
-        and shifted by `shift_mm` along its normal.
-        """
+        """The plane turned about z, leaned towards lying flat, both about its point, and shifted along its normal."""
         level = self.normal[:2] / np.hypot(*self.normal[:2])
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
         level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
@@ -145,16 +137,12 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
 
-GRAZING = 0.04
-"""Cosine of incidence up to which a light fades in: the ridges of skin catch it here and there."""
-EDGE_MM = 0.4
-"""Width over which light by way of a mirror fades out at the mirror's edge."""
+GRAZING = 0.04  # cosine of incidence up to which a light fades in: the ridges of skin catch it here and there
+EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirror's edge
 
 
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
-    """Fraction (...) in [0, 1] of a light that skin at `points_mm` with `normals`, (..., 3), is not turned away from: a
-    finger is convex, so that it is its only obstacle.
-    """
+    """Fraction (...) of a light that skin (..., 3) faces: a finger, being convex, is the only obstacle."""
     if led.position_mm is None:
         towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
     else:
@@ -165,9 +153,7 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
 
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
-    """Fraction (...) in [0, 1] of an LED's `image` in a mirror that points (..., 3) before it see within its outline
-    `corners_mm` (K, 3), in order, convex.
-    """
+    """Fraction (...) of an LED's `image` that points (..., 3) see within a mirror's convex outline (K, 3)."""
     if image.position_mm is None:
         towards = np.broadcast_to(np.asarray(image.direction, dtype=np.float64), points_mm.shape)
     else:

@@ -7,14 +7,10 @@ from typing import Annotated, Literal
 
 from splitknit.settings import Checked, Limits
 
-ANGLE_DEG = 1.5
-"""Standard deviation of the mirrors' angles about their nominal ones."""
-OFFSET_MM = 1.5
-"""Standard deviation of the mirrors' places about their nominal ones."""
-OUTLINE_MM = 0.05
-"""Standard deviation of a point of an outline."""
-ROW_MM = 0.15
-"""Distance of the rows in which the outlines are measured."""
+ANGLE_DEG = 1.5  # standard deviation of the mirrors' angles about their nominal ones
+OFFSET_MM = 1.5  # standard deviation of the mirrors' places about their nominal ones
+OUTLINE_MM = 0.05  # standard deviation of a point of an outline
+ROW_MM = 0.15  # distance of the rows in which the outlines are measured
 
 
 @dataclass(frozen=True, slots=True)

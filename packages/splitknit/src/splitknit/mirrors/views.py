@@ -15,16 +15,12 @@ from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, g
 from splitknit.imaging.band import block_means
 from splitknit.model import BoolArray, FloatArray, Rig
 
-_PX_PER_MM = 22.0
-"""Scale of the copy on which the outlines are found."""
-_REACH_MM = 3.0
-"""A mirror's picture is looked for this far beyond its nominal outline."""
+_PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
+_REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
 Array = NDArray[np.float64]
-SEARCH_PX_PER_MM = 4.0
-"""Views are looked for on a copy of about this scale where their outlines are found apart."""
-FindFinger = Callable[[FloatArray, float], BoolArray]
-"""From an image (h, w, C) and its px_per_mm to its segmentation mask."""
+SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
+FindFinger = Callable[[FloatArray, float], BoolArray]  # from an image (h, w, C) and its px_per_mm to its mask
 FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
 """From an image (h, w, C), a rough mask of the same piece of the scene and px_per_mm to the finger's mask (h, w)."""
 
@@ -33,10 +29,8 @@ FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
 class Views:
     """Masks of one finger's views in one image, on blocks of `binning` pixels a side."""
 
-    front: BoolArray
-    """(h, w)."""
-    mirrors: Mapping[str, BoolArray]
-    """(h, w) by the mirrors' names; those that show no finger are left out."""
+    front: BoolArray  # (h, w)
+    mirrors: Mapping[str, BoolArray]  # (h, w) by the mirrors' names; those that show no finger are left out
     binning: int
 
 
@@ -45,13 +39,7 @@ def view_binning(px_per_mm: float) -> int:
     return max(1, round(px_per_mm / _PX_PER_MM))
 
 
-def find_views(
-    image: FloatArray,
-    rig: Rig,
-    find_finger: FindFinger,
-    binning: int,
-    find_outline: FindOutline,
-) -> Views:
+def find_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: int, find_outline: FindOutline) -> Views:
     """Find the finger itself and its mirror images.
 
     The front view is what `find_finger` sees of the image without the mirrors' nominal outlines; each mirror's view is
@@ -72,10 +60,8 @@ def find_views(
     views = _outlined(image, rig, _rough_views(small, rig, find_finger, binning * factor), find_outline, factor)
     for name, view in views.mirrors.items():
         px_per_mm = rig.camera.px_per_mm / views.binning
-        require(
-            int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2,
-            f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.",
-        )
+        good = int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2
+        require(good, f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.")
     return views
 
 
@@ -128,11 +114,8 @@ def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutli
 def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning: int) -> Views:
     """Front view and what mirrors show."""
     found = {name: view for name, view in seen.items() if view is not None}
-    require(
-        bool(found),
-        "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or take the shape "
-        "from light (`shape` nir or white).",
-    )
+    fault = "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture,"
+    require(bool(found), f"{fault} or take the shape from light (`shape` nir or white).")
     return Views(front, found, binning)
 
 
@@ -174,8 +157,5 @@ def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_pe
     other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~grown(front, 1.5 * px_per_mm)
     _, _, stats, _ = cv2.connectedComponentsWithStats(other.astype(np.uint8))
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
-    require(
-        largest < 0.25 * float(front.sum()),
-        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one finger there at a "
-        "time, and name all mirrors.",
-    )
+    fault = "there are two fingers in the picture, or a mirror that the rig file does not name"
+    require(largest < 0.25 * float(front.sum()), f"{fault}: lay one finger there at a time, and name all mirrors.")

@@ -11,8 +11,7 @@ import numpy as np
 from splitknit.model import FloatArray
 
 UPRIGHT = 0
-QUARTER_TURNS = (0, 5, 3, 6)
-"""Orientations turned by 0, 90, 180 and 270 degrees."""
+QUARTER_TURNS = (0, 5, 3, 6)  # orientations turned by 0, 90, 180 and 270 degrees
 
 _Pairs = tuple[tuple[int, int], ...]
 
@@ -112,8 +111,7 @@ def _between(first: int, second: int) -> int:
     return next(k for k in range(8) if np.array_equal(plain.oriented(start, k), wanted))
 
 
-MAX_MISSING = 0.25
-"""Most power that is restored, over the estimate's own."""
+MAX_MISSING = 0.25  # most power that is restored, over the estimate's own
 
 
 def shrinkage_gain(rms: float, error: float) -> float:

@@ -27,8 +27,7 @@ from splitknit.errors import BadInput, importing, read_bytes, refusing, require
 from splitknit.model import FloatArray
 
 FORMAT = "splitknit-network"
-_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
-"""The shipped networks have less than 1 MB, their cards 3 kB."""
+_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000  # the shipped networks have less than 1 MB, their cards 3 kB
 REINSTALL = "reinstall splitknit, or name another network"
 
 
@@ -37,26 +36,20 @@ class Card:
     """What is known of a network; :attr:`facts` holds the whole document."""
 
     name: str
-    sha256: str
-    """Hash of the ``.onnx`` file, hexadecimal."""
+    sha256: str  # hash of the ``.onnx`` file, hexadecimal
     channels_in: int
     channels_out: int
-    stride: int
-    """Both sides of an image must be multiples of this; :func:`run_network` sees to it."""
-    reach: int
-    """A pixel further than this from a tile that begins on the stride's grid does not change the tile's result."""
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    """Data, training, metrics, licence, command."""
+    stride: int  # both sides of an image must be multiples of this; :func:`run_network` sees to it
+    reach: int  # a pixel further than this from a tile on the stride's grid does not change the tile's result
+    facts: Mapping[str, Any] = field(default_factory=dict)  # data, training, metrics, licence, command
 
     def __post_init__(self) -> None:
         limits = {"channels_in": (1, 4096), "channels_out": (1, 4096), "stride": (1, 256), "reach": (0, 4096)}
         for name, (low, high) in limits.items():
             value = getattr(self, name)
-            require(
-                isinstance(value, int) and not isinstance(value, bool) and low <= value <= high,
-                f"the card of network '{self.name}' gives {name} as {value!r}; "
-                f"it must be a whole number from {low} to {high}.",
-            )
+            fault = f"the card of network '{self.name}' gives {name} as {value!r}"
+            cure = f"it must be a whole number from {low} to {high}."
+            require(isinstance(value, int) and not isinstance(value, bool) and low <= value <= high, f"{fault}; {cure}")
 
 
 def _shipped_names() -> list[str]:
@@ -75,11 +68,9 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)
     card = _parse(_read(card_file, f"the card '{card_file}'", remedy), card_file, remedy)
     found = hashlib.sha256(weights).hexdigest()
-    require(
-        found == card.sha256,
-        f"the weights '{weights_file}' are damaged or not those of their card "
-        f"(SHA-256 {found[:12]}... instead of {card.sha256[:12]}...); {remedy}.",
-    )
+    other = f"SHA-256 {found[:12]}... instead of {card.sha256[:12]}..."
+    fault = f"the weights '{weights_file}' are damaged or not those of their card"
+    require(found == card.sha256, f"{fault} ({other}); {remedy}.")
     return card, weights
 
 
@@ -102,11 +93,8 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (splitknit train)"
     known = _shipped_names()
-    require(
-        text in known,
-        f"there is no network '{text}' in this installation; "
-        f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file.",
-    )
+    cure = f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file."
+    require(text in known, f"there is no network '{text}' in this installation; {cure}")
     return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
 
 
@@ -122,21 +110,16 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
     with refusing(f"the card '{file}' is damaged; {remedy}."):
         require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
         document = json.loads(data)
-        require(
-            document["format"] == FORMAT and document["version"] == 1,
-            f"'{file}' is not the card of a network (format {FORMAT}, version 1); {remedy}.",
-        )
+        fault = f"'{file}' is not the card of a network (format {FORMAT},"
+        require(document["format"] == FORMAT and document["version"] == 1, f"{fault} version 1); {remedy}.")
         sizes = {key: document[key] for key in ("channels_in", "channels_out", "stride", "reach")}
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
 
-TILE = 724
-"""Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.4 GB, of width 64 2 GB."""
-_THREADS = min(8, os.cpu_count() or 1)
-"""Threads of a network by default."""
+TILE = 724  # side in pixels of a tile's square; a network of width 12 then needs 0.4 GB, of width 64 2 GB
+_THREADS = min(8, os.cpu_count() or 1)  # threads of a network by default
 
-NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
-"""Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"  # variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
 
 DEVICES = ("cpu", "cuda", "auto")
 CUDA_TOLERANCE = 1e-3
@@ -176,11 +159,9 @@ def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     if device != "cpu":
         offered = _onnxruntime().get_available_providers()
         known = "CUDAExecutionProvider" in offered
-        require(
-            known or device == "auto",
-            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install onnxruntime-gpu in "
-            "place of onnxruntime, or take `device` cpu.",
-        )
+        fault = f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only"
+        cure = "install onnxruntime-gpu in place of onnxruntime, or take `device` cpu."
+        require(known or device == "auto", f"{fault}; {cure}")
         device = "cuda" if known else "cpu"
     _running = Running(device, threads)
     return device
@@ -191,8 +172,7 @@ class Network:
     """A network that is ready to run; threads may share it."""
 
     card: Card
-    session: Any
-    """onnxruntime.InferenceSession."""
+    session: Any  # onnxruntime.InferenceSession
     input_name: str
     output_name: str
 
@@ -219,11 +199,9 @@ def network_of(card: Card, weights: bytes) -> Network:
     `weights`, in a file that no hash covers: ONNX keeps that place under the key ``location`` (onnx.proto,
     TensorProto.external_data), a string stored as it is; ONNX Runtime's own format (``ORTM``) has further ways.
     """
-    require(
-        b"location" not in weights and weights[4:8] != b"ORTM",
-        f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover; save "
-        "it as one ONNX file, and name no part of it 'location'.",
-    )
+    fault = f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover"
+    cure = "save it as one ONNX file, and name no part of it 'location'."
+    require(b"location" not in weights and weights[4:8] != b"ORTM", f"{fault}; {cure}")
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
     # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
@@ -239,10 +217,8 @@ def network_of(card: Card, weights: bytes) -> Network:
         session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
         (source,), (result,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
-        raise BadInput(
-            f"the weights of network '{card.name}' are not a network from one image to one image "
-            f"that onnxruntime can run ({_first_line(error)}); train it again."
-        ) from error
+        fault = f"the weights of network '{card.name}' are not a network from one image to one image"
+        raise BadInput(f"{fault} that onnxruntime can run ({_first_line(error)}); train it again.") from error
     require(  # it goes on without a provider whose libraries are missing
         _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
         "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
@@ -256,11 +232,9 @@ def _onnxruntime() -> Any:
     from the user's cache folder. The variable is read when loaded; ``disable_telemetry_events()`` comes too late for
     the files.
     """
-    require(
-        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
-        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; "
-        f"set the environment variable {NO_TELEMETRY}=1 before that import.",
-    )
+    fault = "onnxruntime was imported with its telemetry on, before splitknit could turn it off"
+    cure = f"set the environment variable {NO_TELEMETRY}=1 before that import."
+    require(sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1", f"{fault}; {cure}")
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
     with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
         import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
@@ -279,9 +253,8 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape
     stride = network.card.stride
-    tiles = _plan_tiles(
-        (height + -height % stride, width + -width % stride), tile, reach=network.card.reach, stride=stride
-    )
+    padded = (height + -height % stride, width + -width % stride)
+    tiles = _plan_tiles(padded, tile, reach=network.card.reach, stride=stride)
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
     for k, (source, inner, target) in product(range(count), tiles):
@@ -305,10 +278,8 @@ def _infer(network: Network, image: FloatArray) -> FloatArray:
     except Exception as error:  # as above
         raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
     expected = (1, card.channels_out, *image.shape[2:])
-    require(
-        made.shape == expected,
-        f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.",
-    )
+    good = made.shape == expected
+    require(good, f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.")
     return made
 
 
@@ -316,20 +287,14 @@ def _checked(images: Any, card: Card) -> FloatArray:
     stack = np.asarray(images, dtype=np.float32)
     if stack.ndim == 3:
         stack = stack[:, None]
-    require(
-        stack.ndim == 4 and stack.size > 0,
-        f"images must have the shape (N, H, W) or (N, C, H, W), but they have {np.shape(images)}.",
-    )
+    fault = "images must have the shape (N, H, W) or (N, C, H, W),"
+    require(stack.ndim == 4 and stack.size > 0, f"{fault} but they have {np.shape(images)}.")
     _, channels, height, width = stack.shape
-    require(
-        channels in (1, card.channels_in),
-        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
-    )
-    require(
-        min(height, width) >= card.stride,
-        f"images of {height} x {width} pixels are too small for network '{card.name}': "
-        f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}.",
-    )
+    fault = f"network '{card.name}' takes images of {card.channels_in} channels,"
+    require(channels in (1, card.channels_in), f"{fault} but these have {channels}.")
+    fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
+    stride = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
+    require(min(height, width) >= card.stride, f"{fault}: {stride}")
     require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
     return stack
 

@@ -93,9 +93,7 @@ def profile_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, equal:
 
 
 def _begin(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]) -> tuple[list[str], _Points]:
-    """Begin a chart: parts of its SVG (title, legend, axes with their marks), and a function from values of x and y to
-    pixels (..., 2).
-    """
+    """Begin a chart: parts of its SVG, and a function from values of x and y to pixels (..., 2)."""
     rows, first = _legend_rows(legend), _TOP + 20 * bool(title)
     top = first + 18 * len(rows) + 12
     height += top - _TOP
@@ -214,10 +212,8 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     step = (width - 20) / steps
     parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
     for k, (r, g, b) in enumerate(shades):
-        parts.append(
-            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
-            'shape-rendering="crispEdges"/>'
-        )
+        place = f'x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10"'
+        parts.append(f'<rect {place} fill="rgb({r},{g},{b})" shape-rendering="crispEdges"/>')
     parts.append(_text(10, 25, f"{low:.3g}", "start"))
     parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
     parts.append(_text(width - 10, 25, f"{high:.3g}", "end"))
@@ -233,10 +229,9 @@ def standalone(chart: str) -> bytes:
 
 def _open(width: float, height: float, title: str) -> str:
     """Begin a chart."""
-    return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{_INK}">'
-    )
+    size = f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"'
+    words = f'role="img" aria-label="{escape(title)}" font-family="sans-serif" font-size="11"'
+    return f'<svg {size} {words} fill="{_INK}">'
 
 
 def _text(x: float, y: float, words: str, anchor: str, style: str = "") -> str:
@@ -248,10 +243,8 @@ def _segment(start: Iterable[float], end: Iterable[float], paint: str, dash: str
     """A straight line between two points (x, y)."""
     (x1, y1), (x2, y2) = start, end
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return (
-        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{paint}" '
-        f'stroke-width="{width:g}"{dashes}/>'
-    )
+    line = f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
+    return f'{line} stroke="{paint}" stroke-width="{width:g}"{dashes}/>'
 
 
 def _written(points: Values) -> str:

@@ -33,15 +33,12 @@ from splitknit.report.photos import Picture, captioned, is_finger
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
 
-RELIEF_EXAGGERATION = 2.0
-"""Factor on a finger's ridges in shaded views; an opaque thing is drawn to scale."""
+RELIEF_EXAGGERATION = 2.0  # factor on a finger's ridges in shaded views; an opaque thing is drawn to scale
 TILT_DEG = 56.0
-RIM_MM = 0.4
-"""Of an opaque thing: there its sides bend what separates fine details from the shape."""
+RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
 _CLOSE_UP_MM = 5.0
 
-Truth = Mapping[str, NDArray[Any]]
-"""A simulator's arrays."""
+Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +46,11 @@ class _SmallFields:
     """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
 
     frame: PictureFrame
-    weight: FloatArray
-    """(h, w) in [0, 1], fraction of the pixel inside the mask."""
+    weight: FloatArray  # (h, w) in [0, 1], fraction of the pixel inside the mask
     height_mm: FloatArray
     ridge_mm: FloatArray
     shape_mm: FloatArray
-    normals: FloatArray
-    """(h, w, 3)."""
+    normals: FloatArray  # (h, w, 3)
 
     def exaggerated(self, factor: float) -> _SmallFields:
         """The same with the relief in the height multiplied by `factor`, so that ridges of a few hundredths of a
@@ -201,13 +196,9 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
             "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
             "This is the standard deviation (one sigma) of their height. Good: small against the relief."
         )
-    return captioned(
-        f"Uncertainty of the {'relief' if finger else 'heights'}",
-        on_paper(colour(values, 0.0, high), weight),
-        words,
-        small.frame.pitch_mm,
-        charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
-    )
+    title, bar = "Uncertainty of the heights", charts.colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    picture = on_paper(colour(values, 0.0, high), weight)
+    return captioned("Uncertainty of the relief" if finger else title, picture, words, small.frame.pitch_mm, bar)
 
 
 def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
@@ -256,13 +247,9 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     dark = prints < 250
     if bool(dark.any()):
         prints = prints[bounding_box(dark, 8)]
-    return captioned(
-        "Print",
-        prints,
-        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
-        "Good: dark, separate ridges with clear endings and forks up to the edge.",
-        25.4 / 500,
-    )
+    words = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+    words += "Good: dark, separate ridges with clear endings and forks up to the edge."
+    return captioned("Print", prints, words, 25.4 / 500)
 
 
 SURFACE_ERROR = "Measured minus true height, mean removed. Blue is too low, orange too high; white is right."
@@ -373,10 +360,8 @@ def _turn(
     """Rotate about the middle into a finer frame that holds all of it; NaN and no paint outside."""
     (rows, columns), zoom = weight.shape, _SUPERSAMPLING
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    size = (
-        int(zoom * (abs(cos) * columns + abs(sin) * rows)) + 1,
-        int(zoom * (abs(sin) * columns + abs(cos) * rows)) + 1,
-    )
+    cover = abs(cos) * columns + abs(sin) * rows, abs(sin) * columns + abs(cos) * rows
+    size = (int(zoom * cover[0]) + 1, int(zoom * cover[1]) + 1)
     linear = np.array([[cos, -sin], [sin, cos]]) / zoom
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     matrix = np.column_stack([linear, middle - linear @ ((np.array(size) - 1) / 2)])

@@ -58,8 +58,7 @@ def captioned(
     )
 
 
-LONGEST_PX = 700
-"""Longer side of a picture."""
+LONGEST_PX = 700  # longer side of a picture
 
 
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
@@ -121,9 +120,8 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
         "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
         "Pale blue: the finger's axis, with a dot at the tip. "
     )
-    caption += (
-        "Dark blue: the flexion crease at which the phalange was cut. " if crease is not None else "No crease was cut. "
-    )
+    cut = "Dark blue: the flexion crease at which the phalange was cut. "
+    caption += cut if crease is not None else "No crease was cut. "
     caption += "Good: the outline follows the finger closely and holds neither background nor shadow."
     if not finger:
         caption = (

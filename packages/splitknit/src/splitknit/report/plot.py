@@ -17,8 +17,7 @@ from splitknit.report.result import PRINT_PPI, is_printed
 PANELS = ("height", "relief", "normals", "print")
 _LONGEST_PX = 1200
 _PANEL_INCHES = (2.5, 4.6)
-_INK = 250
-"""Paper is brighter."""
+_INK = 250  # paper is brighter
 
 
 def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> Any:
@@ -38,17 +37,14 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
         from matplotlib import pyplot  # with axes of the caller's, which may have no pyplot
 
         width, height = _PANEL_INCHES
-        figure, rows = pyplot.subplots(
-            1, len(names), figsize=(width * len(names), height), squeeze=False, layout="constrained"
-        )
+        inches = (width * len(names), height)
+        figure, rows = pyplot.subplots(1, len(names), figsize=inches, squeeze=False, layout="constrained")
         figure.suptitle(f"preset {result.preset}", fontsize="medium") if result.preset else None
         axes = rows[0]
     else:
         axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-        require(
-            axes.size == len(names),
-            f"{axes.size} axes are given for {len(names)} panels ({', '.join(names)}); name a panel for each.",
-        )
+        fault = f"{axes.size} axes are given for {len(names)} panels ({', '.join(names)})"
+        require(axes.size == len(names), f"{fault}; name a panel for each.")
     for one, name in zip(axes, names, strict=True):
         _draw(one, result, name)
     return axes[0] if axes.size == 1 else axes

@@ -64,10 +64,8 @@ class Report:
 
     html: str
     facts: Mapping[str, Any]
-    views: Sequence[ColourArray]
-    """The shaded surface from above, the left and the right."""
-    prints: NDArray[np.uint8] | None
-    """The relief as a print; None if the surface is not a finger's, or its scale is unknown."""
+    views: Sequence[ColourArray]  # the shaded surface from above, the left and the right
+    prints: NDArray[np.uint8] | None  # the relief as a print; None if it is no finger's, or its scale is unknown
 
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
@@ -229,18 +227,15 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
         upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
         upright[int(along)] += steps
         column, row = (result.input_from_upright @ upright)[:2].astype(np.float32)
-        values = cv2.remap(
-            field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
-        )
+        beyond: Any = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (np.nan,)}
+        values = cv2.remap(field, column[None], row[None], cv2.INTER_LINEAR, **beyond)
         return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
 
     charted = []
     for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
         fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
-        lines = _lines(
-            {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields},
-            unit.per_mm,
-        )
+        cuts = {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
+        lines = _lines(cuts, unit.per_mm)
         if lines:
             chart = charts.profile_chart(lines, f"{unit.name} from the middle", f"height, {unit.name}", equal=True)
             caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
@@ -271,11 +266,11 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
-    return [
-        {"name": _label(name), "rows": [(_label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
-        for name, rows in groups
-        if rows
-    ]
+
+    def row(key: str, value: Any) -> tuple[str, str | Markup, str]:
+        return _label(key), _shown(value), EXPLAINED.get(key, "")
+
+    return [{"name": _label(name), "rows": [row(*one) for one in rows]} for name, rows in groups if rows]
 
 
 def _shown(value: Any) -> str | Markup:
@@ -356,22 +351,8 @@ def _label(name: str) -> str:
 
 
 PRINT_PPI = 500.0
-FILES = (
-    "phalange.ply",
-    "height.tiff",
-    "height.npz",
-    "normals.png",
-    "albedo.png",
-    "print.png",
-    "preview.png",
-    "report.html",
-    "report.json",
-)
-
-
-def mesh_name(result: Reconstruction) -> str:
-    """File of the mesh."""
-    return "phalange.ply" if is_finger(result) else "surface.ply"
+_FIELDS = ("phalange.ply", "height.tiff", "height.npz", "normals.png", "albedo.png")
+FILES = (*_FIELDS, "print.png", "preview.png", "report.html", "report.json")
 
 
 def is_printed(result: Reconstruction) -> bool:
@@ -396,13 +377,14 @@ def write_files(
     """Write the files of :func:`write_results` into an existing folder."""
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
-    files = [mesh_name(result), *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
+    mesh = FILES[0] if is_finger(result) else "surface.ply"
+    files = [mesh, *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
         jobs = [
             pool.submit(write_normals, target / "normals.png", result, origin),
             pool.submit(write_arrays, target / "height.npz", result, origin),
-            pool.submit(write_mesh, target / files[0], result, origin),
+            pool.submit(write_mesh, target / mesh, result, origin),
             pool.submit(write_albedo, target / "albedo.png", result, origin),
             pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
         ]

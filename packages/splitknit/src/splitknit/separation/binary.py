@@ -74,8 +74,8 @@ def checkerboard(
     illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
 
     >>> import numpy as np
-    >>> from splitknit.separation.stacks import checkerboard_patterns
-    >>> patterns = checkerboard_patterns((8, 8), 4.0, [(0, 0), (0, 4)])
+    >>> board = np.kron([[1.0, 0.0], [0.0, 1.0]], np.ones((4, 4)))
+    >>> patterns = np.stack([board, np.roll(board, 4, axis=1)])
     >>> parts = checkerboard(0.3 * patterns + 0.5 * 0.2, patterns=patterns)
     >>> bool(np.allclose(parts.direct, 0.3) and np.allclose(parts.global_, 0.2))
     True
@@ -253,16 +253,11 @@ def single_image(
     images = light_stack([image], least=1, settings=settings)
     light = images.light[0]
     size = light.shape[:2]
-    require(
-        block == int(block) and 2 <= block <= min(size),
-        f"block must be a whole number from 2 to the image's smaller side, {min(size)}, but it is {block}.",
-    )
+    fault = f"block must be a whole number from 2 to the image's smaller side, {min(size)},"
+    require(block == int(block) and 2 <= block <= min(size), f"{fault} but it is {block}.")
     if pattern is None:
-        require(
-            check_px is not None and 1.5 <= check_px <= block / 2,
-            f"check_px, the side of a check, must be from 1.5 pixels to half a block ({block / 2:g}), "
-            f"but it is {check_px}.",
-        )
+        fault = f"check_px, the side of a check, must be from 1.5 pixels to half a block ({block / 2:g}),"
+        require(check_px is not None and 1.5 <= check_px <= block / 2, f"{fault} but it is {check_px}.")
         low, high = (_block_mean(part, block) for part in _envelopes(light, float(check_px or 0.0)))
     else:
         low, high = _by_state(light, check_image(pattern, name="pattern"), block, dark)
@@ -281,9 +276,8 @@ def _envelopes(light: FloatArray, check_px: float) -> tuple[FloatArray, FloatArr
     window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1))
     rim = 2 * reach  # within it windows would leave the image; it takes the values of the nearest pixel inside
     size = light.shape[:2]
-    require(
-        min(size) > 2 * rim, f"the image must be larger than {2 * rim} pixels a side for checks of {check_px:g} pixels."
-    )
+    small = f"the image must be larger than {2 * rim} pixels a side for checks of {check_px:g} pixels."
+    require(min(size) > 2 * rim, small)
     low, high = np.empty_like(light), np.empty_like(light)
     for c in range(light.shape[-1]):
         plane = np.ascontiguousarray(light[..., c])
@@ -297,13 +291,10 @@ def _by_state(
     light: FloatArray, pattern: FloatArray, block: int, dark: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Light of the dark and of the lit state in each block (h, w, C), by least squares over its pixels."""
-    require(
-        pattern.shape == light.shape[:2],
-        f"pattern must have the shape {light.shape[:2]} of the image, but it has {pattern.shape}.",
-    )
-    require(
-        float(pattern.min()) >= 0 and float(pattern.max()) <= 1, "pattern must hold states from 0 (dark) to 1 (lit)."
-    )
+    fault = f"pattern must have the shape {light.shape[:2]} of the image,"
+    require(pattern.shape == light.shape[:2], f"{fault} but it has {pattern.shape}.")
+    states = "pattern must hold states from 0 (dark) to 1 (lit)."
+    require(float(pattern.min()) >= 0 and float(pattern.max()) <= 1, states)
     used = ((pattern <= EDGE) | (pattern >= 1 - EDGE)).astype(np.float64)
     number = _block_mean(used[..., None], block)
     s = (dark + (1 - dark) * pattern.astype(np.float64))[..., None]
@@ -312,10 +303,8 @@ def _by_state(
     mean = _block_mean(used[..., None] * light, block) / safe
     spread = _block_mean(used[..., None] * s * s, block) / safe - mean_s**2
     shared = _block_mean(used[..., None] * s * light, block) / safe - mean_s * mean
-    require(
-        bool((spread > 0.01 * (1 - dark) ** 2).all()),
-        "a block is never lit or never dark by the pattern; choose larger blocks.",
-    )
+    cure = "choose larger blocks."
+    require(bool((spread > 0.01 * (1 - dark) ** 2).all()), f"a block is never lit or never dark by the pattern; {cure}")
     slope = shared / spread
     return mean + slope * (dark - mean_s), mean + slope * (1 - mean_s)
 

@@ -15,10 +15,8 @@ from splitknit.networks.unet import TILE, Network, load_network, run_network
 
 DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8
-LEVEL_SIGMA_PX = 16.0
-"""Standard deviation of the neighbourhood whose mean brightness the network takes as one."""
-MIN_LEVEL = 0.05
-"""It does not fall below this part of :func:`exposure_level`: in the dark there is noise alone."""
+LEVEL_SIGMA_PX = 16.0  # standard deviation of the neighbourhood whose mean brightness the network takes as one
+MIN_LEVEL = 0.05  # it does not fall below this part of :func:`exposure_level`: in the dark there is noise alone
 
 
 def exposure_level(image: FloatArray) -> float:
@@ -66,10 +64,8 @@ def direct_light(
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
-    require(
-        stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
-        f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
-    )
+    fault = "images must have the shape (N, H, W) or (N, 3, H, W),"
+    require(stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3), f"{fault} but they have {stack.shape}.")
     require(stack.size > 0, f"images are empty: shape {stack.shape}.")
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
@@ -91,10 +87,8 @@ def direct_of_enhanced(
     (:func:`direct_light`).
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
-    require(
-        grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
-        f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
-    )
+    good = grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:])
+    require(good, f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.")
     direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))

@@ -41,11 +41,9 @@ from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
-_RIDGES = 45
-"""Periods of ridges that a picture of a finger is about long."""
+_RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
-_LIT = 0.1
-"""Figures of the report are over pixels brighter than this part of the brightest."""
+_LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
 
 def separate_to_folder(
@@ -87,11 +85,8 @@ def separate_polarised_folders(
         series.append(photographs_in(folder, folder / "lights.txt")[0])
         check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
     count = len(series[0])
-    require(
-        0 < count == len(series[1]),
-        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one photograph a "
-        "light, in the same order.",
-    )
+    cure = "both series need one photograph a light, in the same order."
+    require(0 < count == len(series[1]), f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; {cure}")
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
     hashes, sums, first = {}, [np.zeros(1, np.float32)] * 2, None
@@ -148,29 +143,21 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
         return sinusoid(light.stack, _phases(plan), dark=plan.dark, noise_std=plan.noise_std, **common)
     if plan.method == "occluder":
         kind = plan.kind or ("line" if plan.alpha is None else "mesh")
-        return occluder(
-            light.stack, kind, alpha=plan.alpha, shadow_percent=plan.shadow_percent, patterns=patterns, **common
-        )
+        share = plan.shadow_percent
+        return occluder(light.stack, kind, alpha=plan.alpha, shadow_percent=share, patterns=patterns, **common)
     require(plan.patterns != ESTIMATE, "method single needs the pattern's image or check_px, not 'estimate'.")
     require(light.mask is None, "method single takes no mask; cut the image instead.")
-    return single_image(
-        light.stack[0],
-        plan.block or 0,
-        check_px=plan.check_px,
-        alpha=alpha,
-        dark=plan.dark,
-        pattern=None if patterns is None else patterns[0],
-        settings=settings,
-    )
+    image, block, pattern = light.stack[0], plan.block or 0, None if patterns is None else patterns[0]
+    shape: dict[str, Any] = {"check_px": plan.check_px, "alpha": alpha, "dark": plan.dark}
+    return single_image(image, block, pattern=pattern, settings=settings, **shape)
 
 
 def _phases(plan: PatternFolder) -> NDArray[np.float64] | None:
     if plan.shifts is None:
         return None
     require(plan.period is not None and plan.period > 0, "a sinusoid's shifts need its period, in the same units.")
-    require(
-        all(len(row) == 1 for row in plan.shifts), "a sinusoid's shifts are single numbers, along its one direction."
-    )
+    single = "a sinusoid's shifts are single numbers, along its one direction."
+    require(all(len(row) == 1 for row in plan.shifts), single)
     return np.asarray(2 * np.pi * np.array([row[0] for row in plan.shifts]) / float(plan.period or 1.0))
 
 
@@ -208,15 +195,11 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
     negative = float((global_ < 0).mean())
     warnings = []
     if negative > 0.05:
-        warnings.append(
-            f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black "
-            f"image."
-        )
+        dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
+        warnings.append(f"{dark}: check alpha, dark and the black image.")
     if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
-        warnings.append(
-            "global light was taken to be the same under all shifts; on skin it is not, and direct light comes out a "
-            "quarter too low: give check_px for skin."
-        )
+        low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
+        warnings.append(f"global light was taken to be the same under all shifts; {low}")
     white = None
     if light.white is not None and light.white.shape == total.shape:
         truth = light.white[lit]
@@ -265,18 +248,12 @@ def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
 class _PatternLight:
     """The images of a folder as linear light without the black level."""
 
-    stack: FloatArray
-    """(N, H, W) or (N, H, W, 3)."""
-    white: FloatArray | None
-    """(H, W) or (H, W, 3)."""
-    patterns: FloatArray | None
-    """(N, H, W) given states."""
-    mask: BoolArray | None
-    """(H, W)."""
-    clip_level: float
-    """Value at which the files clip."""
-    hashes: dict[str, str]
-    """SHA-256 by name."""
+    stack: FloatArray  # (N, H, W) or (N, H, W, 3)
+    white: FloatArray | None  # (H, W) or (H, W, 3)
+    patterns: FloatArray | None  # (N, H, W) given states
+    mask: BoolArray | None  # (H, W)
+    clip_level: float  # value at which the files clip
+    hashes: dict[str, str]  # SHA-256 by name
 
 
 def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:
@@ -286,11 +263,8 @@ def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:
     with StackReader() as reader:
         size, by = image_size(images[0]), str(images[0])
         pixels = reader.start(images, size, by)
-        singles = {
-            role: reader.start([file], size, by)[0]
-            for role, file in (("black", plan.black), ("white", plan.white), ("mask", plan.mask))
-            if file is not None
-        }
+        named = {"black": plan.black, "white": plan.white, "mask": plan.mask}
+        singles = {role: reader.start([file], size, by)[0] for role, file in named.items() if file is not None}
         state_pixels = reader.start(states, size, by) if states else None
         hashes = reader.finish()
     shape: tuple[int, ...] = pixels.shape[1:]

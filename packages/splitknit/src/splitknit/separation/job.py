@@ -52,9 +52,7 @@ class SeparateJob(Job):
         if len(folders) == 1:
             return separate_to_folder(folders[0], out, changes=changes, progress=progress)
         plain = all(changes[name] is None for name in _OF_PATTERNS)
-        require(
-            len(folders) == 3 and str(folders[0]) == "polarised" and plain,
-            "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and `encoding` "
-            "alone.",
-        )
+        good = len(folders) == 3 and str(folders[0]) == "polarised" and plain
+        fault = "name one folder of images under patterns, or 'polarised PARALLEL CROSSED',"
+        require(good, f"{fault} with `out` and `encoding` alone.")
         return separate_polarised_folders(folders[1], folders[2], out, encoding=self.encoding, progress=progress)

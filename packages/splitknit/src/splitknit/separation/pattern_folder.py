@@ -17,6 +17,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.io.fields import Fields, as_number, inside, read_json
+from splitknit.io.plain import natural_order
 from splitknit.separation.stacks import check_shifts
 
 METHODS = ("checkerboard", "symmetry", "sinusoid", "occluder", "single")
@@ -30,54 +31,37 @@ _ROLES = ("black", "white", "mask")
 class PatternFolder:
     """What is separated, and how."""
 
-    images: tuple[Path, ...]
-    """In order."""
-    method: str = "checkerboard"
-    """One of `METHODS`."""
-    encoding: str = "linear"
-    """``linear`` or ``srgb``."""
-    black: Path | None = None
-    """Image without the pattern's light."""
-    white: Path | None = None
-    """Image with the whole source lit."""
-    mask: Path | None = None
-    """White = to be separated."""
-    alpha: float | None = None
-    """Lit fraction of the pattern; the method's default where None."""
-    dark: float = 0.0
-    """Brightness of the unlit part of the pattern."""
-    patterns: tuple[Path, ...] | str | None = None
-    """State images, ``estimate``, or None for maximum and minimum."""
-    shifts: tuple[tuple[float, ...], ...] | None = None
-    """Shifts of the pattern in each image."""
-    period: float | None = None
-    """Period of the pattern, in units of the shifts."""
-    kind: str | None = None
-    """``line`` or ``mesh``; a mesh where None and `alpha` is given."""
-    shadow_percent: float = 0.0
-    """Fraction of an occluder's images in which a pixel is surely in shadow."""
+    images: tuple[Path, ...]  # in order
+    method: str = "checkerboard"  # one of `METHODS`
+    encoding: str = "linear"  # ``linear`` or ``srgb``
+    black: Path | None = None  # image without the pattern's light
+    white: Path | None = None  # image with the whole source lit
+    mask: Path | None = None  # white = to be separated
+    alpha: float | None = None  # lit fraction of the pattern; the method's default where None
+    dark: float = 0.0  # brightness of the unlit part of the pattern
+    patterns: tuple[Path, ...] | str | None = None  # state images, ``estimate``, or None for maximum and minimum
+    shifts: tuple[tuple[float, ...], ...] | None = None  # shifts of the pattern in each image
+    period: float | None = None  # period of the pattern, in units of the shifts
+    kind: str | None = None  # ``line`` or ``mesh``; a mesh where None and `alpha` is given
+    shadow_percent: float = 0.0  # fraction of an occluder's images in which a pixel is surely in shadow
     check_px: float | None = None
     """Side of a check on the camera's pixels: of a single image, and of checkerboards on skin, where light spreads."""
-    block: int | None = None
-    """Side of a block of a single image's result."""
-    noise_std: float = 0.0
-    """Noise of one image, linear light."""
+    block: int | None = None  # side of a block of a single image's result
+    noise_std: float = 0.0  # noise of one image, linear light
 
     def __post_init__(self) -> None:
         require(self.method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")
-        require(
-            self.encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
-        )
+        other = f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
+        require(self.encoding in ("linear", "srgb"), other)
         require(len(self.images) > 0, "there are no images.")
         if self.method == "single":
             require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
             require(self.block is not None, "method single needs block, the side of a block in pixels.")
         if self.patterns == ESTIMATE and self.method == "checkerboard":
-            require(
-                self.check_px is None or self.check_px >= 5,
-                f"states can be found in the images where checks have 5 pixels or more, but check_px is "
-                f"{self.check_px}; give the states as patterns, or leave check_px and patterns out.",
-            )
+            few = "states can be found in the images where checks have 5 pixels or more"
+            cure = "give the states as patterns, or leave check_px and patterns out."
+            wide = self.check_px is None or self.check_px >= 5
+            require(wide, f"{few}, but check_px is {self.check_px}; {cure}")
         if self.method == "symmetry":
             require(self.alpha in (None, 0.5), f"method symmetry needs alpha 0.5, but it is {self.alpha}.")
             require(self.patterns is None, "method symmetry takes no patterns; use method checkerboard with them.")
@@ -143,11 +127,9 @@ def _read_document(folder: Path) -> dict[str, Any]:
         found["block"] = int(block)
     if given.has("patterns"):
         value = given.get("patterns")
-        found["patterns"] = (
-            ESTIMATE
-            if value == ESTIMATE
-            else tuple(inside(folder, item, name, "patterns") for item in given.items("patterns"))
-        )
+        files = () if value == ESTIMATE else given.items("patterns")
+        states = tuple(inside(folder, item, name, "patterns") for item in files)
+        found["patterns"] = ESTIMATE if value == ESTIMATE else states
     if given.has("shifts"):
         found["shifts"] = _shifts(given)
     return found
@@ -172,12 +154,7 @@ def _by_names(folder: Path) -> dict[str, Any]:
 
 def _images_in(folder: Path) -> list[Path]:
     files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
-    return sorted(files, key=lambda file: (_in_order(file.stem), file.name))
-
-
-def _in_order(stem: str) -> list[tuple[int, int | str]]:
-    parts = re.split(r"(\d+)", stem)
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+    return sorted(files, key=lambda file: (natural_order(file.stem), file.name))
 
 
 def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:

@@ -29,8 +29,7 @@ class PhaseSeparation(Separation):
     phase_rad: FloatArray
     """(H, W) in [-pi, pi]: phase of the pattern at the pixel in the image of phase zero. It is *wrapped*: it gives
     the place within one period of the pattern, not which period."""
-    modulation: FloatArray
-    """(H, W): amplitude over mean, all channels together, 0 to 1. Where it is small the phase is noise."""
+    modulation: FloatArray  # (H, W): amplitude over mean, all channels, 0 to 1; where small, the phase is noise
 
 
 def sinusoid(
@@ -79,33 +78,25 @@ def sinusoid(
     check_contrast(low, high, images.mask, settings, ("never modulated", "light them, or leave them out with a mask"))
     direct = 2 * amplitude / (1 - dark)
     total = 2 * mean / (1 + dark)
-    return PhaseSeparation(
-        images.shaped(direct),
-        images.shaped(total - direct),
-        _inside(phase, images),
-        _inside(amplitude.sum(axis=-1) / np.maximum(mean.sum(axis=-1), 1e-12), images),
-    )
+    modulation = amplitude.sum(axis=-1) / np.maximum(mean.sum(axis=-1), 1e-12)
+    parts = images.shaped(direct), images.shaped(total - direct)
+    return PhaseSeparation(*parts, _inside(phase, images), _inside(modulation, images))
 
 
 def _check_phases(phases_rad: Any, count: int) -> NDArray[np.float64]:
     if phases_rad is None:
         return np.asarray(2 * np.pi * np.arange(count) / count)
     phases = np.asarray(phases_rad, dtype=np.float64)
-    require(
-        phases.shape == (count,) and bool(np.isfinite(phases).all()),
-        f"phases_rad must hold {count} finite numbers, one for each image, but it has the shape {phases.shape}.",
-    )
+    wanted = f"phases_rad must hold {count} finite numbers, one for each image"
+    sound = phases.shape == (count,) and bool(np.isfinite(phases).all())
+    require(sound, f"{wanted}, but it has the shape {phases.shape}.")
     apart = np.abs(np.sin((phases[:, None] - phases[None, :]) / 2)) + np.eye(count)
     i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
-    require(
-        bool(apart[i, j] > 1e-3),
-        f"images {min(i, j)} and {max(i, j)} have the same phase: a shift is repeated, and another one may be missing.",
-    )
+    fault = f"images {min(i, j)} and {max(i, j)} have the same phase"
+    require(bool(apart[i, j] > 1e-3), f"{fault}: a shift is repeated, and another one may be missing.")
     singular = np.linalg.svd(np.stack([np.ones(count), np.sin(phases), np.cos(phases)]), compute_uv=False)
-    require(
-        bool(singular[-1] > 0.1 * singular[0]),
-        "the phases lie too close together to determine a sinusoid; spread them over the whole period.",
-    )
+    fault = "the phases lie too close together to determine a sinusoid"
+    require(bool(singular[-1] > 0.1 * singular[0]), f"{fault}; spread them over the whole period.")
     return phases
 
 
@@ -120,11 +111,9 @@ def _check_residual(images: LightStack, design: NDArray[np.float64], inverse: ND
     amount = float((left[:, :, 1:] * left[:, :, :-1]).sum(axis=0).mean()) / (len(design) - 3)
     signal = float((parts[1:, :, 1:] * parts[1:, :, :-1]).sum(axis=0).mean())
     ratio = float(np.sqrt(max(amount, 0.0) / max(signal, 1e-30)))
-    require(
-        amount <= 0.1 * max(signal, 1e-30) or amount <= 1e-12 * float(np.mean(parts[0] ** 2)),
-        f"the images do not follow their phases: what no sinusoid explains is {ratio:.1f} times the sinusoid; check "
-        f"their order, and that the pattern is a sinusoid in linear light.",
-    )
+    fault = f"the images do not follow their phases: what no sinusoid explains is {ratio:.1f} times the sinusoid"
+    cure = "check their order, and that the pattern is a sinusoid in linear light."
+    require(amount <= 0.1 * max(signal, 1e-30) or amount <= 1e-12 * float(np.mean(parts[0] ** 2)), f"{fault}; {cure}")
 
 
 def _unbiased(amplitude: NDArray[np.float64], variance: float) -> NDArray[np.float64]:

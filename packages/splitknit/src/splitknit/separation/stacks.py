@@ -24,17 +24,13 @@ from splitknit.errors import BadInput, check_mask, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-_MAX_CLIPPED = 0.02
-"""More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
+_MAX_CLIPPED = 0.02  # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
 LIT_LEVEL = 0.1
 """Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
 cannot resolve."""
-MIN_CONTRAST = 0.005
-"""A pixel that changes by less than this part of its maximum was never lit, or never dark."""
-_BLACK_IMAGE = 0.03
-"""An image whose bright pixels stay below this part of the other images' is black."""
-EDGE = 0.1
-"""Where states are known: lit from 1 - `edge`, dark up to `edge`; in between (the rim of a check) is left out."""
+MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
+_BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
+EDGE = 0.1  # where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +51,11 @@ DEFAULTS = StackSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separation:
-    """Direct and global light, NaN outside the mask. Both are what the camera would record with the whole source lit,
-    so that they add up to that image.
-    """
+    """Direct and global light under the whole source, NaN outside the mask: together the image that it gives."""
 
     direct: FloatArray
     """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
-    global_: FloatArray
-    """(H, W) or (H, W, C): light that came round, through the skin or from other surfaces."""
+    global_: FloatArray  # (H, W) or (H, W, C): light that came round, through the skin or from other surfaces
 
     @property
     def white(self) -> FloatArray:
@@ -74,12 +67,9 @@ class Separation:
 class LightStack:
     """A stack that passed the checks."""
 
-    light: FloatArray
-    """(N, H, W, C) linear light."""
-    mask: BoolArray
-    """(H, W), true where a result is wanted."""
-    grey: bool
-    """Whether the images came without an axis for channels."""
+    light: FloatArray  # (N, H, W, C) linear light
+    mask: BoolArray  # (H, W), true where a result is wanted
+    grey: bool  # whether the images came without an axis for channels
 
     def shaped(self, values: NDArray[Any]) -> FloatArray:
         """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis if grey."""
@@ -88,8 +78,15 @@ class LightStack:
         return result[..., 0] if self.grey else result
 
     def separation(self, low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float) -> Separation:
-        """Direct and global light by :func:`from_extremes`, shaped."""
-        return Separation(*map(self.shaped, from_extremes(low, high, alpha, dark)))
+        """Direct and global light of the light recorded dark (`low`) and lit (`high`), shaped.
+
+        With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 -
+        dark)). S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
+        """
+        k = mean_brightness(alpha, dark)
+        lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
+        parts = (lit - unlit) / (1.0 - dark), (unlit - dark * lit) / (k * (1.0 - dark))
+        return Separation(*map(self.shaped, parts))
 
 
 def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
@@ -102,15 +99,11 @@ def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSett
     require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
     first = images[0].shape
     for k, image in enumerate(images):
-        require(
-            image.shape == first,
-            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
-        )
+        cure = "all must be of one size and kind."
+        require(image.shape == first, f"image {k} has the shape {image.shape}, but image 0 has {first}; {cure}")
     grey = len(first) == 2
-    require(
-        (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
-        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
-    )
+    fault = "an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels,"
+    require((grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0, f"{fault} but it has {first}.")
     light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
     for k, image in enumerate(images):
         light[k] = image[..., None] if grey else image
@@ -125,20 +118,15 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings)
     usual = float(np.median(peaks))
     require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
-    require(
-        bool(peaks[k] > _BLACK_IMAGE * usual),
-        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
-        f"lights nothing, capture it again or leave it out.",
-    )
+    fault = f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}"
+    cure = "its pattern lights nothing, capture it again or leave it out."
+    require(bool(peaks[k] > _BLACK_IMAGE * usual), f"{fault}; {cure}")
     brightest = light.max(axis=(0, -1))
     if settings.clip_level is None or float(brightest.max()) > 1.0001:
         return
     fraction = float((brightest[mask] >= settings.clip_level).mean())
-    require(
-        fraction <= _MAX_CLIPPED,
-        f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more) in their "
-        f"brightest image; capture again with a shorter exposure.",
-    )
+    fault = f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more)"
+    require(fraction <= _MAX_CLIPPED, f"{fault} in their brightest image; capture again with a shorter exposure.")
 
 
 def check_fraction(value: float, name: str) -> float:
@@ -152,20 +140,6 @@ def check_fraction(value: float, name: str) -> float:
 def mean_brightness(alpha: float, dark: float) -> float:
     """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
     return check_fraction(alpha, "alpha") + check_fraction(dark, "dark") * (1.0 - float(alpha))
-
-
-def from_extremes(
-    low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Direct and global light of the light recorded dark (`low`) and lit (`high`), any shape.
-
-    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 - dark)).
-    S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
-    """
-    k = mean_brightness(alpha, dark)
-    lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
-    direct = (lit - unlit) / (1.0 - dark)
-    return direct, (unlit - dark * lit) / (k * (1.0 - dark))
 
 
 def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:
@@ -192,9 +166,7 @@ def percent(fraction: float) -> str:
 def check_contrast(
     low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
 ) -> None:
-    """Refuse a stack in which too many bright pixels do not change, naming their fraction and the first's place.
-    `words`: what they have never been, and the remedy.
-    """
+    """Refuse a stack in which too many bright pixels do not change; `words`: what they never were, and the remedy."""
     dark, bright = low.max(axis=-1), high.max(axis=-1)
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
@@ -202,10 +174,8 @@ def check_contrast(
     if fraction <= settings.constant_share:
         return
     row, column = np.argwhere(constant)[0]
-    raise BadInput(
-        f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column}): they change "
-        f"by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}."
-    )
+    fault = f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column})"
+    raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}.")
 
 
 def check_repeats(
@@ -232,10 +202,8 @@ def check_repeats(
     similar[pairs] = relative <= limit * reference
     twins = odd_twins(similar)
     if twins is not None:
-        raise BadInput(
-            f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
-            f"missing; capture the stack again or remove one of them."
-        )
+        fault = f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated,"
+        raise BadInput(f"{fault} and another one may be missing; capture the stack again or remove one of them.")
 
 
 def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
@@ -253,9 +221,7 @@ def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
 
 
 def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Mean square of each difference of two images, less their means (N, N); its largest covariance with itself, moved
-    (N, N); pixels: on rows spread over the image.
-    """
+    """Power and covariance, moved by a pixel or two, of the images' differences (N, N); number of pixels."""
     height, width = light.shape[1:3]
     rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, 60_000 // width))).astype(int))
     change = light.mean(axis=-1, dtype=np.float64)
@@ -276,34 +242,7 @@ def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -
     return np.asarray((own[:, None] + own[None, :] - product - product.T) / here[0].size)
 
 
-_DECIDED = 1 - 2 * 0.2
-"""Part of half the range of its neighbours beyond which a pixel's state is decided."""
-
-
-def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
-    """States (N, H, W) in [0, 1] of a checkerboard along the camera's rows and columns, moved by (N, 2) `shifts_px`.
-
-    Values are lit fractions of the pixel's area, so that shifts and checks (of a pixel or more) need not be whole
-    pixels.
-    """
-    require(bool(np.isfinite(check_px)) and check_px >= 1, f"check_px must be at least 1, but it is {check_px}.")
-    shifts = np.asarray(shifts_px, dtype=np.float64)
-    require(
-        shifts.ndim == 2 and shifts.shape[1] == 2 and bool(np.isfinite(shifts).all()),
-        f"shifts_px must have the shape (N, 2) and be finite, but it has {shifts.shape}.",
-    )
-    rows = [_square_wave(size[0], check_px, float(shift)) for shift in shifts[:, 0]]
-    columns = [_square_wave(size[1], check_px, float(shift)) for shift in shifts[:, 1]]
-    waves = [row[:, None] * column[None, :] for row, column in zip(rows, columns, strict=True)]
-    return np.asarray(0.5 + 0.5 * np.stack(waves), dtype=np.float32)
-
-
-def _square_wave(count: int, half_period: float, shift: float) -> NDArray[np.float64]:
-    """Mean over each pixel of the wave that is +1 on [0, half_period) and -1 on the next half."""
-    edges = np.arange(count + 1) - shift
-    phase = np.mod(edges, 2 * half_period)
-    integral = np.where(phase < half_period, phase, 2 * half_period - phase)  # it returns to zero after each period
-    return np.asarray(np.diff(integral))
+_DECIDED = 1 - 2 * 0.2  # part of half the range of its neighbours beyond which a pixel's state is decided
 
 
 def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings = DEFAULTS) -> FloatArray:
@@ -337,10 +276,8 @@ def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
     table = table[:, None] if table.ndim == 1 else table
     good = table.ndim == 2 and table.shape[1] in (1, 2) and bool(np.isfinite(table).all())
     require(good, f"shifts must have the shape (N,) or (N, 2) and be finite, but it has {np.shape(shifts)}.")
-    require(
-        len(table) == count,
-        f"there are {len(table)} shifts for {count} images: a shift or an image is missing or extra.",
-    )
+    fault = f"there are {len(table)} shifts for {count} images"
+    require(len(table) == count, f"{fault}: a shift or an image is missing or extra.")
     if period is not None:
         length = np.broadcast_to(np.asarray(period, dtype=np.float64), (table.shape[1],))
         require(bool((length > 0).all()), f"period must be positive, but it is {period}.")
@@ -358,11 +295,9 @@ def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
         gaps = np.diff(ends)
         if gaps.size > 1:
             gap = int(np.argmax(gaps))
-            require(
-                bool(gaps[gap] < 1.5 * np.median(gaps)),
-                f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once: the "
-                f"shifts between are missing; capture them too.",
-            )
+            fault = f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once"
+            cure = "the shifts between are missing; capture them too."
+            require(bool(gaps[gap] < 1.5 * np.median(gaps)), f"{fault}: {cure}")
 
 
 def _words(row: tuple[float, ...]) -> str:
@@ -407,11 +342,7 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
     best = np.argmax(likeness, axis=1)
     for k, found in enumerate(best):
-        require(
-            likeness[k, k] > 0.02,
-            f"image {k} does not show its pattern at all; check that images and patterns belong together.",
-        )
-        require(
-            found == k or likeness[k, found] < likeness[k, k] + 0.02,
-            f"image {k} shows pattern {found} instead of its own: a shift is repeated, missing or out of order.",
-        )
+        cure = "check that images and patterns belong together."
+        require(likeness[k, k] > 0.02, f"image {k} does not show its pattern at all; {cure}")
+        fault = f"image {k} shows pattern {found} instead of its own: a shift is repeated,"
+        require(found == k or likeness[k, found] < likeness[k, k] + 0.02, f"{fault} missing or out of order.")

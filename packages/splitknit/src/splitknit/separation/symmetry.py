@@ -70,9 +70,9 @@ def by_symmetry(
     period : number or pair, of the pattern (two checks) in the units of `shifts`
     mask : (H, W) bool, optional
 
-    >>> from splitknit.separation.stacks import checkerboard_patterns
-    >>> patterns = checkerboard_patterns((20, 20), 5.0, [(2 * i, 2 * j) for i in range(5) for j in range(5)])
-    >>> parts = by_symmetry(0.3 * patterns + 0.5 * 0.2)
+    >>> board = np.kron([[1.0, 0.0] * 2, [0.0, 1.0] * 2] * 2, np.ones((5, 5)))
+    >>> patterns = [np.roll(board, (2 * i, 2 * j), axis=(0, 1)) for i in range(5) for j in range(5)]
+    >>> parts = by_symmetry(0.3 * np.stack(patterns) + 0.5 * 0.2)
     >>> bool(abs(parts.white - 0.5).max() < 0.02)
     True
     """
@@ -80,16 +80,12 @@ def by_symmetry(
     images = light_stack(stack, least=9, mask=mask, settings=settings)
     count = len(images.light)
     steps = round(count**0.5)
-    require(
-        steps**2 == count and steps % 2 == 1,
-        f"separation by symmetry needs the square of an odd number of images (9, 25, 49), but there are {count}; "
-        f"without them take maximum and minimum (method checkerboard).",
-    )
-    require(
-        check_px is None or check_px >= steps,
-        f"separation by symmetry with {steps} shifts each way needs checks of {steps} pixels or more, but check_px is "
-        f"{check_px}; take maximum and minimum (method checkerboard).",
-    )
+    fault = f"separation by symmetry needs the square of an odd number of images (9, 25, 49), but there are {count}"
+    cure = "without them take maximum and minimum (method checkerboard)."
+    require(steps**2 == count and steps % 2 == 1, f"{fault}; {cure}")
+    good = check_px is None or check_px >= steps
+    fault = f"separation by symmetry with {steps} shifts each way needs checks of {steps} pixels or more,"
+    require(good, f"{fault} but check_px is {check_px}; take maximum and minimum (method checkerboard).")
     light = images.light if shifts is None else images.light[_row_by_row(shifts, period, count, steps)]
     low, high = light.min(axis=0), light.max(axis=0)
     words = ("never lit or never dark", "let the patterns reach every pixel, or give a mask")
@@ -136,21 +132,16 @@ def _check_white(white: Any, found: FloatArray, images: LightStack) -> FloatArra
     given = given.reshape(found.shape)
     bright = images.mask[..., None] & (found > 0.1 * float(np.quantile(found[images.mask], 0.999)))
     ratio = float(np.median(given[bright] / found[bright]))
-    require(
-        abs(ratio - 1) < 0.1,
-        f"the white image is {ratio:.2f} times what the mean of the images promises; check exposure, black level and "
-        f"dark, and that the shifts fill one period in equal steps.",
-    )
+    cure = "check exposure, black level and dark, and that the shifts fill one period in equal steps."
+    require(abs(ratio - 1) < 0.1, f"the white image is {ratio:.2f} times what the mean of the images promises; {cure}")
     return given
 
 
 def _check_neighbours(light: FloatArray, total: FloatArray, dark: float, images: LightStack) -> None:
     """Refuse responses that do not go on from phase to phase: their correlation is 1 - 2 / n under an ideal pattern."""
     step = max(1, light.shape[1] // 128)
-    grey = [
-        part.mean(axis=-1, keepdims=True, dtype=np.float32) * images.mask[::step, :, None]
-        for part in (*light[:, ::step], total[::step])
-    ]
+    inside, every = images.mask[::step, :, None], (*light[:, ::step], total[::step])
+    grey = [part.mean(axis=-1, keepdims=True, dtype=np.float32) * inside for part in every]
     found = _responses(np.stack(grey[:-1]), grey[-1], dark)
     power = float(np.mean(np.square(found, dtype=np.float64)))
     for axis in (0, 1):

@@ -105,8 +105,7 @@ class Catalogue:
 
     title: str
     entries: tuple[CatalogueEntry, ...]
-    chosen: tuple[str, ...]
-    """Keys of the results that were named: none where a folder of many was."""
+    chosen: tuple[str, ...]  # keys of the results that were named: none where a folder of many was
 
     def entry(self, key: str) -> CatalogueEntry:
         """Return one entry. Raises BadInput if there is none of that key."""
@@ -131,11 +130,9 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
             require(capture is None, f"'{paths[0]}' holds photographs itself; leave `capture` out.")
             only = CatalogueEntry("0", roots[0].name, roots[0], roots[0], result=False)
             return Catalogue(only.name, (only,), (only.key,))
-        require(
-            len(folders) > 0,
-            f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them), "
-            "and no photograph; name a result, a folder of results, or a folder of photographs.",
-        )
+        results = "folders with a height.npz, as `splitknit reconstruct` writes them"
+        fault = f"there is no result in '{paths[0]}' ({results}), and no photograph"
+        require(len(folders) > 0, f"{fault}; name a result, a folder of results, or a folder of photographs.")
         names = [folder.relative_to(roots[0]).as_posix() for folder in folders]
         chosen: tuple[str, ...] = ()
     else:
@@ -143,15 +140,12 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
             require(_is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
         folders, names = roots, _distinct_names(roots)
         chosen = tuple(str(k) for k in range(len(roots)))
-    entries = tuple(
-        _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
-    )
+    named = enumerate(zip(names, folders, strict=True))
+    entries = tuple(_entry(str(k), name, folder, capture) for k, (name, folder) in named)
     if capture is not None:
-        require(
-            any(entry.capture is not None for entry in entries),
-            f"'{capture}' is not the capture that this was made from: no capture.json in it has the hash that the "
-            "result's report.json states.",
-        )
+        fault = f"'{capture}' is not the capture that this was made from"
+        lacking = "no capture.json in it has the hash that the result's report.json states."
+        require(any(entry.capture is not None for entry in entries), f"{fault}: {lacking}")
     return Catalogue(names[0] if len(names) == 1 else roots[0].name, entries, chosen)
 
 
@@ -169,9 +163,7 @@ def _holds_photographs(folder: Path) -> bool:
 
 
 def _find_results(root: Path) -> list[Path]:
-    """Return the results below `root`, links not followed, in the order of their names. Raises BadInput if there are
-    more than can be listed.
-    """
+    """The results below `root`, links not followed, by name; BadInput if there are more than can be listed."""
     found = []
     for folder, below, _ in os.walk(root, followlinks=False):
         here = Path(folder)

@@ -31,11 +31,9 @@ _WIDEST = 4096
 class _LitPhoto:
     """One photograph."""
 
-    name: str
-    """Relative to its folder."""
+    name: str  # relative to its folder
     band: str
-    number: int
-    """Within the band, from 0."""
+    number: int  # within the band, from 0
     encoding: str
     light: tuple[float, float, float] | None
     """Unit vector towards the light: x right, y up, z to the camera; None where it is not known."""
@@ -46,13 +44,10 @@ class _PhotoFolder:
     """The photographs of a folder, and what a person should know of them."""
 
     photos: tuple[_LitPhoto, ...]
-    plain: bool
-    """A folder of photographs, no capture."""
-    facts: tuple[tuple[str, str], ...] = ()
-    """Name and value, empty where it is not known."""
+    plain: bool  # a folder of photographs, no capture
+    facts: tuple[tuple[str, str], ...] = ()  # name and value, empty where it is not known
     notes: tuple[str, ...] = ()
-    command: str = ""
-    """What reconstructs them."""
+    command: str = ""  # what reconstructs them
 
 
 @lru_cache(maxsize=16)
@@ -92,24 +87,20 @@ def _plain(folder: Path, where: str, out: str) -> _PhotoFolder:
         lights = list(directions)
         files, masks, skipped = photographs_in(folder, table, names)
     except BadInput as error:
-        notes.append(
-            f"{error}" if table.exists() else "No lights.txt is here: name the lights' directions with --lights."
-        )
+        lacking = "No lights.txt is here: name the lights' directions with --lights."
+        notes.append(f"{error}" if table.exists() else lacking)
         lights = ()
         files, masks, skipped = photographs_in(folder, table)
     files = [file for file in files if not file.is_symlink()]
     require(len(files) > 0, f"'{folder}' holds no photographs ({FORMATS}).")
     if len(lights) not in (0, len(files)):
-        notes.append(
-            f"lights.txt has {len(lights)} lights for {len(files)} photographs: which belongs to which is open."
-        )
+        differ = f"lights.txt has {len(lights)} lights for {len(files)} photographs"
+        notes.append(f"{differ}: which belongs to which is open.")
         lights = ()
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
     curve, _ = encoding_of(files[:1], lambda: False)
-    photos = tuple(
-        _LitPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
-        for number, file in enumerate(files)
-    )
+    towards = [_unit(lights[k]) if lights else None for k in range(len(files))]
+    photos = tuple(_LitPhoto(file.name, "white", k, curve, towards[k]) for k, file in enumerate(files))
     facts = (
         ("Photographs", str(len(photos))),
         ("Lights", f"{len(lights)} directions" if lights else "not known"),

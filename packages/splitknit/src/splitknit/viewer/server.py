@@ -122,9 +122,8 @@ def start(service: Answering, port: int) -> _ViewerServer:
         return _ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
     except OSError as error:
         reason = error.strerror or str(error)
-        raise BadInput(
-            f"port {port} cannot be used ({reason}); choose another `port`, or leave it out for any free one."
-        ) from error
+        cure = "choose another `port`, or leave it out for any free one."
+        raise BadInput(f"port {port} cannot be used ({reason}); {cure}") from error
 
 
 def show(save: Callable[[Path], object], block: bool | None = None) -> str:
@@ -174,15 +173,11 @@ def opened_page(url: str) -> Iterator[bool]:
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_PATH = 2000
-_MAX_CONNECTIONS = 32
-"""Each has a thread; browsers open six."""
+_MAX_CONNECTIONS = 32  # each has a thread; browsers open six
 _HEAD_BYTES = 16_384
-_HEAD_S = 20.0
-"""Until a whole request must be there, from the connection's start or the last answer."""
-_ANSWER_S = 60.0
-"""Until a piece of an answer must be taken."""
-_PACKED_FROM = 1000
-"""Bytes from which an answer is compressed."""
+_HEAD_S = 20.0  # until a whole request must be there, from the connection's start or the last answer
+_ANSWER_S = 60.0  # until a piece of an answer must be taken
+_PACKED_FROM = 1000  # bytes from which an answer is compressed
 _PACKED_KINDS = ("text/", "application/", "image/svg")
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
 

@@ -20,18 +20,12 @@ from splitknit.viewer.catalogue import Catalogue, CatalogueEntry, Reply, open_be
 from splitknit.viewer.surface import TILE, Reading, ResultSurface, export, pick, read_surface, section
 
 STATIC = Path(__file__).parent / "static"
-_TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-}
+_TEXTS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+_TYPES = {**{suffix: f"{kind}; charset=utf-8" for suffix, kind in _TEXTS.items()}, ".svg": "image/svg+xml"}
 _PICTURES = ("normals.png", "albedo.png", "specular.png", "print.png", "preview.png")
-_KEPT_BYTES = 200_000_000
-"""Memory of kept surfaces; two are kept whatever their size, since a pair is shown by turns."""
+_KEPT_BYTES = 200_000_000  # memory of kept surfaces; two are kept whatever their size, since a pair is shown by turns
 _THUMB_PX = 360
-_MAX_PICTURE_BYTES = 400_000_000
-"""Largest picture that is sent as it is. Those of the rig's full frames have at most 40 MB."""
+_MAX_PICTURE_BYTES = 400_000_000  # largest picture that is sent as it is; the rig's full frames have 40 MB at most
 _NOT_FOUND = "there is nothing at this address."
 
 Query = Mapping[str, str]
@@ -109,9 +103,8 @@ class Service:
     def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Reply:  # noqa: PLR0911
         match rest:
             case []:
-                return json_reply(
-                    _describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry)
-                )
+                known = _describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry)
+                return json_reply(known)
             case ["first"]:
                 return _bytes(self.surface(entry).first_view(), "application/octet-stream")
             case ["tile", stride, row, column]:
@@ -239,9 +232,8 @@ def json_reply(document: Any) -> Reply:
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
-        raise BadInput(
-            "a figure of this answer is NaN or infinite: the result is damaged; reconstruct the capture again."
-        ) from error
+        cure = "reconstruct the capture again."
+        raise BadInput(f"a figure of this answer is NaN or infinite: the result is damaged; {cure}") from error
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 
@@ -288,9 +280,8 @@ def _list(values: Any) -> list[float | None]:
 
 # What the page shows of a result: text and numbers.
 
-_TURNING = dict.fromkeys(
-    (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "\N{REPLACEMENT CHARACTER}"
-)
+_MARKS = (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+_TURNING = dict.fromkeys(_MARKS, "\N{REPLACEMENT CHARACTER}")
 
 
 def _shown(text: str) -> str:
@@ -388,11 +379,8 @@ def _facts(entry: CatalogueEntry, surface: ResultSurface) -> list[tuple[str, str
     count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")
     size = [high - low for low, high in zip(surface.low_mm, surface.high_mm, strict=True)]
     known, what = surface.unit.known, "Surface" if about.get("material") == "opaque" else "Skin"
-    extent = (
-        f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} mm"
-        if known
-        else (f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} pixels, scale unknown")
-    )
+    wide, long, deep = (f"{one:.1f}" if known else f"{one:.0f}" for one in size)
+    extent = f"{wide} x {long} x {deep} {'mm' if known else 'pixels, scale unknown'}"
     facts = [
         ("Preset", _text(report.get("preset"))),
         ("Size", f"{extent} (across, along, deep)"),

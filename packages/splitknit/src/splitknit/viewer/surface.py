@@ -32,10 +32,8 @@ from splitknit.viewer.catalogue import CatalogueEntry, Reply, open_below, read_b
 _LONGEST_MM, _LONGEST_PX = 1000.0, 40_000.0
 _RAYS = ("x_mm", "y_mm")
 TILE = 96
-_FIRST_VIEW = 70_000
-"""Points of the first view."""
-_FINE = 1024
-"""Values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame."""
+_FIRST_VIEW = 70_000  # points of the first view
+_FINE = 1024  # values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame
 _HEAD = struct.Struct("<8id")
 _Values = NDArray[np.float64]
 
@@ -206,11 +204,7 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
 
 
 def _places(
-    arrays: Mapping[str, NDArray[Any]],
-    size: tuple[int, int],
-    box: tuple[slice, slice],
-    pitch_mm: float,
-    turn: _Values,
+    arrays: Mapping[str, NDArray[Any]], size: tuple[int, int], box: tuple[slice, slice], pitch_mm: float, turn: _Values
 ) -> tuple[FloatArray, FloatArray]:
     """Upright x and y (h, w) of the pixels."""
     rows, columns = (np.arange(side.start, side.stop, dtype=np.float64) for side in box)
@@ -244,14 +238,11 @@ _MAX_SAMPLES = 20_000
 class Section:
     """A cut through the surface between two points, and its figures."""
 
-    along_mm: _Values
-    """(N,) distance in the finger plane from the first point."""
+    along_mm: _Values  # (N,) distance in the finger plane from the first point
     x_mm: _Values
     y_mm: _Values
-    height_mm: _Values
-    """(N,), NaN where there is no surface."""
-    relief_um: _Values
-    """(N,), NaN likewise."""
+    height_mm: _Values  # (N,), NaN where there is no surface
+    relief_um: _Values  # (N,), NaN likewise
     figures: dict[str, float | int | None]
 
 
@@ -374,10 +365,8 @@ def _shown(surface: ResultSurface, place: _Values, exaggeration: float) -> _Valu
     if exaggeration == 1.0:
         return height
     step = np.array([[1.0], [0.0]])
-    slopes = [
-        (sample(surface.height_mm, place + d) - sample(surface.height_mm, place - d)) / (2 * surface.pitch_mm)
-        for d in (step, step[::-1])
-    ]
+    z, sides = surface.height_mm, (step, step[::-1])
+    slopes = [(sample(z, place + d) - sample(z, place - d)) / (2 * surface.pitch_mm) for d in sides]
     facing = 1.0 / (1.0 + np.nan_to_num(slopes[0]) ** 2 + np.nan_to_num(slopes[1]) ** 2)
     fade = np.clip(2.0 * facing, 0.0, 1.0)
     return np.asarray(height + (exaggeration - 1.0) * fade * sample(surface.ridge_mm, place))
@@ -398,21 +387,19 @@ STEPS = (1, 2, 4, 8)
 
 
 def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) -> Reply:
-    """Make a file of every `step`-th value along rows and columns. Raises BadInput if the kind or the step is not
-    known, or the result lacks an array.
-    """
+    """Make a file of every `step`-th value; BadInput if kind or step is not known, or the result lacks an array."""
     require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
     require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")
-    name = f"{_ascii(entry.name)}{'' if step == 1 else f'-every-{step}'}.{kind}"
+    plain = "".join(one if one.isascii() and (one.isalnum() or one in "-_") else "-" for one in entry.name).strip("-")
+    name = f"{plain[-60:] or 'finger'}{'' if step == 1 else f'-every-{step}'}.{kind}"
     saved = {"Content-Disposition": f'attachment; filename="{name}"'}
     if kind == "ply" and step == 1:
         try:
             return Reply.of_file(open_below(entry.folder, _mesh(entry)), KINDS[kind], saved)
         except BadInput:
             pass  # made anew below
-    vertices, faces, index = surface_mesh(
-        surface.x_mm[::step, ::step], surface.y_mm[::step, ::step], surface.height_mm[::step, ::step]
-    )
+    x, y, z = (field[::step, ::step] for field in (surface.x_mm, surface.y_mm, surface.height_mm))
+    vertices, faces, index = surface_mesh(x, y, z)
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
@@ -426,8 +413,8 @@ def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) 
         return Reply(KINDS[kind], size, chunks, saved)
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
         comments = [f"{key} {value}" for key, value in facts.items()]
-        plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
-        write_ply(Path(folder) / name, vertices, normals, intensity, faces, plain)
+        comments = [text.encode("ascii", "replace").decode("ascii") for text in comments]
+        write_ply(Path(folder) / name, vertices, normals, intensity, faces, comments)
         return Reply.of_file(open_below(Path(folder), name), KINDS[kind], saved)  # open: it outlives its name
 
 
@@ -475,8 +462,3 @@ def _albedo(entry: CatalogueEntry, surface: ResultSurface) -> NDArray[np.uint8]:
     if (pixels.shape[0], pixels.shape[1]) != surface.size or pixels.dtype != np.uint8:
         return white
     return np.asarray(pixels[..., 0][surface.box], dtype=np.uint8)
-
-
-def _ascii(name: str) -> str:
-    kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "-" for letter in name)
-    return kept.strip("-")[-60:] or "finger"
