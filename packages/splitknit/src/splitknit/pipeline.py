@@ -7,14 +7,14 @@ progress and results that several cases share wrap the steps from outside (:mod:
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 from splitknit import steps
 from splitknit.errors import require
 from splitknit.methods import METHODS, method_for
-from splitknit.methods.photographs import finger_photographs, mirror_views, on_mirror_shape, placed
+from splitknit.methods.photographs import FingerPhotographs, finger_photographs, mirror_views, on_mirror_shape, placed
 from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
 from splitknit.methods.shaded import everything_in_view
 from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
@@ -85,13 +85,8 @@ def reconstruct(
             surface = on_mirror_shape(photographs, surface, seen, chosen)
         result = placed(photographs, surface, chosen.top_mm)
     odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
-    first = photographs.finger.facts.get("spoilt", 0)  # what spoils the surface
-    spoilt, rest = (*photographs.warnings[:first], *odd), photographs.warnings[first:]
-    facts = {**result.facts, "spoilt": len(spoilt)} if spoilt else result.facts
-    warnings = (*spoilt, *notes, *doubts, *rest, *surface.warnings)
-    result = replace(
-        result, preset=name, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds), facts=facts
-    )
+    result = _with_warnings(result, photographs, odd, (*notes, *doubts), surface.warnings)
+    result = replace(result, preset=name, settings=asdict(chosen), timings_s=dict(seconds))
     return result if result.scale_known else _of_unknown_scale(result)
 
 
@@ -151,6 +146,20 @@ def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None) ->
         memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     return capture
+
+
+def _with_warnings(
+    result: Reconstruction,
+    photographs: FingerPhotographs,
+    odd: Sequence[str],
+    before: Sequence[str],
+    after: Sequence[str],
+) -> Reconstruction:
+    """The result with its warnings, first those of what spoils the surface: the photographs, or an `odd` size."""
+    first = photographs.finger.facts.get("spoilt", 0)
+    spoilt, rest = (*photographs.warnings[:first], *odd), photographs.warnings[first:]
+    facts = {**result.facts, "spoilt": len(spoilt)} if spoilt else result.facts
+    return replace(result, warnings=(*spoilt, *before, *rest, *after), facts=facts)
 
 
 def _of_unknown_scale(result: Reconstruction) -> Reconstruction:
