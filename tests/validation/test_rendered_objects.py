@@ -33,3 +33,10 @@ def test_given_brightness_is_as_good_as_equal_lights(rendered):
         cosine = np.clip((normals * one.normals).sum(axis=2)[one.mask], -1, 1)
         degrees.append(float(np.degrees(np.arccos(cosine)).mean()))
     assert degrees[1] < degrees[0] + 0.1
+
+
+def test_shadows_are_cast_away_from_the_light(rendered):
+    one = rendered(606)
+    for image, light in zip(one.images, one.lights, strict=True):
+        facing = one.mask & (one.normals @ light > 0.8)
+        assert np.mean(image[facing] < 0.1 * np.median(image[facing])) < 0.01

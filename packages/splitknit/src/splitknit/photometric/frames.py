@@ -205,8 +205,7 @@ def spoils(fit: LightFit) -> bool:
 def doubts_of_lights(  # noqa: PLR0911 - one for each kind
     fit: LightFit, names: Sequence[str] = (), material: str = "skin"
 ) -> tuple[str, ...]:
-    """Warnings of photographs that do not fit their lights or each other, or fit in another order or frame; one at
-    most.
+    """One warning at most, of photographs that do not fit their lights or each other, or fit in another order or frame.
 
     `names` are the photographs', by default ``image 0`` and so on.
     """
