@@ -1,7 +1,7 @@
 """The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 6] [--system NAME]`.
 
-Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, which ``splitknit import``
-reads), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
+Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for ``splitknit
+import``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
 ``tables/``) behind docs/experiments/scanners.md from what is there.
 """
 
