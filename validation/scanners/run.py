@@ -1,7 +1,8 @@
 """The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 6] [--system NAME]`.
 
-Every finger and system is written to --out and not measured twice. `--fringes` measures fringes on skin, and
-`--tables` prints the tables (as in ``tables/``) behind docs/experiments/scanners.md from what is there.
+Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for ``splitknit
+import``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
+``tables/``) behind docs/experiments/scanners.md from what is there.
 """
 
 from __future__ import annotations
@@ -207,6 +208,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
             continue
         how = SYSTEMS[name][0]
         cloud, light, seconds = how(finger)
+        np.savetxt(out / f"{seed}-{name}.xyz", cloud.points_mm, "%.4f")
         begun = time.process_time()
         result = on_grid(cloud, metric.mask.shape, metric.pitch_mm)
         facts = {"compute_s": seconds + time.process_time() - begun, "light": light}
