@@ -89,9 +89,8 @@ def reconstruct(
     spoilt, rest = (*photographs.warnings[:first], *odd), photographs.warnings[first:]
     facts = {**result.facts, "spoilt": len(spoilt)} if spoilt else result.facts
     warnings = (*spoilt, *notes, *doubts, *rest, *surface.warnings)
-    result = replace(
-        result, preset=name, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds), facts=facts
-    )
+    result = replace(result, preset=name, settings=asdict(chosen), timings_s=dict(seconds))
+    result = replace(result, warnings=warnings, facts=facts)
     return result if result.scale_known else _of_unknown_scale(result)
 
 
