@@ -41,6 +41,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "the browser and the WSQ decoder do not inherit variables": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_the_child_inherits_no_key",
+        "packages/splitknit-match/tests/viewer/test_viewer_verb.py::test_the_browser_gets_neither_the_token_nor_a_key",
     ),
     "WSQ, whose decoder is third-party code, is decoded in a process of its own": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
