@@ -1,6 +1,7 @@
 # docker build -t splitknit .
 # docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" splitknit             # the demonstration, into ./demo
 # docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" splitknit reconstruct my_capture --out my_result
+# docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" -p 8321:8321 splitknit serve --gallery g.skg --token-file token --host 0.0.0.0 --certificate c.pem --certificate-key k.pem
 # The image below is named by a tag, which may be given to another one; pin it by its digest where that matters:
 #   docker buildx imagetools inspect python:3.13-slim --format '{{.Manifest.Digest}}'
 #   docker build --build-arg PYTHON=python:3.13-slim@sha256:... -t splitknit .
@@ -21,7 +22,7 @@ COPY --from=build /tmp/pip.txt /tmp/
 RUN pip install --no-cache-dir --require-hashes -r /tmp/pip.txt \
     && pip install --no-cache-dir --no-deps /wheels/*.whl \
     && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt 'splitknit[plot]' \
-        splitknit-simulator splitknit-rig splitknit-match \
+        splitknit-simulator splitknit-rig 'splitknit-match[serve]' \
     && rm -r /wheels /tmp/constraints.txt /tmp/pip.txt \
     && useradd --uid 10001 splitknit \
     && install --directory --owner splitknit /data

@@ -36,6 +36,25 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/report/test_report.py::test_a_page_turns_no_writing_and_holds_no_control_character",
     ),
     "a text that would run as a formula begins with an apostrophe": ("packages/splitknit/tests/io/test_csv_table.py",),
+    "plain `tcp://` to another computer is refused": (
+        "packages/splitknit-match/tests/batch/test_batch_workers.py::test_code_goes_to_other_computers_only_encrypted_or_on_demand",
+    ),
+    "the browser and the WSQ decoder do not inherit variables": (
+        "packages/splitknit-match/tests/io/test_wsq.py::test_the_child_inherits_no_key",
+        "packages/splitknit-match/tests/viewer/test_viewer_verb.py::test_the_browser_gets_neither_the_token_nor_a_key",
+    ),
+    "WSQ, whose decoder is third-party code, is decoded in a process of its own": (
+        "packages/splitknit-match/tests/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
+    ),
+    "against the return of the whole file in an earlier state a counter file": (
+        "packages/splitknit-match/tests/gallery/test_gallery_rows.py::test_an_older_copy_is_found_by_the_counter",
+    ),
+    "splitknit sets `ORT_DISABLE_TELEMETRY=1` before importing it": (
+        "packages/splitknit/tests/networks/test_unet.py::test_onnxruntime_is_imported_without_telemetry",
+    ),
+    "is refused where it may refer to data outside the file": (
+        "packages/splitknit/tests/networks/test_weights.py::test_data_outside_the_file_are_refused",
+    ),
     "sizes are checked before memory is taken": (
         "packages/splitknit/tests/io/test_height_maps.py::test_what_an_x3p_unpacks_to_is_bounded",
         "packages/splitknit/tests/io/test_npz.py::test_a_long_list_of_files_takes_no_memory",

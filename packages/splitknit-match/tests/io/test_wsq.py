@@ -136,6 +136,13 @@ def test_a_child_that_ends_hangs_or_talks_is_refused(sound: bytes, monkeypatch: 
             encode_wsq(ridges())
 
 
+def test_the_child_inherits_no_key(sound: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", "0f" * 32)
+    refuse = "import os\nif any(name.startswith('SPLITKNIT_') for name in os.environ): os.abort()\n"
+    monkeypatch.setattr(wsq_image, "_CHILD", refuse + wsq_image._CHILD)
+    assert decode_wsq(sound).image.size > 0
+
+
 def test_without_the_package_the_remedy_is_named(sound: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wsq_image.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"pip install 'splitknit-match\[records\]'"):

@@ -28,8 +28,6 @@ from splitknit_match.records.templates import is_template, write_template
 if TYPE_CHECKING:
     from splitknit_match.matching.match_job import MakeTemplateJob, MatchJob
 
-SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
-"""Those that compare surfaces in space."""
 TABLES = {
     "ridge": "match_fmr.json",
     "fusion": "match_fmr_prints.json",

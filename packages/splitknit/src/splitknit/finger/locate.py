@@ -223,9 +223,7 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, .
         narrow = f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are needed"
         remedy = "mark the whole finger, or check the rig's px_per_mm."
     require(width_mm >= least, f"{narrow}; {remedy}")
-    return FINGER_WIDTH.notes(
-        width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), on which all lengths rest, or the mask"
-    )
+    return FINGER_WIDTH.notes(width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask")
 
 
 def _quality(

@@ -13,7 +13,7 @@ from splitknit.errors import Note, require
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
-from splitknit.methods.photographs import JPEG_COARSE, FingerBand, FingerPhotographs, FingerSurface
+from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
 from splitknit.methods.photometry import (
     OPAQUE,
     Slopes,
@@ -59,9 +59,9 @@ FAINT = 3.0
 """Specular reflection over noise below which heights do not follow from it."""
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
-JPEG_LOSS, JPEG_LOSS_COARSE = 0.3, 0.9
+JPEG_LOSS, JPEG_LOSS_COARSE, _JPEG_COARSE = 0.3, 0.9, 14.0
 """Part of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to 30 px/mm, but 0.75 and
-more at 11 (``validation/jpeg``)."""
+more at 11; and the px/mm between them (``validation/jpeg``)."""
 COLOURED = (
     "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
     "another of the published cases."
@@ -253,7 +253,7 @@ def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> 
     """The surface of skin; the photographs are released as soon as they lie on the working grid."""
     require(not photographs.bands[0].colours, COLOURED)
     images = _working_images(photographs, settings.metric)
-    coarse = photographs.capture.rig.camera.px_per_mm < JPEG_COARSE
+    coarse = photographs.capture.rig.camera.px_per_mm < _JPEG_COARSE
     lost = (JPEG_LOSS_COARSE if coarse else JPEG_LOSS) if "jpeg" in photographs.finger.facts else 0.0
     photographs.release()
     return _on_pixels(images, settings, lost)

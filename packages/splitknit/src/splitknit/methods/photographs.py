@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -37,8 +37,6 @@ JPEG = (
     "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
     "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
 )
-JPEG_COARSE = 14.0
-"""Pixels a millimetre below which JPEG spoils the ridges."""
 _JPEG_STEP = 0.1
 """Grey levels by which steps between JPEG's blocks of 8 pixels surely exceed others, across and down together: 0
 without JPEG; 0.06 to 0.5 at quality 95, 0.5 to 0.8 at 90, 1.5 at 75."""
@@ -144,13 +142,8 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    jpeg = capture.material == "skin" and "jpeg" in finger.facts
-    coarse = jpeg and capture.rig.camera.px_per_mm < JPEG_COARSE
-    warnings = (JPEG, *warnings) if jpeg and not coarse else warnings
-    doubts = [(JPEG, False)] if coarse else []
-    doubts += [
-        finger.doubts[name] for name in ("view", "width", *(band.name for band in bands)) if name in finger.doubts
-    ]
+    kinds = ("view", "width", "jpeg", *(band.name for band in bands))
+    doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
     spoilt = tuple(words for words, _ in doubts)
@@ -197,6 +190,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             doubts[band.name] = doubt
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
+        doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
     if capture.material == "skin" and "nir" in steady.bands and "nir" not in doubts:
         doubts |= _doubt_of_outline(steady, finger)
     between = _doubt_of_films(steady, finger)
@@ -337,16 +331,15 @@ def _doubt_of_lights(
         faults = faulty_photographs(stack, vectors, inside, saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        names = band.image_names
-        doubts = [(_unlike_words(one, names[one.photograph]), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+        doubts = [(_unlike_words(one, band.image_names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
     begin = "" if band.name == "white" else f"{band.name} band: "
     return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
 
 
-def _unlike_words(fault: PhotographFault, name: str) -> str:
+def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
     how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
     turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{name} does not fit the other photographs ({how}): {turns}; capture it again."
+    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:

@@ -69,8 +69,8 @@ def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> t
     except BadInput:  # too coarse to show any
         return ()
     period_mm, (low, high) = found.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
-    factor = f"where the ridges lie {USUAL_PERIOD_MM:g} mm apart, all lengths are {period_mm / USUAL_PERIOD_MM:.2g} of"
-    remedy = f"{factor} the true ones; check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`)"
+    factor = f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g} mm apart"
+    remedy = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`), as all lengths are {factor}"
     return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)
 
 
