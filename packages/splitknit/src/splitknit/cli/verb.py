@@ -17,7 +17,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn, get_args, get_origin
 
-from splitknit.settings import Limits
 from splitknit.verbs import SETTINGS, VERB, Field, fields_of, with_default
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
@@ -188,16 +187,11 @@ def _option(field: Field) -> str:
     """How a field is written on the command line: its option, or a word for its place."""
     assert field.help is not None
     if field.help.positional:
-        return _metavar(field)
+        return field.help.metavar or field.name.upper()
     if field.help is SETTINGS:
         return "--set"
     negative = "no-" if field.default is True else ""
     return field.help.option or f"--{negative}{field.name.replace('_', '-')}"
-
-
-def _metavar(field: Field) -> str:
-    assert field.help is not None
-    return field.help.metavar or field.name.upper()
 
 
 def _add_fields(
@@ -269,7 +263,8 @@ def _reader(field: Field) -> Callable[[str], Any] | None:
         return field.kind if field.kind is not str else None
     kind, noun = field.kind, "a whole number" if field.kind is int else "a number"
     if rule is not None:
-        noun = "a positive number" if str(rule) == "positive" else f"{noun} {_range_words(rule)}"
+        words = "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
+        noun = "a positive number" if words == "positive" else f"{noun} {words}"
 
     def checked(text: str) -> Any:
         try:
@@ -286,10 +281,6 @@ def _reader(field: Field) -> Callable[[str], Any] | None:
         return value
 
     return checked
-
-
-def _range_words(rule: Limits) -> str:
-    return "from 0 to 2^63 - 1" if rule.max == 2**63 - 1 else str(rule)
 
 
 def job_of(part: Any, options: argparse.Namespace) -> Any:

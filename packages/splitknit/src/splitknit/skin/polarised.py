@@ -64,13 +64,10 @@ BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
 ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.25, 0.5, 1.0), 0.04
 """Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges (the
 model's), and in mm over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
-STATED_DEG = (7.5, 22.5, 37.5, 52.5, 75)
+STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.62, 0.7, 1.6, 1.2, 3.0))
-"""The model's error as it is stated: by slant, over what the lens's blur takes of the ridges (its variance times their
-curvature), without lights to the side and with them. Measured on fingers of our own, not on those of others."""
-ERROR_GAIN = (0.05, 0.2)
-"""Error of the ridges' gain: factor on the square of scattered over specular light (on dry skin both shade alike), and
-most."""
+"""The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
+slant, over the variance of the lens's blur times the ridges' curvature: without lights to the side and with them."""
 START_ERROR, ALIKE = 0.9, 0.6
 """Error of the start's ridges over their stated one, and its correlation with that of the films."""
 
