@@ -62,8 +62,8 @@ START = (0.25, 2.0, 0.8)
 BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
 """Bounds of strength, roughness, path and blur."""
 ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.25, 0.5, 1.0), 0.04
-"""Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges (the
-model's), and in mm over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
+"""Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges, and in mm
+over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
 STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.62, 0.7, 1.6, 1.2, 3.0))
 """The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
@@ -180,9 +180,8 @@ def polarised_heights(
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
-    stated = ERROR_BEND[bool(fit.any())], blur_mm**2, gain
-    tensor = grid.smooth(tensor, mask, NEAR_MM)
-    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=stated)
+    bend, tensor = (ERROR_BEND[bool(fit.any())], blur_mm**2, gain), grid.smooth(tensor, mask, NEAR_MM)
+    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=bend)
     facts = {
         "side_lights": float(reached[side].any(axis=(1, 2)).sum()) if side.size else 0.0,
         "roughness": specular.roughness,
@@ -205,8 +204,7 @@ def _joined(
     *, error: tuple[tuple[float, ...], float, float],
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Heights and their standard deviation, from those that films show and those of the start, by their variances.
-    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `error`: by slant (`ERROR_BEND`), the blur's variance
-    in mm^2, and that of the gain."""
+    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `error`: `ERROR_BEND`, blur's variance, gain's."""
     shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
     slant = slant_of(shape, grid.pitch_mm)
     rest = start_mm - height_mm
@@ -316,9 +314,8 @@ SHADOW_PX = (*range(1, 13), 14, 16, 19, 22, 26, 31, 38, 47, 60, 80, 110, 160)
 """Distances at which the surface may stand in the way."""
 PRIOR_GAIN, GAINS, MISFIT = 0.02, (0.15, 3.0), (0.8, 0.5)
 """Weight of a brightness of one, over that of the images; what is left of a light to the side, over its image (rms),
-from which it is left out, in the first steps and later. A path-traced finger's leave 0.36 at first and 0.09 at last;
-lights whose films are turned, so that what they reflect does not pass the camera's, leave 0.82 to 13.
-"""
+from which it waits, in the first steps and later. A path-traced finger's leave 0.36 at first and 0.09 at last;
+lights whose films are turned, so that what they reflect does not pass the camera's, leave 0.82 to 13."""
 EVERY, PER_CHUNK = 8, 2
 """Rows over which light changes little; chunks are smaller by the latter, as a facet has many numbers."""
 
