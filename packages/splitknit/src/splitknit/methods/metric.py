@@ -215,13 +215,9 @@ def relief_and_shape(
     if before is None or earlier is not None:
         return smooth, found
     of_crossed = variance_restored(before).relief_mm - found.relief_mm
-    part = _beyond(BOTH_DEG, slant_of(smooth, grid.pitch_mm)) / 2
+    low, high = BOTH_DEG
+    part = smooth_step((slant_of(smooth, grid.pitch_mm) - np.float32(low)) / np.float32(high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
-
-
-def _beyond(limits_deg: tuple[float, float], slant_deg: FloatArray) -> FloatArray:
-    """(h, w) weight that grows from 0 to 1 between two slants."""
-    return smooth_step((slant_deg - np.float32(limits_deg[0])) / np.float32(limits_deg[1] - limits_deg[0]))
 
 
 def optics_facts(optics: Mapping[str, Diffusion], colour: Mapping[str, float], shape: Shape) -> dict[str, Any]:

@@ -62,8 +62,12 @@ START = (0.25, 2.0, 0.8)
 BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
 """Bounds of strength, roughness, path and blur."""
 ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.25, 0.5, 1.0), 0.04
-"""Error of the heights that films measure: by slant, over the rms height of the ridges (the model's), and in mm over
-the standard deviation of a slope by the images' noise, on skin that faces the camera."""
+"""Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges, and in mm
+over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
+STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
+ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.62, 0.7, 1.6, 1.2, 3.0))
+"""The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
+slant, over the variance of the lens's blur times the ridges' curvature: without lights to the side and with them."""
 START_ERROR, ALIKE = 0.9, 0.6
 """Error of the start's ridges over their stated one, and its correlation with that of the films."""
 
@@ -148,9 +152,10 @@ def polarised_heights(
         reached = np.ones((len(difference), *grid.shape), dtype=np.float32)
         reached[side] = 0
         weight *= reached
+    fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
     for count in range(TURNS):
-        if count % SHADOWS_EVERY == 1:
-            for k in side:
+        for k in side[fit]:
+            if count % SHADOWS_EVERY == 1 or not reached[k].any():
                 reached[k] = lights.reached(int(k), _shifted(nodes, -0.5, -1), grid)
         slopes = _slopes(nodes, grid.pitch_mm)
         sharp, soft = _predicted(lights, slopes, specular, mask)
@@ -165,22 +170,25 @@ def polarised_heights(
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
         specular = specular.changed(step * change)
-        for k in side:
+        for n, k in enumerate(side):
             parts = np.float32(turn.specular.strength) * sharp[k], rho * soft[k]
-            if not lights.fitted(int(k), difference[k], error, parts, MISFIT[count > TURNS // 2]):
-                side, reached[k] = side[side != k], 0
+            fit[n] = lights.fitted(int(k), difference[k], error, parts, MISFIT[count > TURNS // 2])
+            reached[k] *= fit[n]
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
-    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, grid.smooth(tensor, mask, NEAR_MM), grid)
     shown = np.maximum(np.float32(turn.specular.strength) * sharp, np.float32(1e-9))
     left = (difference - shown - rho * soft)[:, mask]
+    ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
+    gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
+    bend, tensor = (ERROR_BEND[bool(fit.any())], blur_mm**2, gain), grid.smooth(tensor, mask, NEAR_MM)
+    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=bend)
     facts = {
-        "side_lights": float(side.size),
+        "side_lights": float(reached[side].any(axis=(1, 2)).sum()) if side.size else 0.0,
         "roughness": specular.roughness,
         "strength": specular.strength,
         "path_mm": specular.path_px * grid.pitch_mm,
-        "blur_mm": specular.blur_px * grid.pitch_mm,
-        "scattered_over_specular": float((rho * soft)[:, mask].mean() / shown[:, mask].mean()),
+        "blur_mm": blur_mm,
+        "scattered_over_specular": ratio,
         "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
         "residual_over_noise": float(np.sqrt(np.median(left**2) / 0.455) / noise),
     }
@@ -192,26 +200,32 @@ NEAR_MM, RIDGE_MM = 0.1, 0.3
 
 
 def _joined(
-    height_mm: FloatArray, start_mm: FloatArray, deviation_mm: FloatArray, known: FloatArray, grid: Grid
-) -> tuple[FloatArray, FloatArray]:
+    height_mm: FloatArray, start_mm: FloatArray, deviation_mm: FloatArray, known: FloatArray, grid: Grid,
+    *, error: tuple[tuple[float, ...], float, float],
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Heights and their standard deviation, from those that films show and those of the start, by their variances.
-    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy)."""
+    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `error`: `ERROR_BEND`, blur's variance, gain's."""
     shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
     slant = slant_of(shape, grid.pitch_mm)
     rest = start_mm - height_mm
     rest -= grid.smooth(rest, grid.mask, RIDGE_MM)
     ridges = height_mm - shape
     ridges -= grid.smooth(ridges, grid.mask, RIDGE_MM)
+    x, y = height_gradients(ridges, grid.pitch_mm)
+    bend = height_gradients(x, grid.pitch_mm)[0] + height_gradients(y, grid.pitch_mm)[1]
     facing = np.cos(np.deg2rad(slant))
     flat = grid.mask & (facing >= np.quantile(facing[grid.mask], 0.5))
     relief = np.sqrt((ridges[flat] ** 2).mean(dtype=np.float64))
     both = np.maximum(known[0] * known[2] - known[1] * known[1], np.float32(1e-3))
-    of_films = (np.interp(slant, ERROR_DEG, ERROR_PART) * relief) ** 2
-    of_films += np.float32(ERROR_MM**2) * (known[0] + known[2]) / (2 * both * np.maximum(facing, np.float32(0.2)) ** 4)
+    noise = np.float32(ERROR_MM**2) * (known[0] + known[2]) / (2 * both * np.maximum(facing, np.float32(0.2)) ** 4)
+    of_films = (np.interp(slant, ERROR_DEG, ERROR_PART) * relief) ** 2 + noise
     of_start = np.maximum(np.float32(START_ERROR) * deviation_mm, np.float32(1e-4)) ** 2
     common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
     part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
-    left = part**2 * of_start + (1 - part) ** 2 * of_films + 2 * part * (1 - part) * common
+    lost = np.interp(slant, STATED_DEG, error[0]).astype(np.float32) * np.float32(error[1]) * bend
+    stated = noise + grid.smooth(lost * lost + (np.float32(error[2]) * ridges) ** 2, grid.mask, RIDGE_MM)
+    common = np.float32(ALIKE) * np.sqrt(stated * of_start)
+    left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
 
 
@@ -300,9 +314,8 @@ SHADOW_PX = (*range(1, 13), 14, 16, 19, 22, 26, 31, 38, 47, 60, 80, 110, 160)
 """Distances at which the surface may stand in the way."""
 PRIOR_GAIN, GAINS, MISFIT = 0.02, (0.15, 3.0), (0.8, 0.5)
 """Weight of a brightness of one, over that of the images; what is left of a light to the side, over its image (rms),
-from which it is left out, in the first steps and later. A path-traced finger's leave 0.36 at first and 0.09 at last;
-lights whose films are turned, so that what they reflect does not pass the camera's, leave 0.82 to 13.
-"""
+from which it waits, in the first steps and later. A path-traced finger's leave 0.36 at first and 0.09 at last;
+lights whose films are turned, so that what they reflect does not pass the camera's, leave 0.82 to 13."""
 EVERY, PER_CHUNK = 8, 2
 """Rows over which light changes little; chunks are smaller by the latter, as a facet has many numbers."""
 
