@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import splitknit
 from splitknit_simulator import simulate_capture
 
 
+@pytest.mark.slow
 def test_coarse_jpeg_photographs_tell_little_of_the_relief() -> None:
     capture, _ = simulate_capture(3, settings={"scale": 0.08})  # 6 px/mm
     white = capture.bands["white"]

@@ -102,6 +102,7 @@ def test_luces(tmp_path: Path, run: Script) -> None:
     assert row["height_mm"] < 0.2
 
 
+@pytest.mark.slow
 def test_prints(tmp_path: Path, run: Script, capsys: pytest.CaptureFixture[str]) -> None:
     data = Path(run.__file__).resolve().parents[3] / "shared" / "data" / "fvc2002_db1b"
     with pytest.raises(ValueError, match="needs"):

@@ -153,6 +153,7 @@ def test_a_rendering_programs_exposure_is_fixed(thesis, seen):
     assert white.capture.encoding == "srgb" and white.capture.bands["white"].pixels.dtype == np.uint8
 
 
+@pytest.mark.slow
 def test_measuring_again_gives_the_same_figures(thesis):
     study = thesis.ThesisStudy(fingers=1)
     first, second = thesis._measure(RIG, study, SEED), thesis._measure(RIG, study, SEED)

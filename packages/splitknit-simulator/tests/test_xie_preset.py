@@ -31,6 +31,7 @@ def test_it_differs_from_ea_by_the_reflectance_alone() -> None:
     }
 
 
+@pytest.mark.slow
 def test_surface_follows_from_the_layers(twin_capture: Capture, twin_memory: Memory, xie: Reconstruction) -> None:
     plain = reconstruct(twin_capture, "ea", memory=twin_memory)
     np.testing.assert_array_equal(xie.mask, plain.mask)
@@ -44,6 +45,7 @@ def test_surface_follows_from_the_layers(twin_capture: Capture, twin_memory: Mem
     assert tilt[steep].mean() < flat[steep].mean()
 
 
+@pytest.mark.slow
 def test_settings_reach_the_fit(twin_capture: Capture, twin_memory: Memory, xie: Reconstruction) -> None:
     change = {"normals.hanrahan_krueger.layers.refractive_index": 1.37}
     other = reconstruct(twin_capture, "xie", change, memory=twin_memory)

@@ -126,6 +126,7 @@ def test_rates_in_words(rate: float, words: str) -> None:
     assert one_in(rate, FmrBasis(249, "fingers", 0.004) if words.startswith("below") else None) == words
 
 
+@pytest.mark.slow
 def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> None:
     """By their pictures, and by the minutiae that ``print`` has counted."""
     counts = []

@@ -119,6 +119,7 @@ def test_pores_are_refused_where_pixels_are_too_large(result: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -> None:
     coarse = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "a")
     fine = facts_of(capsys, result, "--method", "relief", "--ppi", 1000, "--out", tmp_path / "b")

@@ -45,6 +45,7 @@ def fewer(capture: Capture, kept: list[int]) -> Capture:
     return replace(capture, bands={**capture.bands, "white": band})
 
 
+@pytest.mark.slow
 def test_seven_sets_of_four_pictures_in_the_frame_of_the_print(capture: Capture) -> None:
     found = list(left_out_pictures(capture, ZHENG))
     assert [(one.image, one.picture) for one in found] == [(k, name) for k in range(7) for name in PICTURES]
@@ -116,6 +117,7 @@ def test_three_images_are_too_few_and_names_are_checked(capture: Capture) -> Non
         LeaveOneOutSettings(pictures=("w",))
 
 
+@pytest.mark.slow
 def test_voted_minutiae_are_those_that_most_pictures_show(capture: Capture) -> None:
     pytest.importorskip("nbis")
     chosen = LeaveOneOutSettings(pictures=("albedo",))

@@ -54,6 +54,7 @@ def ridges_are_right(finger: Rolled, least: float) -> None:
         assert np.corrcoef(seen[where], there[where])[0, 1] > least, (low, high)
 
 
+@pytest.mark.slow
 def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) -> None:
     ridges_are_right(finger, 0.6)
 
@@ -68,6 +69,7 @@ def test_a_perspective_camera_is_rolled_as_well() -> None:
     test_it_reaches_further_than_the_front(finger)
 
 
+@pytest.mark.slow
 def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
     normals = finger.normals.astype(np.float64)
     rows = (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
@@ -79,6 +81,7 @@ def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
     assert np.allclose(finger.blended.fractions.sum(axis=0)[finger.blended.known], 1.0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_surface_is_the_finger(finger: Rolled) -> None:
     points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
     x, y, z = np.moveaxis(points, -1, 0)

@@ -87,6 +87,7 @@ def test_skin_without_ridges_does_not_change_the_scale() -> None:
     assert some.quality < clear.quality - 15
 
 
+@pytest.mark.slow
 def test_other_pictures_are_refused() -> None:
     nothing = np.full((300, 300, 3), 120, np.uint8)
     nothing[..., 2] = np.random.default_rng(0).integers(100, 140, (300, 300))
@@ -112,6 +113,7 @@ def test_other_pictures_are_refused() -> None:
         source_of_photo(drawn()[0], 1.0)
 
 
+@pytest.mark.slow
 def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo, grey = tmp_path / "photo.jpg", tmp_path / "print.png"
     pixels = drawn(20.0)[0]

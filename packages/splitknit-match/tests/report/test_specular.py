@@ -42,6 +42,7 @@ def folder(result: Reconstruction, polarised: Capture, tmp_path_factory: pytest.
     return out
 
 
+@pytest.mark.slow
 def test_a_polarised_capture_has_a_specular_image(result: Reconstruction, polarised: Capture) -> None:
     assert result.specular is not None
     np.testing.assert_array_equal(np.isfinite(result.specular), result.mask)
@@ -52,6 +53,7 @@ def test_a_polarised_capture_has_a_specular_image(result: Reconstruction, polari
     assert splitknit.reconstruct(plain, "ea").specular is None
 
 
+@pytest.mark.slow
 def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> None:
     assert result.specular is not None
     again = read_result(folder).specular
@@ -66,6 +68,7 @@ def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> Non
     assert "Specular image" in (folder / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys) -> None:
     assert main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -75,6 +78,7 @@ def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys)
     assert splitknit_match.make_print(read_result(folder), "specular").image.dtype == np.uint8
 
 
+@pytest.mark.slow
 def test_without_films_there_is_none_to_print(polarised: Capture, tmp_path: Path, capsys) -> None:
     plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
     splitknit.reconstruct(plain, "ea").save(tmp_path / "plain", plain)

@@ -281,7 +281,10 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
 
 @pytest.mark.parametrize(
     ("factor", "preset", "words"),
-    [(2.0, "metric", "all lengths are 0.5"), (0.5, "ea", "the finger's width is 3")],
+    [
+        pytest.param(2.0, "metric", "all lengths are 0.5", marks=pytest.mark.slow),
+        (0.5, "ea", "the finger's width is 3"),
+    ],
 )
 def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured) -> None:
     folder, out = tmp_path / "capture", tmp_path / "out"

@@ -212,6 +212,7 @@ def nail_photographs(tmp_path_factory):
     return folder, true
 
 
+@pytest.mark.slow
 def test_photographs_of_a_nail(capsys, tmp_path, nail_photographs):
     folder, true = nail_photographs
     out = tmp_path / "rig.json"
@@ -274,6 +275,7 @@ def test_photographs_of_a_ball(capsys, tmp_path):
     assert "empty" in refused(capsys, *words)
 
 
+@pytest.mark.slow
 def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
     rig = with_side_lights(nominal_rig(0.2), 7)
     write_rig(rig, tmp_path / "rig.json")
@@ -373,6 +375,7 @@ def test_a_list_of_lights_is_of_one_band(capsys, tmp_path):
     assert "2 bands" in message and "rig.json" in message and list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
     """Two LEDs' photographs exchanged in one position: refused, and the picture says why."""
     folder, _ = nail_photographs

@@ -97,6 +97,7 @@ def test_what_clips_is_taken_from_the_direct_light() -> None:
     assert np.median((image - direct)[clipped]) == pytest.approx(np.median((image - direct)[~clipped]), rel=0.4)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_photograph_and_another_index_another(by_truth: Photograph) -> None:
     again = photographs("palm", 0, 7, SMALL, brighten)[0]
     assert again.pixels.tobytes() == by_truth.pixels.tobytes()
@@ -105,6 +106,7 @@ def test_the_same_seed_gives_the_same_photograph_and_another_index_another(by_tr
     assert other.facts["skin"] != by_truth.facts["skin"]
 
 
+@pytest.mark.slow
 def test_labels_through_the_patterns_agree_with_the_truth(by_truth: Photograph) -> None:
     settings = SeparationData(
         palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="stack", held_out=1
