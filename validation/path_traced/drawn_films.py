@@ -1,11 +1,11 @@
 """The heights that films measure, and their stated error, on drawn specular images: seconds a finger, no random walk.
 
-    python validation/path_traced/drawn_films.py [--names a,b,c,d,e,f,g,h] [--lights 14]
+    python validation/path_traced/drawn_films.py [--names a,b,...] [--lights 14]
 
 Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised_heights`). What films leave is drawn:
 GGX facets finer than a pixel, cast shadows under lights from the side, films, once-scattered light, the lens's blur,
 noise. The step's start, a network's in the program, is drawn from the truth, with errors like a network's. Constants of
-the stated error were chosen on a, b, c and f, so that these are no test of it; c is dry skin, e oily.
+the stated error were chosen on a to h, so that these are no test of it; i to m were drawn afterwards.
 """
 
 from __future__ import annotations
@@ -66,12 +66,17 @@ CASES = {
     "f": Case(9306, "loop", 25, 0.25, 0.15),
     "g": Case(9307, "whorl", 85, 0.35, 0.30),
     "h": Case(9308, "loop", 35, 0.16, 0.20),
+    "i": Case(9311, "whorl", 70, 0.15, 0.25),
+    "j": Case(9312, "loop", 40, 0.22, 0.25),
+    "k": Case(9313, "loop", 90, 0.26, 0.20),
+    "l": Case(9314, "arch", 55, 0.45, 0.30),
+    "m": Case(9315, "whorl", 65, 0.18, 0.20),
 }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--names", default="a,b,c,d,e,f,g,h", help="fingers, with commas")
+    parser.add_argument("--names", default=",".join(CASES), help="fingers, with commas")
     parser.add_argument("--lights", type=int, default=14, choices=(7, 14), help="7: the ring alone")
     options = parser.parse_args()
     print(f"{options.lights} lights: correlation / gain / rms um / error over stated, by slant and below 60 deg")

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -68,6 +69,9 @@ STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.62, 0.7, 1.6, 1.2, 3.0))
 """The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
 slant, over the variance of the lens's blur times the ridges' curvature: without lights to the side and with them."""
+GLINTS = 1.6
+"""Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
+between them."""
 START_ERROR, ALIKE = 0.9, 0.6
 """Error of the start's ridges over their stated one, and its correlation with that of the films."""
 
@@ -180,8 +184,9 @@ def polarised_heights(
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
-    bend, tensor = (ERROR_BEND[bool(fit.any())], blur_mm**2, gain), grid.smooth(tensor, mask, NEAR_MM)
-    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=bend)
+    model = _Error(ERROR_BEND[bool(fit.any())], blur_mm**2, gain, specular.roughness)
+    tensor = grid.smooth(tensor, mask, NEAR_MM)
+    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=model)
     facts = {
         "side_lights": float(reached[side].any(axis=(1, 2)).sum()) if side.size else 0.0,
         "roughness": specular.roughness,
@@ -199,12 +204,22 @@ NEAR_MM, RIDGE_MM = 0.1, 0.3
 """Standard deviations of the Gaussians over which what the images say is averaged, and that parts ridges from shape."""
 
 
+class _Error(NamedTuple):
+    """What the model's error follows from: `ERROR_BEND` for these lights, variance of the lens's blur in mm^2, error of
+    the gain, roughness."""
+
+    bend: tuple[float, ...]
+    blur: float
+    gain: float
+    roughness: float
+
+
 def _joined(
     height_mm: FloatArray, start_mm: FloatArray, deviation_mm: FloatArray, known: FloatArray, grid: Grid,
-    *, error: tuple[tuple[float, ...], float, float],
+    *, error: _Error,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Heights and their standard deviation, from those that films show and those of the start, by their variances.
-    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `error`: `ERROR_BEND`, blur's variance, gain's."""
+    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy)."""
     shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
     slant = slant_of(shape, grid.pitch_mm)
     rest = start_mm - height_mm
@@ -222,8 +237,9 @@ def _joined(
     of_start = np.maximum(np.float32(START_ERROR) * deviation_mm, np.float32(1e-4)) ** 2
     common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
     part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
-    lost = np.interp(slant, STATED_DEG, error[0]).astype(np.float32) * np.float32(error[1]) * bend
-    stated = noise + grid.smooth(lost * lost + (np.float32(error[2]) * ridges) ** 2, grid.mask, RIDGE_MM)
+    glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * error.roughness)
+    lost = np.interp(slant, STATED_DEG, error.bend).astype(np.float32) * np.float32(error.blur * max(glints, 1)) * bend
+    stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
