@@ -36,10 +36,12 @@ from splitknit_simulator.twin import lay_down
 sys.path.insert(0, str(Path(__file__).parent))
 
 from score import score
-from walked_finger import FACE_MM, LENS_PX, _lit, _pixel_means, _pixel_places, _reflected
+from walked_finger import LENS_PX, _pixel_means, _pixel_places, _reflected, specular
 
 Array = NDArray[np.floating[Any]]
 SIZE, SCALE, FINE = (420, 520), 0.5, 2
+RING = 7
+"""Lights around the finger, the first ones; the others stand at its side."""
 CLASSES = ("_0_15", "_15_30", "_30_45", "_45_60", "")
 NOISE = 0.004
 """Standard deviation of the noise at full scale."""
@@ -142,15 +144,13 @@ def drawn(
 def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple[Array, Array]:
     """(L, H, W) parallel less crossed series, and (L, H, W) diffuse light, whose noise both have."""
     camera, mask, normals = rig.camera, surface.mask, surface.normals.astype(float)
-    (rows, columns), pitch, refraction = mask.shape, camera.pitch_mm, 1.42
+    pitch, refraction = camera.pitch_mm, 1.42
     angle = float(case.seed % 7 * 20)
     films = mounted_films(
         FilmSettings("analyser", angle, 0.5, 1000.0, (0.85,) * 3, case.kept), rig.leds, np.random.default_rng(case.seed)
     )
     x, y = _pixel_places(camera)
     z = np.where(mask, surface.height_mm, 0.0)
-    beside = float(surface.shape_mm[mask].min()) - 6.0
-    heights = np.where(mask, surface.height_mm, beside) / pitch
     seen, camera_way = [], (0, 0, 1.0)
     diffuse = []
     for k, led in enumerate(rig.leds[:lights]):
@@ -158,10 +158,10 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
         way = (to_x, to_y, to_z)
         passed = films.specular(0, k, way, camera_way) - films.specular(1, k, way, camera_way)
         once = films.once_scattered(0, k, way, camera_way) - films.once_scattered(1, k, way, camera_way)
-        light = np.asarray(led.position_mm) / pitch + ((columns - 1) / 2, (rows - 1) / 2, 0.0)
-        light[1] = (rows - 1) / 2 - led.position_mm[1] / pitch
-        lit = _lit(heights, light, FACE_MM / pitch) if k >= 7 else 1.0
-        reflected = passed * _pixel_means(_reflected(fine, led, case.roughness), surface) * lit
+        if k < RING:  # hardly any skin hides the ring
+            reflected = passed * _pixel_means(_reflected(fine, led, case.roughness), surface)
+        else:
+            reflected = passed * specular(surface, led, case.roughness, fine)
         cosines = (
             np.maximum(to_x * normals[..., 0] + to_y * normals[..., 1] + to_z * normals[..., 2], 0),
             normals[..., 2].clip(0, 1),

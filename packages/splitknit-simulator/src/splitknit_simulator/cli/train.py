@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
@@ -28,7 +29,7 @@ def _training(text: str, metavar: str = "N") -> Help:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainJob(Job):
+class TrainJob(Job, ABC):
     """Train a network on simulated skin; the defaults are the thesis's, or what the shipped networks saw.
 
     Returns
@@ -58,8 +59,9 @@ class TrainJob(Job):
         run = TrainingRun(path(self.out), self.resume, self.command(), progress, _curve_svg)
         return train(run, data=data, settings=settings)
 
+    @abstractmethod
     def _task(self) -> Task:
-        raise NotImplementedError
+        """What trains this network."""
 
     def command(self) -> str:
         """The command line that trains this network again, every option written out, for its card."""

@@ -166,8 +166,8 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     if steady.material == "opaque":
         with suppress(BadInput):  # refused below
             fit = _fit(steady, white, finger)
-        own = fit is None or fit.frame == TURNED or fit.order == tuple(range(len(fit.order)))
-        if fit is None or own or fit.residual_in_order >= _FITS_IN_ORDER:
+        reordered = fit is not None and fit.frame != TURNED and fit.order != tuple(range(len(fit.order)))
+        if fit is None or not reordered or fit.residual_in_order >= _FITS_IN_ORDER:
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
