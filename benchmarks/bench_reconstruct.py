@@ -5,7 +5,7 @@
     python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10    # number x megapixels [/ --max-size]
 
 Every run is a process of its own (what it loads counts). The captures are simulated once into ``benchmarks/out`` and
-carry no truth: comparing is no part of a reconstruction.
+carry no truth: comparing is not part of a reconstruction.
 """
 
 from __future__ import annotations

@@ -307,13 +307,13 @@ def test_other_populations_versions_and_folders_are_refused(people: Path, store:
         run_batch(people, store, EA, jobs=1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").touch()
-    with pytest.raises(BadInput, match="no store"):
+    with pytest.raises(BadInput, match="not a store"):
         run_batch(people, tmp_path / "full", EA, jobs=1)
     assert (tmp_path / "full" / "thesis.txt").exists()
 
 
 def test_no_captures_and_no_population(people: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="no population"):
+    with pytest.raises(BadInput, match="not a population"):
         run_batch(tmp_path / "nothing", tmp_path / "out", EA)
     empty = tmp_path / "empty"
     empty.mkdir()

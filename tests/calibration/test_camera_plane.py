@@ -136,7 +136,7 @@ def test_what_is_no_dot_is_passed_over():
         image[40 + 3 * k, 150 + 5 * k] = 0.1
     cv2.circle(image, (330, 330), 14, 0.1, -1, cv2.LINE_AA)
     soiled, centres = find_disc(image, 10.0)
-    assert np.linalg.norm(_find_dots(image) - (500, 250), axis=1).min() > 20  # the large spot is no dot at all
+    assert np.linalg.norm(_find_dots(image) - (500, 250), axis=1).min() > 20  # the large spot is not a dot at all
     assert len(soiled) == len(plain)
     assert np.ptp(soiled, axis=0).tolist() == np.ptp(plain, axis=0).tolist()
     assert plane_pose(soiled, centres, MATRIX).rms_px < 0.1

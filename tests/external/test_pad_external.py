@@ -1,4 +1,4 @@
-"""Real photographs of an opaque gel are no skin, and path-traced live fingers no attacks."""
+"""Real photographs of an opaque gel are not skin, and path-traced live fingers no attacks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Changes to sound files, as strategies: of any bytes, and of formats whose checksums or structure such changes spoil.
 
-A file is its bytes, or a word for what is no file: ``folder``, ``pipe``, ``loop`` (a link to itself), ``huge`` (3 GB of
+A file is its bytes, or a word for another thing: ``folder``, ``pipe``, ``loop`` (a link to itself), ``huge`` (3 GB of
 nothing). Nothing leads out of the folder: some readers may also write, and the fuzzer may be root.
 """
 

@@ -72,7 +72,7 @@ def scale_tasks(seeds: tuple[int, ...], scales: tuple[float, ...]) -> Iterator[d
 
 
 def fault_tasks(seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
-    """Fingers with one fault that is no speck: shallow ridges, blur, strong glare, little light, little in view."""
+    """Fingers with one fault that is not a speck: shallow ridges, blur, strong glare, little light, little in view."""
     for seed in seeds:
         for fault in ("dry", "defocus", "partial", "glare", "dark"):
             yield {"set": "faults", "seed": seed, "kind": fault, "severity": 1.0}

@@ -204,7 +204,7 @@ def compared(task: tuple[str, str, Job]) -> Found:
     images, owner, impression = prints(name, job)
     sides = [system.ready(made(image, system.make, job)) for image in images]
     pairs = pairs_of(owner, 800 if name in SIMULATED else job.impostors)
-    for one in sides:  # what is made at the first use is no part of a pair's time
+    for one in sides:  # what is made at the first use is not part of a pair's time
         system.score(one, one)
     begun = time.process_time()
     table = np.array([system.score(sides[i], sides[j]) for i, j in pairs]).reshape(len(pairs), -1)

@@ -48,7 +48,7 @@ def fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
     """Logistic regression on one-sided deviations from live skin; kinds, their spread; thresholds by folds of live."""
     model = _fit(live, attacks)
     odds, far = held_out(live, attacks)
-    # the worst of some dozens is no quantile of 1 %: the lower of it and of a normal distribution's
+    # the worst of some dozens is not a quantile of 1 %: the lower of it and of a normal distribution's
     low = min(float(odds.min()), float(odds.mean() - 2.33 * odds.std()))
     reached = float(np.quantile(far, 0.98)) * 1.1
     return model | {
@@ -113,7 +113,7 @@ def words(hits: int, tried: int) -> str:
 
 
 def parted(rows: Sequence[Row]) -> tuple[list[Row], list[Row], list[Row]]:
-    """Live fingers and attacks to fit to, and captures that are no part of it (``NAME, how``)."""
+    """Live fingers and attacks to fit to, and captures that are not part of it (``NAME, how``)."""
     good = [row for row in rows if "features" in row and "," not in row["name"]]
     live, attacks = ([row for row in good if (row["name"] == "live") is what] for what in (True, False))
     return live, attacks, [row for row in rows if "," in row["name"]]
@@ -121,7 +121,7 @@ def parted(rows: Sequence[Row]) -> tuple[list[Row], list[Row], list[Row]]:
 
 def rates(rows: Sequence[Row]) -> list[Row]:
     """Answers for every species by a model that never saw it, for live fingers by folds and by what was drawn, and for
-    what is no part of the fit. Thresholds are set anew for every model, on the live fingers that it saw.
+    what is not part of the fit. Thresholds are set anew for every model, on the live fingers that it saw.
     """
     live, attacks, others = parted(rows)
     counts: dict[str, Counter] = {}

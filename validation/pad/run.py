@@ -1,7 +1,7 @@
 """Presentation attack detection on simulated captures and on others' light: `python validation/pad/run.py`.
 
 Captures are simulated, reconstructed and measured one by one; each is written to --out and not made twice. Optics of
-the skin, rig and camera are drawn for 7 of 10. Then `--jpeg 20` measures live fingers that are no part of the fit as
+the skin, rig and camera are drawn for 7 of 10. Then `--jpeg 20` measures live fingers that are not part of the fit as
 JPEG, `--foreign ../shared/data` the path-traced fingers in five versions each, `--gather` puts all into
 ``tables/captures.json``, `--score` writes ``tables/answers.csv`` from there, leaving out one species or fold at a
 time, and `--write` fits the shipped model, packages/splitknit/src/splitknit/pad_model.json (extra `pad`).

@@ -5,8 +5,8 @@
 
 writes ``templates.json`` beside this file: FVC2002 DB1_B (five fingers, eight presses each), exported to ISO 19794-2
 with minutiae by phase and by mindtct, and from a gallery of ridge templates; every pair compared by bozorth3. Intervals
-are 95 %, drawn by finger, of which there are five. Of the gallery's way two constants (what is a gap, what is no ridge)
-were chosen with a look at these prints; minutiae by phase have no setting that was.
+are 95 %, drawn by finger, of which there are five. Of the gallery's way two constants (limits of gaps and ridges) were
+chosen with a look at these prints; minutiae by phase have no setting that was.
 """
 
 from __future__ import annotations

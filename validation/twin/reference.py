@@ -272,7 +272,7 @@ class ReferenceSettings(Checked):
     led_radius_mm: float = 1.5
     """Radius of an LED's emitting face; it widens the specular reflection."""
     bounces: Annotated[int, Limits(1)] = 2
-    """Reflections off the surface that count as specular: 1 is no inter-reflection."""
+    """Reflections off the surface that count as specular: 1 is not an inter-reflection."""
     threads: Annotated[int, Limits(1)] = 1
     """The result does not depend on it."""
 

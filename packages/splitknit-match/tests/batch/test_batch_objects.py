@@ -75,7 +75,7 @@ def test_what_a_name_means() -> None:
     assert location("s3://bucket/a/b/") == location(Objects("s3://bucket/a/b")) == Objects("s3://bucket/a/b")
     assert ((location("gs://b/x") / "y.parquet").name, (location("gs://b/x") / "y.parquet").stem) == ("y.parquet", "y")
     for url, said in (
-        ("https://host/people", "no object storage"),
+        ("https://host/people", "not an object storage"),
         ("s3://bucket", "form s3://BUCKET/PLACE"),
         ("s3://bucket/a/../b", "form s3://BUCKET/PLACE"),
         (f"s3://key:{SECRET}@bucket/people", "names a bucket"),
@@ -100,9 +100,9 @@ def test_objects_give_the_tables_of_folders(memory: Objects, people: Path, tmp_p
     assert (again["reconstructed"], again["found"], again["scores"][0]["compared"]) == (0, 4, 0)
     with pytest.raises(BadInput, match="this process alone"):
         run_batch(memory / "people", memory / "store", RIDGE, jobs=2)
-    with pytest.raises(BadInput, match="is no store"):
+    with pytest.raises(BadInput, match="is not a store"):
         run_batch(memory / "people", memory / "people", RIDGE, jobs=1)
-    with pytest.raises(BadInput, match="is no population"):
+    with pytest.raises(BadInput, match="is not a population"):
         run_batch(memory / "nobody", memory / "store", RIDGE, jobs=1)
 
 

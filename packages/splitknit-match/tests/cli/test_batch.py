@@ -29,7 +29,7 @@ def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: 
     assert main([*words, "--matchers", "eyes"]) == 2
     assert "no matcher 'eyes'" in capsys.readouterr().err
     assert main([*words[:2], "--out", str(people), "--jobs", "1"]) == 2
-    assert "is no store" in capsys.readouterr().err
+    assert "is not a store" in capsys.readouterr().err
     assert main([*words, "--impostors", "2"]) == 2
     for option in ("--cases", "--matchers"):
         assert main([*words, option, " , "]) == 2

@@ -76,7 +76,7 @@ def test_a_gallery_begins_with_its_first_finger(people_folder: Path, tmp_path: P
     assert stat.S_IMODE((tmp_path / "g.skg").stat().st_mode) == 0o600
     listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
     assert listed[0]["enrolled_at"] is None
-    # the same again is no second finger
+    # the same again is not a second finger
     again = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
     assert not again["created"]
     assert not again["enrolled"][0]["new"]
@@ -530,7 +530,7 @@ def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
     [
         (["enroll", "NEW", "SOURCE"], "name whose finger"),
         (["enroll", "NEW", "--person", "A", "--finger", "right_index"], "name a capture"),
-        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "nose"], "is no finger"),
+        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "nose"], "is not a finger"),
         (["enroll", "NEW", "SOURCE", "--person", "", "--finger", "right_index"], "person's name"),
         (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "a b"], "a session"),
         (["enroll", "NEW", "SOURCE", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "1"], "one so"),
@@ -552,7 +552,7 @@ def test_codes_are_made_where_they_are_missing(gallery: Path, capsys) -> None:
         (["gallery", "remove", "WHOLE"], "name whose"),
         (["gallery", "remove", "WHOLE", "--row", "77"], "holds no row 77"),
         (["gallery", "export", "TEXT", "--out", "NEW"], "is not a gallery"),
-        (["gallery", "import", "NEW", "FOLDER"], "is no export"),
+        (["gallery", "import", "NEW", "FOLDER"], "is not an export"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_sentence(people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words) -> None:

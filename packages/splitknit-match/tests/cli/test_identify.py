@@ -182,7 +182,7 @@ def test_an_encrypted_gallery_finds_the_same(gallery: Path, probe: Path, tmp_pat
         (["PROBE", "GALLERY"], "is a folder"),
         (["GALLERY", "PROBE", "--person", "Nobody"], "holds nothing of person 'Nobody'"),
         (["GALLERY", "PROBE", "--person", "Bob", "--finger", "left_thumb"], "person 'Bob' and finger 'left_thumb'"),
-        (["GALLERY", "PROBE", "--finger", "nose"], "is no finger"),
+        (["GALLERY", "PROBE", "--finger", "nose"], "is not a finger"),
         (["GALLERY", "PROBE", "--fmr", "0"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "1e-9"], "none below"),

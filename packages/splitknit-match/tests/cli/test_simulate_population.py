@@ -203,7 +203,7 @@ def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured
     (other / "S01" / "session_1" / "right_index").mkdir(parents=True)
     assert "something else than a simulated population" in refused(capsys, *words(other))
     new = tmp_path / "new"
-    assert "'toe' is no finger" in refused(capsys, *words(new, small=("--fingers", "toe")))
+    assert "'toe' is not a finger" in refused(capsys, *words(new, small=("--fingers", "toe")))
     assert "workers must be 1 to 256" in refused(capsys, *words(new, "--workers", "0"))
     assert "--pattern does not go with a population" in refused(capsys, *words(new, "--pattern", "loop"))
     assert "--bench does not go with a population" in refused(capsys, *words(new, "--bench"))
@@ -299,7 +299,7 @@ def test_a_third_of_the_fingers_have_ridges_of_real_prints(
 
 def test_prints_that_cannot_be_used_are_refused(tmp_path: Path, prints: Path, capsys: Captured) -> None:
     out, empty = tmp_path / "out", tmp_path / "empty"
-    assert "is no folder of prints" in refused(capsys, *words(out, "--prints", str(empty)))
+    assert "is not a folder of prints" in refused(capsys, *words(out, "--prints", str(empty)))
     empty.mkdir()
     assert "holds no prints" in refused(capsys, *words(out, "--prints", str(empty)))
     write_image(empty / "1_1.png", np.full((300, 300), 255, dtype=np.uint8))

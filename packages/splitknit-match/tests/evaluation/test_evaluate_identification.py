@@ -1,4 +1,4 @@
-"""1:N identification: ranks by hand and by definition, and what is no such data."""
+"""1:N identification: ranks by hand and by definition, and what is not such data."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The same scores through pyeer 0.5.6, an established package.
 
-pyeer pulls matplotlib in, so that it is no dependency even of the tests: its figures on these scores are written down
+pyeer pulls matplotlib in, so it is not even a dependency of the tests: its figures on these scores are written down
 here, and computed anew where it can be imported (``pip install --no-deps pyeer==0.5.6``).
 
 Two of its definitions differ from ours. GAR at FAR: it takes the threshold whose FMR is *nearest* to the target, we the

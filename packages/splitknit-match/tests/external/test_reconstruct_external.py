@@ -189,7 +189,7 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
     assert {path.name for path in out.iterdir()} >= {*FILES, "surface.ply"} - {
         "print.png",
         "phalange.ply",
-    }  # an opaque thing is no finger
+    }  # an opaque thing is not a finger
     assert facts["facts"]["separation"] == "none (opaque material)"
     with np.load(out / "height.npz") as arrays:
         mask = arrays["mask"]

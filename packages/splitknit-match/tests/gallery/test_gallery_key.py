@@ -25,9 +25,9 @@ def test_kinds_of_keys() -> None:
     [
         (b"", "passphrase of 0 characters"),
         (b"seven c\n", "passphrase of 7 characters"),
-        (b"\xff" * 31, "31 bytes that are no text"),
-        (b"two\nlines of text", "that are no text"),
-        (b"x" * 5000, "5000 bytes, which is no key"),
+        (b"\xff" * 31, "31 bytes that are not text"),
+        (b"two\nlines of text", "that are not text"),
+        (b"x" * 5000, "5000 bytes, which is not a key"),
     ],
 )
 def test_what_is_no_key(content: bytes, words: str) -> None:

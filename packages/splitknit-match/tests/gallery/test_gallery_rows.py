@@ -232,7 +232,7 @@ def test_what_is_no_counter_is_refused(tmp_path: Path, content: str) -> None:
     with Gallery.create(tmp_path / "g.skg", SETTINGS, KEY) as gallery:
         gallery.add([new("Ann", 1)])
     counter.write_text(content, encoding="latin-1")
-    with pytest.raises(BadInput, match="is no counter file"):
+    with pytest.raises(BadInput, match="is not a counter file"):
         read_all(tmp_path / "g.skg", Key(KEY.secret, raw=True, counter=counter))
 
 

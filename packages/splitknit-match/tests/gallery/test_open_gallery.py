@@ -58,7 +58,7 @@ def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
         (np.zeros((90, 90), np.uint8), float("nan"), "between 200 and 5080"),
         (np.zeros((90, 90)), PPI, r"must be \(H, W\) uint8"),
         (np.zeros((90, 90, 3), np.uint8), PPI, r"must be \(H, W\) uint8"),
-        (b"no template", None, "contradicts itself|no packed"),
+        (b"no template", None, "contradicts itself|not a packed"),
         (7, None, "a finger is a path"),
     ],
 )

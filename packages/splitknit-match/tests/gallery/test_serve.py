@@ -100,17 +100,17 @@ def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
     assert service.get("/identify").status_code == 405
     assert service.post("/nothing", json={}).status_code == 404
     for body, words in (
-        (b"{", "no JSON"),
-        (b"[" * 100_000, "no JSON"),
-        (b"\xff\xfe", "no JSON"),
+        (b"{", "not a JSON document"),
+        (b"[" * 100_000, "not a JSON document"),
+        (b"\xff\xfe", "not a JSON document"),
         (b"[]", "must be a JSON object"),
         (b'{"print": 3, "person": "A", "finger": "right_index"}', "must be a text"),
         (b'{"finger": "right_index", "print": ""}', "'person' is missing"),
-        (json.dumps({**good, "other": 1}).encode(), "no field of enroll"),
+        (json.dumps({**good, "other": 1}).encode(), "not a field of enroll"),
         (json.dumps({**good, "template": "AA=="}).encode(), "either 'print' or 'template'"),
         (json.dumps({**good, "print": "*"}).encode(), "must be base64"),
         (json.dumps({**good, "print": "AAAA"}).encode(), "of another kind"),
-        (json.dumps({**good, "finger": "nose"}).encode(), "is no finger"),
+        (json.dumps({**good, "finger": "nose"}).encode(), "is not a finger"),
         (json.dumps({**good, "person": ""}).encode(), "person"),
         (json.dumps({**good, "resolution_ppi": 1e300}).encode(), "from 200 to 5080"),
     ):

@@ -174,14 +174,14 @@ def test_how_many_are_rescored() -> None:
 @pytest.mark.parametrize(
     ("harm", "words"),
     [
-        (lambda data: data[:-1], "no shard of codes, or damaged"),
-        (lambda data: data + b"x", "no shard of codes, or damaged"),
-        (lambda data: data[:100], "no shard of codes, or damaged"),
-        (lambda data: b"", "no shard of codes, or damaged"),
-        (lambda data: data.replace(b'"rows": 1429', b'"rows": 9**9', 1), "no shard of codes, or damaged"),
-        (lambda data: data.replace(b'"rows": 1429', b'"rows": -429', 1), "no shard of codes, or damaged"),
+        (lambda data: data[:-1], "not a shard of codes, or damaged"),
+        (lambda data: data + b"x", "not a shard of codes, or damaged"),
+        (lambda data: data[:100], "not a shard of codes, or damaged"),
+        (lambda data: b"", "not a shard of codes, or damaged"),
+        (lambda data: data.replace(b'"rows": 1429', b'"rows": 9**9', 1), "not a shard of codes, or damaged"),
+        (lambda data: data.replace(b'"rows": 1429', b'"rows": -429', 1), "not a shard of codes, or damaged"),
         (lambda data: data.replace(b'"code_version": 1', b'"code_version": 9', 1), "of another version"),
-        (lambda data: data.replace(b"splitknit-code", b"somebody-elses", 1), "no shard of codes, or damaged"),
+        (lambda data: data.replace(b"splitknit-code", b"somebody-elses", 1), "not a shard of codes, or damaged"),
     ],
 )
 def test_damaged_files_are_refused_before_they_are_mapped(folder: Path, tmp_path: Path, harm, words: str) -> None:

@@ -99,7 +99,7 @@ def test_cuts_are_refused(sample: bytes) -> None:
         (36, b"\x0d", "finger position"),  # four fingers at once
         (32, b"\0\0\0\5", "do not add up"),
         (4, b"040", "unknown version"),
-        (0, b"FAR", "no finger image record"),
+        (0, b"FAR", "not a finger image record"),
     ],
 )
 def test_what_does_not_fit_is_named(place: int, value: bytes, words: str) -> None:
@@ -132,7 +132,7 @@ def test_a_small_file_costs_little() -> None:
         ([], "none", "1 to 255 images"),
         ([item(ppi=300)], "none", "500 ppi, or all of them 1000"),
         ([item(), item(ppi=1000)], "none", "500 ppi, or all of them 1000"),
-        ([item()], "jpeg", "is no compression"),
+        ([item()], "jpeg", "is not a compression method"),
         ([item(SMALL.astype(float))], "none", "uint8"),
         ([item(finger="ring")], "none", "'ring' has no code"),
     ],

@@ -124,7 +124,7 @@ def replaced(old: bytes, new: bytes, wide: bool = False) -> bytes:
         (replaced(b"14.008", b"0"), "no resolution"),
         (replaced(b"14.010", b"501"), "square pixels"),
         (replaced(b"14.009", b"100") .replace(b"14.010:500", b"14.010:100"), "490 to 5080 ppi, not 100"),
-        (replaced(b"14.011", b"JP2"), "no JPEG 2000 image"),
+        (replaced(b"14.011", b"JP2"), "not a JPEG 2000 image"),
         (replaced(b"14.011", b"JPEGB"), "compressed as 'JPEGB'; only NONE, WSQ20, PNG, JP2L"),
         (replaced(b"14.011", b"PNG"), "PNG"),
         (replaced(b"14.011", b"WSQ20"), "not a WSQ file"),
@@ -176,7 +176,7 @@ def test_what_cannot_be_said_is_not_written(monkeypatch: pytest.MonkeyPatch) -> 
         ("490 to 5080", lambda: encode_transaction([a_print(NOISE, ppi=300)], FACTS)),
         ("'ring' has no code", lambda: encode_transaction([a_print(NOISE, "ring")], FACTS)),
         ("'ink' has no code", lambda: encode_transaction([a_print(NOISE, impression="ink")], FACTS)),
-        ("'zip' is no compression", lambda: encode_transaction([SMALL], FACTS, "zip")),
+        ("'zip' is not a compression method", lambda: encode_transaction([SMALL], FACTS, "zip")),
         ("uint8", lambda: encode_transaction([a_print(NOISE.astype(float))], FACTS)),
         ("10 to 99999 pixels", lambda: encode_transaction([a_print(NOISE[:9])], FACTS)),
         ("without ':'", lambda: TransactionFacts(FACTS.date, "14.999:x")),
@@ -301,7 +301,7 @@ def test_latent_prints_and_palms_have_their_records() -> None:
     assert_same(found, [prints[2], prints[0], prints[1]])
     assert [bool(one.note) for one in found] == [False, True, False], "rates of latent prints were not measured"
     for finger, impression in (("right_index", "live_palm"), ("right_thenar", "contactless")):
-        with pytest.raises(BadInput, match="no impression type of"):
+        with pytest.raises(BadInput, match="not an impression type of"):
             encode_transaction([a_print(NOISE, finger, impression)], FACTS)
 
 

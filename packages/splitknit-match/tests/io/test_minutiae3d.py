@@ -84,7 +84,7 @@ def test_directions_must_be_vectors() -> None:
         ({"theta_rad": np.full(5, -0.1)}, "theta_rad"),
         ({"type": np.full(5, 3)}, "type of minutiae must be whole numbers from 0 to 2"),
         ({"quality": np.full(5, 1.0)}, "quality of minutiae must be whole"),
-        ({"finger": "pinky"}, "'pinky' is no finger"),
+        ({"finger": "pinky"}, "'pinky' is not a finger"),
     ],
 )
 def test_minutiae_are_checked(changes: dict, words: str) -> None:
@@ -103,7 +103,7 @@ def test_minutiae_are_checked(changes: dict, words: str) -> None:
         (lambda d: d.update(type=[1, 1, 1, 1, 1.5]), "type must be a list of whole numbers"),
         (lambda d: d.update(type=[1, 1, 1, 1, 7]), "type of minutiae"),
         (lambda d: d.update(quality=[1e5] * 5), "quality must be a list of whole numbers"),
-        (lambda d: d.update(finger="x"), "'x' is no finger"),
+        (lambda d: d.update(finger="x"), "'x' is not a finger"),
         (lambda d: d.update(colour=1), "unknown field 'colour'"),
     ],
 )

@@ -104,7 +104,7 @@ def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
         (282, struct.pack("<HII", 5, 1, 1 << 31), None),  # a fraction beyond the file
         (282, struct.pack("<HIf", 11, 1, 500.0), 0),  # of another type: not known
         (282, struct.pack("<HII", 5, 0, 0), None),
-        (270, struct.pack("<HII", 2, 4, 0xFFFFFFFF), 500),  # a text that is no text
+        (270, struct.pack("<HII", 2, 4, 0xFFFFFFFF), 500),  # a text that is not text
         (296, struct.pack("<HII", 3, 1, 9), 0),  # no unit
     ],
 )

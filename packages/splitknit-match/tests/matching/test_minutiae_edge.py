@@ -13,7 +13,7 @@ STEP_MM = 25.4 / 500
 
 
 def test_distance_on_a_print_of_straight_ridges() -> None:
-    """Valleys are no outline, the image's border is one, and a thin line beside the print is not part of it."""
+    """Valleys are not an outline, the image's border is one, and a thin line beside the print is not part of it."""
     rows, _ = np.mgrid[:300, :240]
     ridges = np.where((rows // 5) % 2 == 0, 40, 255).astype(np.uint8)
     printed = np.full((300, 240), 255, np.uint8)

@@ -142,7 +142,7 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
     assert main(["match", *sides, "--decision", str(own), "--json", "--exit-code"]) == 11
     assert main(["match", *sides, "--decision", str(own), "--method", "ridge"]) == 2
     own.write_text(json.dumps(own_rates_document(rng.normal(size=200), "", "fusion", 0.0) | {"fmr": [1.0, 2.0]}))
-    with pytest.raises(BadInput, match="is no file of false match rates"):
+    with pytest.raises(BadInput, match="is not a file of false match rates"):
         read_own_rates(own)
 
 

@@ -106,7 +106,7 @@ def test_other_pictures_are_refused() -> None:
     inside = drawn()[1]
     stripes = np.where(inside, 1 + 0.1 * np.sin(np.indices(inside.shape)[0] * (2 * np.pi / 9.4)), 1.0)[..., None]
     wide = np.clip(np.where(inside[..., None], SKIN, PAPER) * stripes, 0, 255).astype(np.uint8)
-    with pytest.raises(BadInput, match="too far apart or too close for its width"):  # 0.73 mm, if it is 17 mm wide
+    with pytest.raises(BadInput, match="too far apart or close for its width"):  # 0.73 mm, if it is 17 mm wide
         source_of_photo(wide, mask=inside)
     assert source_of_photo(wide, PX_PER_MM, inside).quality
     with pytest.raises(BadInput, match="the finger's width is"):

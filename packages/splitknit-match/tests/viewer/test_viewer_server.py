@@ -157,7 +157,7 @@ def changed(shown: Path, folder: Path, **changes: Callable[[np.ndarray], np.ndar
     [
         ("height_mm", lambda x: x + np.float32(2000.0), "beyond 1000 mm"),
         ("ridge_mm", lambda x: x + np.float32(1e30), "beyond 1000 mm"),
-        ("input_from_upright", lambda x: x * [[1e5, 1, 1], [1, 1, 1], [1, 1, 1]], "no rotation"),
+        ("input_from_upright", lambda x: x * [[1e5, 1, 1], [1, 1, 1], [1, 1, 1]], "not a rotation"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(shown: Path, tmp_path: Path, name: str, change: Any, words: str) -> None:
@@ -381,7 +381,7 @@ def test_a_request_that_is_not_quite_one_is_refused_and_nothing_behind_it_read(
 
 def test_what_is_no_http_is_refused_in_plain_words(shown: Path, asking: Serve) -> None:
     server = asking(shown / "metric")
-    came = sent(server, b"<script> is no request\r\n\r\n")
+    came = sent(server, b"<script> is not a request\r\n\r\n")
     assert came.startswith(b"HTTP/1.1 400 ") and b"text/plain" in came and b"<script>" not in came
 
 

@@ -92,7 +92,7 @@ def test_more_that_does_not_fit_is_refused(shown: Path, tmp_path: Path, capsys: 
         ([shown / "metric", shown / "capture"], "not a result"),
         ([shown / "capture", "--capture", shown / "capture"], "leave --capture out"),
         ([shown / "metric", "--capture", tmp_path], "not the capture that this was made from"),
-        ([shown / "metric", "--key-file", tmp_path], "is no gallery"),
+        ([shown / "metric", "--key-file", tmp_path], "is not a gallery"),
         ([tmp_path / "pipe"], "pipe"),
     ):
         assert main(["view", *map(str, arguments), "--no-browser"]) == 2

@@ -189,8 +189,8 @@ def test_spaces_blank_lines_comments_and_further_columns():
         (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0] + ",?"], "tip_y_px must be a number"),
         (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0] + ",nan"], "tip_y_px must be a number"),
         (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0]], "6 fields"),
-        (lambda lines: ["a" * 200_000, *lines], "no line of a CSV table"),
-        (lambda lines: [lines[0], "a" * 200_000], "line 2 is no line of a CSV table"),
+        (lambda lines: ["a" * 200_000, *lines], "not a line of a CSV table"),
+        (lambda lines: [lines[0], "a" * 200_000], "line 2 is not a line of a CSV table"),
         (lambda lines: [*lines, lines[5]], "lines 6 and 16 are both for white 2, nail 1"),
     ],
 )

@@ -91,7 +91,7 @@ def test_bad_balls():
         ball_of_mask(np.zeros(SIZE, bool))
     bar = np.zeros(SIZE, bool)
     bar[50:60] = True
-    with pytest.raises(BadInput, match="no disc"):
+    with pytest.raises(BadInput, match="not a disc"):
         ball_of_mask(bar)
     with pytest.raises(BadInput, match="`mask`"):
         find_ball(np.repeat(bar[None].astype(np.float32), 2, axis=0))

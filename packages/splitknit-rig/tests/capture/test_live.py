@@ -95,7 +95,7 @@ def test_a_film_is_played_over_and_over(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("made", "words"),
-    [("", "neither a camera's number"), ("folder", "holds no photographs"), ("text", "no film that can be read")],
+    [("", "neither a camera's number"), ("folder", "holds no photographs"), ("text", "not a film that can be read")],
 )
 def test_what_is_no_source_is_refused(tmp_path: Path, made: str, words: str) -> None:
     path = tmp_path / "it"

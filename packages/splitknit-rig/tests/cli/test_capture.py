@@ -207,11 +207,11 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_pat
         ((), "--out DIR for one finger, or --enrolment DIR for many"),
         (("--out", "a", "--enrolment", "b"), "not both"),
         (("--out", "a", "--subject", "Anna Meier"), "never a name"),
-        (("--out", "a", "--finger", "toe"), "'toe' is no finger"),
+        (("--out", "a", "--finger", "toe"), "'toe' is not a finger"),
         (("--out", "a", "--session", "0"), "numbered from 1"),
         (("--out", "a", "--subjects", "3"), "--subjects belongs to --enrolment"),
         (("--enrolment", "e", "--next", "0"), "--next"),
-        (("--enrolment", "e", "--fingers", "right_index,toe"), "'toe' is no finger"),
+        (("--enrolment", "e", "--fingers", "right_index,toe"), "'toe' is not a finger"),
         (("--enrolment", "e", "--subjects", "0"), "1 to 9999 subjects"),
         (("--enrolment", "e", "--overwrite"), "replaces nothing"),
         (("--out", "a", "--set", "capture.exposure.target=3"), "exposure.target"),
@@ -293,11 +293,11 @@ class TestEnrolment:
         assert len(set(height.values())) == 8  # laid down anew every time
 
     def test_a_folder_of_something_else_is_refused(self, done: Path, capsys: Captured):
-        assert "it is no enrolment" in refused(capsys, "--enrolment", done)
+        assert "is not an enrolment" in refused(capsys, "--enrolment", done)
 
 
 class TestPi:
-    """On a computer that is no Raspberry Pi."""
+    """On a computer that is not a Raspberry Pi."""
 
     def test_missing_hardware_is_one_sentence(self, tmp_path: Path, capsys: Captured, monkeypatch):
         monkeypatch.setitem(sys.modules, "picamera2", None)

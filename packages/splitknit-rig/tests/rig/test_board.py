@@ -82,7 +82,7 @@ def drawn(gerber: str, size_mm: tuple[float, float]) -> np.ndarray:
     from PIL import Image
     from pygerber.gerberx3.api.v2 import ColorScheme, GerberFile, ImageFormatEnum
 
-    # a frame of the board's size places the layer in the picture; what it hides is no copper
+    # a frame of the board's size places the layer in the picture; what it hides is not copper
     lines = gerber.replace("M02*", "")
     codes = [int(code) for code in re.findall(r"%ADD(\d+)", lines)]
     frame = f"%ADD{max(codes) + 1}C,0.0100*%\n%LPD*%\nD{max(codes) + 1}*\n"
@@ -169,7 +169,7 @@ def test_the_copper_joins_what_the_netlist_joins_and_nothing_else(kicad, nets, p
 
 
 def rectangles(kicad, pads):
-    """Net, sides, first and last corner and half the width of all copper that is no plane; pads are on both sides."""
+    """Net, sides, first and last corner and half the width of all copper but planes; pads are on both sides."""
     names = {node[1]: node[2] for node in find(kicad, "net")}
     shapes = []
     for one in find(kicad, "segment"):

@@ -62,7 +62,7 @@ class Coat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Texture:
-    """What varies over the skin's surface and is no relief, on the camera's pixels."""
+    """What varies over the skin's surface and is not relief, on the camera's pixels."""
 
     gloss: FloatArray  # (H, W) specular reflection over its mean: sweat
     blood: FloatArray  # (H, W) how much darker blood makes green light, as a natural logarithm: mottled skin

@@ -187,7 +187,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
     fields = np.asarray(SAMPLES[1][:32], dtype=np.float32)
     wanted = trainer.run(fields)
     np.testing.assert_allclose(run_network(network, fields[None])[0], wanted, atol=3e-3 * np.abs(wanted).max())
-    # in tiles, and of a size that is no multiple of the stride
+    # in tiles, and of a size that is not a multiple of the stride
     whole = run_network(network, fields[None, :, :38, :35])
     np.testing.assert_allclose(run_network(network, fields[None, :, :38, :35], tile=12), whole, atol=1e-5)
 

@@ -160,7 +160,7 @@ def naming(path: object, work: Callable[[], T]) -> T:
 def refusing(message: str) -> Iterator[None]:
     """Turn whatever a parser raises in the block into :class:`BadInput` with `message`, one sentence.
 
-    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is no fault of the input.
+    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is not a fault of the input.
 
     >>> with refusing("the table is damaged; write it again."):
     ...     {}["rows"]

@@ -263,7 +263,7 @@ def test_documents_that_are_refused(change: Change, words: str, folder: Path) ->
     [
         (b"", "not valid JSON"),
         (b'{"format": ', "not valid JSON"),
-        (b"\xff\xfe", "not valid JSON: it is no text in UTF-8"),
+        (b"\xff\xfe", "not valid JSON: it is not text in UTF-8"),
         (b"[1]", r"must be an object, but it is \[1\]"),
         (json.dumps(list(range(40))).encode(), "must be an object, but it is a list of 40"),
         (b"null", "must be an object, but it is null"),

@@ -35,7 +35,7 @@ def test_black_images_name_their_file_and_led(band: Band) -> None:
         with pytest.raises(BadInput, match=r"white_2\.png is black: .*check LED 2 and capture it again"):
             check_content(changed(band, 2, dark))
     hot = np.zeros_like(band.pixels[0])
-    hot[50, 40] = full(band)  # a hot pixel is no light
+    hot[50, 40] = full(band)  # a hot pixel is not light
     with pytest.raises(BadInput, match=r"white_1\.png is black"):
         check_content(changed(band, 1, hot))
 

@@ -81,7 +81,9 @@ def test_a_mesh_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_mesh_is_not_held_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitknit.io.mesh._CHUNK", 1 << 13)
     result, _ = finger(px_per_mm=50.0)
-    write_mesh(tmp_path / "first.ply", finger()[0], provenance({}, {}))  # modules that it loads are no part of the mesh
+    write_mesh(
+        tmp_path / "first.ply", finger()[0], provenance({}, {})
+    )  # modules that it loads are not part of the mesh
     tracemalloc.start()
     write_mesh(tmp_path / "m.ply", result, provenance({}, {}))
     peak = tracemalloc.get_traced_memory()[1]

@@ -151,7 +151,7 @@ def test_unequal_brightness_is_no_other_order(egg):
 
 @pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])
 def test_few_lights_tell_nothing_of_their_brightness(egg, count, seed):
-    """Directions that are wrong by some degrees are no brightness, though one for each photograph explains them."""
+    """Directions that are wrong by some degrees are not brightness, though one for each photograph explains them."""
     normals, inside = egg
     lights = around(count, uneven=True)
     wrong = lights + 0.15 * np.random.default_rng(seed).standard_normal(lights.shape)

@@ -230,7 +230,7 @@ BAD = {
                 b"property float z\nend_header\n" + (np.arange(60, dtype="<f4") + 4e7).tobytes(), "4 mm apart"),
     "centimetres.xyz": (text(grid_of_points()[20:-20:2, 20:-20:2].reshape(-1, 3) / 10), "width is 1"),
     "rounded.xyz": (text(np.round(grid_of_points()[::2, ::2].reshape(-1, 3), 1)), "rounded to 0.1 mm"),
-    "random.xyz": (text(np.random.default_rng(0).uniform(0, 10, (5000, 3))), "is no surface"),
+    "random.xyz": (text(np.random.default_rng(0).uniform(0, 10, (5000, 3))), "is not a surface"),
     "nonsense.x3p": (b"PK nonsense", "x3p|X3P"),
     "nonsense.tmd": (b"nonsense", "TMD"),
 }  # fmt: skip

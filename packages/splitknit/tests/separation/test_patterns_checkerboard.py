@@ -218,7 +218,7 @@ def test_shift_tables():
 
 
 def test_background_and_exact_zeros_do_no_harm(patterns):
-    """Half of the picture is black: its pixels never change, and that is no fault of the patterns."""
+    """Half of the picture is black: its pixels never change, and that is not a fault of the patterns."""
     direct, global_ = scene()
     stack = stack_of(direct, global_, patterns)
     stack[:, :, 36:] = 0
@@ -228,7 +228,7 @@ def test_background_and_exact_zeros_do_no_harm(patterns):
 
 
 def test_an_even_grid_of_shifts_shows_each_pattern_twice():
-    """A checkerboard moved by a check each way is the same again: that is no repeated shift, unless one is missing."""
+    """A checkerboard moved by a check each way is the same again: not a repeated shift, unless one is missing."""
     shifts = [(2 * i, 2 * j) for i in range(4) for j in range(4)]
     patterns = checkerboard_patterns(SIZE, 4, shifts)
     direct, global_ = scene()

@@ -142,7 +142,7 @@ def test_relief_and_glare_are_what_the_network_draws(scene):
     def network(fields):
         seen.append(fields)
         drawn = np.zeros((9, *grid.shape), np.float32)
-        drawn[0] = true / RELIEF_MM + 5.0  # the offset is no relief
+        drawn[0] = true / RELIEF_MM + 5.0  # the offset is not relief
         drawn[1], drawn[2] = 2.0, 1.0
         drawn[8] = 2 * np.log(0.5)
         return drawn

@@ -82,7 +82,7 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
     if not found:
         return Path(text)
     cure = f"use {', '.join(f'{one}://' for one in SCHEMES)}, or a folder."
-    require(scheme in SCHEMES, f"'{scheme}://' is no object storage that a batch may lie in; {cure}")
+    require(scheme in SCHEMES, f"'{scheme}://' is not an object storage that a batch may lie in; {cure}")
     bucket, _, below = rest.strip("/").partition("/")
     require(
         "@" not in bucket and "?" not in rest and "#" not in rest,
@@ -207,7 +207,7 @@ def captures_at_hand(population: Location, names: Sequence[str]) -> Iterator[Ite
     """Yield, for each capture in turn, a folder of this computer below which it lies under its name, until the next one
     is asked for. Objects are copied into a private temporary folder, the next capture while the present one is worked
     on, without what is not read (truth). Raises BadInput if objects cannot be read, or the name of one leads out of its
-    capture: that is no failure of the capture.
+    capture: that is not a failure of the capture.
     """
     if isinstance(population, Path):
         for name in names:

@@ -63,7 +63,7 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
     except (OSError, ValueError):
         known = False
     cure = "name a folder of 'splitknit simulate population' or of an enrolment."
-    require(known, f"'{folder}' is no population: it holds no {PLAN_FILE}; {cure}")
+    require(known, f"'{folder}' is not a population: it holds no {PLAN_FILE}; {cure}")
     plan = open_enrolment(plan_folder).plan
     captures = []
     for number, (subject, finger, session) in enumerate(

@@ -43,7 +43,7 @@ class Store:
     def document(self) -> dict[str, Any]:
         """The store's own record. Raises BadInput if there is no store, it is damaged or of another version."""
         file = self.folder / STORE_FILE
-        require(there(file), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
+        require(there(file), f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}.")
         damaged = f"'{file}' is damaged; name another folder for the store."
         document = _json(file, damaged)
         with refusing(damaged):
@@ -179,7 +179,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
 def check_store_target(folder: Location) -> None:
     """Refuse a folder that holds something else than a store. Raises BadInput."""
     if not isinstance(folder, Path):
-        fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store"
+        fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is not a store"
         require(there(folder / STORE_FILE) or not files_below(folder, deep=True), f"{fault}; name another place.")
         return
     try:
@@ -187,7 +187,7 @@ def check_store_target(folder: Location) -> None:
         names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     except (OSError, ValueError) as error:
         raise BadInput(f"'{folder}' cannot be used as a store: {error}.") from error
-    fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store"
+    fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is not a store"
     require(not names or STORE_FILE in names or names <= {".lock"}, f"{fault}; name another folder.")
     try:
         make_folder(folder)

@@ -78,7 +78,7 @@ def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
         reconstruct,
     )
 
-    no_capture = f"'{folder}' is no capture folder (capture.json), which attacks show in."
+    no_capture = f"'{folder}' is not a capture folder (capture.json), which attacks show in."
     require((folder / "capture.json").is_file(), no_capture)
     features: dict[str, float] = {}
     kind: type[BadInput] = BadExposure  # as a screen's own light has it; other refusals on reading are of files

@@ -36,7 +36,7 @@ def cmc(scores: Scores) -> Cmc | None:
     if scores.finger is None:
         return None
     if scores.session is not None and not bool((scores.session.same & scores.label).any()):
-        scores = scores.taken(~scores.session.same)  # impostors within a session are no search
+        scores = scores.taken(~scores.session.same)  # impostors within a session are not a search
     assert scores.finger is not None
     finger, fingers = scores.finger.codes, len(scores.finger.names)
     session = np.zeros_like(finger) if scores.session is None else scores.session.codes

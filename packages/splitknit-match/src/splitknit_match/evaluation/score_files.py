@@ -45,7 +45,7 @@ class ScoreFile:
 
 def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
     """Read a score file. Raises BadInput naming file and line: not a CSV, a column missing or named twice, a line of
-    another length, a label other than 0 and 1, a score that is no finite number, an id that is blank.
+    another length, a label other than 0 and 1, a score that is not a finite number, an id that is blank.
     """
     name, data = os.fspath(path), _bytes(path)
     rows = _rows(data, name)

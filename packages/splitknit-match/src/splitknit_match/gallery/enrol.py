@@ -129,7 +129,7 @@ def enroll_files(
     """Enrol sources of one finger, as :func:`splitknit_match.enroll` does.
 
     `session`: by default that of the very same source if it is enrolled already, else the next number. `examine`:
-    called with each finger before anything is written; may refuse it. A source that is no template and of which nothing
+    called with each finger before anything is written; may refuse it. A source other than a template from which nothing
     was acquired is refused.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
@@ -208,7 +208,7 @@ def opened(gallery: Path, key: Key | None, settings: MatchingSettings, *, of_min
 
 def known_finger(finger: str) -> str:
     """Return `finger` if it is one of the ten."""
-    require(finger in FINGERS, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+    require(finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
     return finger
 
 

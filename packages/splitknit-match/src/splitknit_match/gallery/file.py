@@ -129,7 +129,7 @@ def _look_at(path: Path) -> None:
             raise
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"the gallery '{path}' cannot be opened: {reason}.") from error
-    require(begin == _MAGIC, f"'{path}' is not a gallery (it is no SQLite file); name another file.")
+    require(begin == _MAGIC, f"'{path}' is not a gallery (it is not an SQLite file); name another file.")
 
 
 def _prepare(database: sqlite3.Connection, path: Path) -> None:
@@ -277,7 +277,7 @@ def is_gallery(file: Path) -> bool:
 def read_counter(file: Path) -> dict[str, int]:
     """Last change that was seen of each gallery; an empty file has seen none.
 
-    Raises BadInput if it cannot be read, or is no counter file.
+    Raises BadInput if it cannot be read, or is not a counter file.
     """
     content = read_bytes(file, _MAX_COUNTER)
     try:
@@ -286,7 +286,7 @@ def read_counter(file: Path) -> dict[str, int]:
         return dict(seen)
     except (ValueError, RecursionError) as error:
         raise BadInput(
-            f"'{shown_path(file)}' is no counter file of galleries, or damaged; empty it to begin anew."
+            f"'{shown_path(file)}' is not a counter file of galleries, or damaged; empty it to begin anew."
         ) from error
 
 
@@ -308,7 +308,7 @@ def write_counter(file: Path, gallery: str, change: int) -> None:
 def describe(path: Path) -> dict[str, Any]:
     """What anyone can see of a gallery without its key: kind of key, number of rows, sizes.
 
-    Raises BadInput if it is no gallery, damaged, or of another version.
+    Raises BadInput if it is not a gallery, damaged, or of another version.
     """
     with contextlib.closing(connect(path)) as database, transaction(database, path, write=False):
         version, about = read_about(database, path)

@@ -38,7 +38,7 @@ class Gallery(GalleryRows):
 
         `shared`: whether threads share it, one at a time.
 
-        Raises BadInput if it is no gallery, damaged, of an unknown version, or the key is missing, wrong, or not
+        Raises BadInput if it is not a gallery, damaged, of an unknown version, or the key is missing, wrong, or not
         wanted.
         """
         file = Path(path)

@@ -107,7 +107,7 @@ class SearchDecision(MatchDecision):
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What a search found; that nobody is found is no error."""
+    """What a search found; that nobody is found is not an error."""
 
     gallery: str
     probe: ComparedSide

@@ -40,7 +40,7 @@ class IdentifyJob(Job):
     Returns
     -------
     Identification
-        ``candidates``, best first, and ``decision``; that nobody is found is no error.
+        ``candidates``, best first, and ``decision``; that nobody is found is not an error.
 
     Raises
     ------

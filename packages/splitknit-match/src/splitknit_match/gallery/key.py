@@ -37,7 +37,7 @@ _WRITER_S = 3.0
 def key_of(file: Key | AnyPath | None, variable: str = KEY_VARIABLE) -> Key | None:
     """Key from a file (with the counter file beside it), else from the environment; None where neither has one.
 
-    Raises BadInput if the file cannot be read, is a pipe that nobody writes into, or what it holds is no key.
+    Raises BadInput if the file cannot be read, is a pipe that nobody writes into, or what it holds is not a key.
     """
     if isinstance(file, Key):
         return file
@@ -145,7 +145,7 @@ class Key:
 
 
 def key_from_bytes(content: bytes, where: str) -> Key:
-    """Read a key: 64 hexadecimal digits or 32 bytes that are no text are a key, any other text is a passphrase.
+    """Read a key: 64 hexadecimal digits or 32 bytes that are not text are a key, any other text is a passphrase.
 
     Line ends after it do not count; `where` is for errors. Raises BadInput if it is empty, larger than 4096 bytes, no
     text, or a passphrase of fewer than 8 characters.
@@ -153,7 +153,7 @@ def key_from_bytes(content: bytes, where: str) -> Key:
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
     """
-    require(len(content) <= _MAX_CONTENT, f"{where} holds {len(content)} bytes, which is no key (4096 at most).")
+    require(len(content) <= _MAX_CONTENT, f"{where} holds {len(content)} bytes, which is not a key (4096 at most).")
     try:
         text = content.decode("utf-8").rstrip("\r\n")
         readable = all(character.isprintable() for character in text)
@@ -163,7 +163,7 @@ def key_from_bytes(content: bytes, where: str) -> Key:
         return Key(bytes.fromhex(text), raw=True)
     if not readable:
         expected = "a passphrase, 64 hexadecimal digits or 32 bytes are expected"
-        require(len(content) == KEY_BYTES, f"{where} holds {len(content)} bytes that are no text; {expected}.")
+        require(len(content) == KEY_BYTES, f"{where} holds {len(content)} bytes that are not text; {expected}.")
         return Key(content, raw=True)
     phrase = unicodedata.normalize("NFC", text)
     require(

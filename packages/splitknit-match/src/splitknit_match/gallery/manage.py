@@ -141,7 +141,7 @@ def export_gallery(
 def import_gallery(gallery: Path, folder: Path, *, key: Key | None = None, replace: bool = False) -> dict[str, Any]:
     """Put what was exported into a gallery (made where there is none), all or none; return facts.
 
-    Raises BadInput if the folder is no export, damaged or of another version, or its templates were made with other
+    Raises BadInput if the folder is not an export, damaged or of another version, or its templates were made with other
     settings than the gallery's.
     """
     about = _read_about(folder)
@@ -163,7 +163,7 @@ def _write(file: Path, data: bytes) -> None:
 
 def _read_about(folder: Path) -> dict[str, Any]:
     file = folder / FACTS_FILE
-    require(file.is_file(), f"'{folder}' is no export of a gallery: it holds no {FACTS_FILE}.")
+    require(file.is_file(), f"'{folder}' is not an export of a gallery: it holds no {FACTS_FILE}.")
     document, _ = read_json(file)
     fields = Fields(document, str(file))
     sound = fields.text("format") == _FORMAT and re.fullmatch("[0-9a-f]{64}", fields.text("settings_sha256"))

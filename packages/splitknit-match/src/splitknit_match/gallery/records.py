@@ -109,10 +109,10 @@ def export_records(settings: ExportJob, progress: Progress = no_progress) -> dic
     key = key_of(path(settings.key_file))
     fingers = f"choose one of {', '.join(FINGER_CODES)}."
     known = settings.finger is None or settings.finger in FINGER_CODES
-    require(known, f"'{settings.finger}' is no finger; {fingers}")
+    require(known, f"'{settings.finger}' is not a finger; {fingers}")
     require(
         settings.impression is None or settings.impression in IMPRESSIONS,
-        f"'{settings.impression}' is no impression type; choose one of {', '.join(IMPRESSIONS)}.",
+        f"'{settings.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.",
     )
     require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")
     for source in sources:
@@ -204,7 +204,7 @@ def _of_surface(source: Path, name: str, settings: ExportJob, hashes: dict[str, 
     known = not source.is_dir() or any((source / one).is_file() for one in ("capture.json", "height.npz"))
     require(
         known,
-        f"'{source}' is no capture (capture.json), result (height.npz) or print (print.png); name one "
+        f"'{source}' is not a capture (capture.json), result (height.npz) or print (print.png); name one "
         f"{photographs_hint(source)}.",
     )
     taken = read_source(source, photo=False, surface=True, preset=settings.preset)

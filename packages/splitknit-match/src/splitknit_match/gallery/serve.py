@@ -138,11 +138,11 @@ def _asked(name: str, body: bytes) -> dict[str, Any]:
     try:
         given = json.loads(body)
     except (ValueError, RecursionError) as error:
-        raise BadInput("the request is no JSON document.") from error
+        raise BadInput("the request is not a JSON document.") from error
     if not isinstance(given, dict):
         raise BadInput("the request must be a JSON object.")
     for key, value in given.items():
-        require(key in fields, f"'{key[:40]}' is no field of {name}; it has {', '.join(fields)}.")
+        require(key in fields, f"'{key[:40]}' is not a field of {name}; it has {', '.join(fields)}.")
         kind = fields[key][0]
         sound = isinstance(value, int | float if kind is float else kind) and not isinstance(value, bool)
         require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")

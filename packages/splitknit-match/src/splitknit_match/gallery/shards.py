@@ -211,7 +211,7 @@ def _read_header(file: Path) -> dict[str, Any]:
 
     Raises BadInput if it is none, damaged, cut off, or of another version; nothing is mapped then.
     """
-    wrong = f"'{file}' is no shard of codes, or damaged; make it anew with 'splitknit gallery index' and `shards`."
+    wrong = f"'{file}' is not a shard of codes, or damaged; make it anew with 'splitknit gallery index' and `shards`."
     with open_file(file, _LARGEST) as (stream, size):
         head = stream.read(_HEADER)
     with refusing(wrong):

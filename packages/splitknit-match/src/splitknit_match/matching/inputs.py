@@ -97,7 +97,7 @@ Held = Reconstruction | Capture | Pixels | bytes
 
 
 def held(given: Any, resolution_ppi: float | None = None) -> Path | Held:
-    """A finger as a caller gives it: a path, what is no file, or the pixels (H, W) of a print, of a known resolution.
+    """A finger as a caller gives it: a path, other objects, or the pixels (H, W) of a print, of a known resolution.
 
     Raises BadInput if it is nothing of these, or pixels come without their resolution.
     """
@@ -139,7 +139,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
     though `where` chooses.
     """
     if where is not None and where.given:
-        name = f"'{given}'" if isinstance(given, Path) else "what is no file"
+        name = f"'{given}'" if isinstance(given, Path) else "what is not a file"
         require(is_photo(given), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
     if not isinstance(given, Path):
         return _held_side(given, preset, settings, progress)
@@ -198,7 +198,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 
 
 def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: Progress) -> Side:
-    """A side that is no file."""
+    """A side that is not a file."""
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
         surface = surface_of(result)

@@ -104,7 +104,7 @@ class MakeTemplateJob(Job):
     Raises
     ------
     BadInput
-        If the finger cannot be read, or `template` names a file that is no template.
+        If the finger cannot be read, or `template` names a file that is not a template.
     """
 
     a: Annotated[Finger, Help(FINGER, "A", positional=True, takes=TAKES)]

@@ -560,7 +560,7 @@ def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
 
 
 def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
-    """Compare by voted minutiae. Raises BadInput if a side is no capture, or nbis-py is not installed."""
+    """Compare by voted minutiae. Raises BadInput if a side is not a capture, or nbis-py is not installed."""
     for side in (a, b):
         if side.kind != "capture":
             raise BadInput(

@@ -52,7 +52,7 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)
     area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, _disc(closed))
-    area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is no print
+    area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is not print
     return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, _disc(opened))[1:-1, 1:-1] > 0)
 
 

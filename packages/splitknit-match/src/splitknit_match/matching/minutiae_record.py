@@ -53,7 +53,7 @@ class Packing:
         head, name = self.head, self.name
         require(
             len(data) > head.size and data[:4] == self.magic,
-            f"these {len(data)} bytes are no packed {name} (they begin with '{self.magic.decode('ascii')}'); "
+            f"these {len(data)} bytes are not a packed {name} (they begin with '{self.magic.decode('ascii')}'); "
             f"{self.remedy}",
         )
         _, version, *sizes, sum_ = head.unpack_from(data)

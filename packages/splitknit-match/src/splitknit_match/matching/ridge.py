@@ -410,7 +410,7 @@ def every_pose(a: Prepared, b: Prepared) -> list[Affine]:
     rows, columns = (cv2.getOptimalDFTSize(turned.shape[2] + side) for side in still.shape[1:])
     size = rows, columns
     target = spectrum_of(still, size).conj()
-    # both grids have their middles at (side - 1) / 2: where the middles fall together is no shift
+    # both grids have their middles at (side - 1) / 2: where the middles fall together is not a shift
     offset = np.array([(s - t) / 2 for s, t in zip(still.shape[:0:-1], turned.shape[:1:-1], strict=True)])
     scale = np.float32((size[0] * size[1]) ** 0.5)
     found, root = [], np.ones(size, dtype=np.float32)

@@ -28,7 +28,7 @@ from splitknit import (
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
-"""Pixels and surfaces beyond these are no finger's, and need grids and windows that fill the memory."""
+"""Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
 _LARGEST_PX = 8_000_000
 """Largest ridge band with its margins, 280 x 280 mm; it takes 100 bytes a pixel."""
 
@@ -46,7 +46,7 @@ class RidgeBandSettings(Checked):
     window_mm: Annotated[float, Limits(0, above=True)] = 0.6
     """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
     floor: Annotated[float, Limits(0, 1)] = 0.3
-    """Contrast below this fraction of the finger's median is not raised further; half of it is no ridge at all."""
+    """Contrast below this fraction of the finger's median is not raised further; half of it is not a ridge at all."""
     coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
     """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
     slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0
@@ -112,7 +112,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
         deep = field is not None and bool((np.abs(field[mask]) > _LONGEST_MM).any())
-        require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are no finger's.")
+        require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
     transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
     size = mask.shape if upright_size is None else upright_size
     require(
@@ -171,7 +171,7 @@ def print_band(
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
     `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there are ridges, by
-    default wherever there is contrast; without any, nothing is valid. Raises BadInput if it is no grey image or the
+    default wherever there is contrast; without any, nothing is valid. Raises BadInput if it is not a grey image or the
     resolution is not positive.
     """
     settings = settings or RidgeBandSettings()

@@ -144,7 +144,7 @@ def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: f
 
 def read_own_rates(path: Path) -> OwnRates:
     """Read what ``evaluate --calibrate`` wrote. Raises BadInput if it is something else."""
-    wrong = f"'{path}' is no file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
+    wrong = f"'{path}' is not a file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
     document, _ = read_json(path)
     require(isinstance(document, dict) and document.get("format") == DECISION_FORMAT, wrong)
     require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")

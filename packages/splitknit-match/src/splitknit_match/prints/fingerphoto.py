@@ -228,7 +228,7 @@ def _mean_shape(inside: BoolArray, upright: Upright) -> FloatArray:
 def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px: float) -> tuple[float, str]:
     """Pixels a millimetre by which width and ridges are as usual as they can be together, and how well it is known.
 
-    Raises BadInput where both together are no finger's. `field`: ridges of the unrolled print at the scale `by_width`,
+    Raises BadInput where both do not fit a finger. `field`: ridges of the unrolled print at the scale `by_width`,
     by which the width alone is usual; `clear`: (n, m) where they count.
     """
     back = (np.arange(len(clear)) + 0.5) * field.step_px * (25.4 / PPI / USUAL_WIDTH_MM)
@@ -237,7 +237,7 @@ def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px:
     by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
     require(
         abs(np.log(by_ridges / by_width)) < 3.0 * np.hypot(PEOPLE, _PEOPLE_WIDTH),
-        "what was found is no finger, or its scale is unusual: its lines are too far apart or too close for its width; "
+        "what was found is not a finger, or its scale is wrong: its lines are too far apart or close for its width; "
         "mark the finger by `box` or `mask`, or give the scale of the photograph.",
     )
     weight = PEOPLE**-2 / (PEOPLE**-2 + _PEOPLE_WIDTH**-2)

@@ -128,7 +128,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi)
         timings["quality"] = time.perf_counter() - clock
-        advised = method not in ("file", "specular")  # nobody captures a file again; flanks that shine are no edges
+        advised = method not in ("file", "specular")  # nobody captures a file again; flanks that shine are not edges
         facts["quality"] = _quality_facts(quality, _nfiq2_of(pictures, ppi), source.quality, advised=advised)
         found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
         facts["minutiae"] = {"written": False, "missing": where}

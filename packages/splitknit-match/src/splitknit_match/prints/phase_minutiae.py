@@ -59,7 +59,7 @@ def by_phase(
     turns, quadratures = _turns(ridges, along, wave_number)
     rows, columns = np.nonzero(np.abs(turns) > 0.5)
     place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(ridges, quadratures, rows, columns)
-    inside = np.pad(enhanced.mask.astype(np.uint8), 1)  # beyond the picture is no print
+    inside = np.pad(enhanced.mask.astype(np.uint8), 1)  # beyond the picture is not print
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:

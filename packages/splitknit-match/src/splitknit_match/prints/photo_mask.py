@@ -368,7 +368,7 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     blocks = np.stack([light[i : i + _BLOCK, j : j + _BLOCK] for i, j in places])
     blocks -= blocks.mean(axis=(1, 2), keepdims=True)
     ramp = np.arange(_BLOCK, dtype=np.float32) - (_BLOCK - 1) / 2
-    for slope in (ramp[:, None], ramp):  # shading is no detail
+    for slope in (ramp[:, None], ramp):  # shading is not detail
         blocks -= (blocks * slope).sum(axis=(1, 2), keepdims=True) / (_BLOCK * (ramp**2).sum()) * slope
     if np.median(blocks.std(axis=(1, 2))) > _MOST:
         return None

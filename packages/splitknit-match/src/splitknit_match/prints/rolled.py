@@ -41,7 +41,7 @@ SIDE_MM, TIP_MM = 14.0, 0.0
 def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Progress) -> tuple[Source, Rolled]:
     """A capture folder as one finger around its front.
 
-    Raises BadInput if it is no capture, has no mirrors beside the finger, or fewer than two of its views can be used.
+    Raises BadInput if it is not a capture, has no mirrors beside the finger, or fewer than two views can be used.
     """
     from splitknit import preset_settings
     from splitknit_match.rolled.finger import rolled_finger

@@ -79,7 +79,7 @@ def encode_finger_images(
     246
     """
     require(1 <= len(prints) <= 255, f"a finger image record holds 1 to 255 images, not {len(prints)}.")
-    require(compression in WRITTEN, f"'{compression}' is no compression; choose one of {', '.join(WRITTEN)}.")
+    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
     ppi = round(prints[0].resolution_ppi or 0)
     same = all(one.resolution_ppi is not None and abs(one.resolution_ppi / ppi - 1) < 0.01 for one in prints)
     require(
@@ -118,10 +118,10 @@ def encode_finger_images(
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
 
-    Raises BadInput, with `name`, if `data` is no such record, truncated or damaged, claims more than 64 million pixels,
+    Raises BadInput, with `name`, if `data` is another file, truncated or damaged, claims more than 64 million pixels,
     or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
     """
-    require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
+    require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
     if data[4:8] == _V2011:
         return _read_2011(Cursor(data, name, 8))
     require(

@@ -83,7 +83,7 @@ _TOLD_APART_BYTES = 14
 
 
 def standard_of(data: bytes) -> str | None:
-    """Return the standard of a minutiae record, by its header alone; None if it is no such record. `data`: the file, or
+    """Return the standard of a minutiae record, by its header alone; None if it is another file. `data`: the file, or
     its first bytes. ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB,
     in six), in the same place. The length that fits the file decides; if none does, the one that is possible.
 

@@ -64,7 +64,7 @@ def encode_finger_image_block(
     resolution, its impression type has no code here, or the package `asn1tools` is not installed.
     """
     require(len(prints) > 0, "a finger image block holds one image at least.")
-    require(compression in WRITTEN, f"'{compression}' is no compression; choose one of {', '.join(WRITTEN)}.")
+    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
     blocks = []
     for one in prints:
         ppi = one.resolution_ppi or 0.0
@@ -93,7 +93,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
     Raises BadInput, with `name`, if it is none, truncated or damaged, claims more than 64 million pixels, or an image
     is not 8-bit grey or states no resolution.
     """
-    damaged = f"{name} is no finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged; copy it again."
+    damaged = f"{name} is not a finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged; copy it again."
     require(data[:1] == TAG, damaged)
     codec = _codec("ber")
     with refusing(damaged):
@@ -129,7 +129,7 @@ def _image(data: bytes, code: int, left: int, name: str) -> NDArray[np.uint8]:
     if code == _FORMATS["none"]:
         head = _PGM.match(data)
         if head is None:
-            raise BadInput(f"{name} is no 8-bit PGM image; convert it.")
+            raise BadInput(f"{name} is not an 8-bit PGM image; convert it.")
         columns, rows = int(head[1]), int(head[2])
         require(rows * columns <= left, too_large)
         body = data[head.end() :]

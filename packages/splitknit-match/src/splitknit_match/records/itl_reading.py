@@ -38,7 +38,7 @@ MAX_PRINTS = 98
 _DATES = {14: "FCD", 13: "LCD", 15: "PCD"}
 """Types of records that hold one picture, and the names of their dates of capture."""
 MIN_PPI, MAX_PPI = 490.0, 5080.0
-"""A print below the class of 500 ppi is no exemplar."""
+"""A print below the class of 500 ppi is not an exemplar."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,8 @@ def encode_transaction(prints: Sequence[PrintFile], facts: TransactionFacts, com
     installed.
     """
     require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
-    require(compression in COMPRESSIONS, f"'{compression}' is no compression; choose one of {', '.join(COMPRESSIONS)}.")
+    known = ", ".join(COMPRESSIONS)
+    require(compression in COMPRESSIONS, f"'{compression}' is not a compression method; choose one of {known}.")
     nistitl = _itl_package()
     date = facts.date.strftime("%Y%m%d")
     message = nistitl.Message()
@@ -104,7 +105,7 @@ def _record(nistitl: Any, item: PrintFile, compression: str, number: int, source
     impression = standard_code(item.impression, ITL_IMPRESSIONS, "impression type")
     require(
         item.impression in ("other", "unknown") or palm == (item.impression in PALM_IMPRESSIONS),
-        f"'{item.impression}' is no impression type of '{item.finger}'; name that of a {'palm' if palm else 'finger'}.",
+        f"'{item.impression}' is not an impression type of '{item.finger}'; name a {'palm' if palm else 'finger'}'s.",
     )
     (rows, columns), record = item.image.shape, nistitl.AsciiRecord(kind)
     fields = {"IDC": number, "SRC": source[0], _DATES[kind]: source[1], "IMP": impression, "HLL": columns, "VLL": rows}
@@ -150,8 +151,8 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
     """Read the prints of a transaction: records of Type-14, Type-4 with a single finger, Type-13 and Type-15; of
     these two, what cannot be read is passed over where there are others.
 
-    Raises BadInput, with `name`, if `data` is no transaction in the traditional encoding, truncated or damaged, holds
-    no print, or one that is not 8-bit grey or not compressed by ``NONE``, ``WSQ20``, ``PNG``, ``JP2`` or ``JP2L``.
+    Raises BadInput, with `name`, if `data` is not a transaction in the traditional encoding, is damaged, holds no
+    print, or one that is not 8-bit grey or not compressed by ``NONE``, ``WSQ20``, ``PNG``, ``JP2`` or ``JP2L``.
     """
     _check_frame(data, name)
     nistitl = _itl_package()
@@ -215,7 +216,7 @@ def _check_frame(data: bytes, name: str) -> None:
         found = _START.match(data, place)
         if found is None and place == 0:
             raise BadInput(
-                f"{name} is no ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name another file."
+                f"{name} is not an ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name another file."
             )
         if count < len(kinds) and kinds[count] in [b"%d" % kind for kind in _BINARY]:
             length = int.from_bytes(data[place : place + 4], "big")

@@ -68,7 +68,7 @@ class Minutiae3D:
             f"minutiae in space must be lists of one length, but they have the shapes {shapes}.",
         )
         require(len(self.x_mm) <= _MAX, f"a finger has no {len(self.x_mm)} minutiae (at most {_MAX} are taken).")
-        require(self.finger in FINGER_CODES, f"'{self.finger}' is no finger; choose one of {', '.join(FINGER_CODES)}.")
+        require(self.finger in FINGER_CODES, f"'{self.finger}' is not a finger; choose {', '.join(FINGER_CODES)}.")
         limits = {"theta_rad": (0.0, 2 * np.pi), "phi_rad": (-np.pi / 2, np.pi / 2)}
         for name in _NUMBERS:
             low, high = limits.get(name, (-_LARGEST_MM, _LARGEST_MM))

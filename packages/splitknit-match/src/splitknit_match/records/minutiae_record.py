@@ -173,10 +173,10 @@ class FingerView:
             all(0 < pixels <= 65535 for pixels in self.resolution_ppcm),
             f"the resolution must lie between 1 and 65535 pixels per cm, but it is {self.resolution_ppcm}.",
         )
-        require(self.finger in FINGER_CODES, f"'{self.finger}' is no finger; choose one of {', '.join(FINGER_CODES)}.")
+        require(self.finger in FINGER_CODES, f"'{self.finger}' is not a finger; choose {', '.join(FINGER_CODES)}.")
         require(
             self.impression in IMPRESSIONS,
-            f"'{self.impression}' is no impression type; choose one of {', '.join(IMPRESSIONS)}.",
+            f"'{self.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.",
         )
         require(0 <= self.view <= 15, f"views are numbered from 0 to 15, but this one is {self.view}.")
         require(len(self.extended) <= 65535, f"{len(self.extended)} bytes of extended data are more than 65535.")

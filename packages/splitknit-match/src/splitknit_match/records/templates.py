@@ -2,7 +2,7 @@
 
 Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed), version (uint16), two
 bytes of zero, size of the payload (uint32), SHA-256 of the payload (32 bytes). A file of zero bytes is a finger that
-could not be acquired, and is no error.
+could not be acquired, and is not an error.
 """
 
 from __future__ import annotations

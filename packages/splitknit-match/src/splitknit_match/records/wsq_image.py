@@ -76,7 +76,7 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
 
 def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     """Decompress a print, the whole file `data`, with the comment's resolution, None if there is none; `name`: for
-    messages. Raises BadInput if it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
+    messages. Raises BadInput if it is not a WSQ file, truncated or damaged, or the package `wsq` is not installed.
     """
     rows, columns, ppi = _wsq_header(data, name)
     decoded = _run("decode", rows * columns, data)
@@ -129,10 +129,9 @@ _MAX_PIXELS = 25_000_000
 
 def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
     """Walk all segments of a WSQ file to its end marker; rows, columns, and the resolution in ppi if the comment
-    (NIST_COM) states it. Raises BadInput if it is no WSQ file, ends early, is damaged, or claims more than 25 million
-    pixels.
+    (NIST_COM) states it. Raises BadInput if it is not a WSQ file, is damaged, or claims more than 25 million pixels.
     """
-    require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (it begins with FF A0); name another file.")
+    require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (they begin with FF A0); name another file.")
     truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."
     damaged = f"{name} is damaged: a marker of the WSQ file is missing; copy it again."
     size: tuple[int, int] | None = None

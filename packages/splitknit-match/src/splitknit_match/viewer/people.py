@@ -20,7 +20,7 @@ class People:
     """The rows of a gallery, read when it is opened; templates are read one by one."""
 
     def __init__(self, path: Path, key: Key | None = None) -> None:
-        """Raises BadInput if it is no gallery, damaged, or the key is missing or wrong."""
+        """Raises BadInput if it is not a gallery, damaged, or the key is missing or wrong."""
         self._path, self._key = path, key
         self._lock = threading.Lock()
         with Gallery.open(path, key) as gallery:

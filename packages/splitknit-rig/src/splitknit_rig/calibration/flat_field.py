@@ -19,7 +19,7 @@ from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, Card
 
 # Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
 #
-# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is no dust but that LED,
+# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is not dust but that LED,
 # and must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
 
 _STEPS, _STAGES = 30, 10

@@ -56,7 +56,7 @@ def name_of_led(band: str, led: int) -> str:
 
 def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
     """Read the rows of a table in CSV, in the order white before NIR, LED, nail; ``#`` starts a comment. Raises
-    BadInput naming the line: a column is missing, something is no number, a band or LED is not known, or a row comes
+    BadInput naming the line: a column is missing, something is not a number, a band or LED is not known, or a row comes
     twice.
     """
     lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
@@ -120,7 +120,7 @@ def _tip(line: str, header: Sequence[str], where: str) -> Tip:
 
 def _cells(line: str, where: str) -> list[str]:
     with refusing(
-        f"{where} is no line of a CSV table."
+        f"{where} is not a line of a CSV table."
     ):  # such as one of a hundred thousand characters without a comma
         return [cell.strip() for cell in next(csv.reader([line]))]
 

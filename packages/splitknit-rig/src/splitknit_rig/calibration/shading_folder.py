@@ -176,7 +176,7 @@ _TITLE = "Calibration of shading"
 
 
 def check_page(page: Path) -> None:
-    """Refuse to replace a file that is no page of this kind. Raises BadInput."""
+    """Refuse to replace a file that is not a page of this kind. Raises BadInput."""
     check_file(page, "a page of a calibration of shading", lambda data: f"<title>{_TITLE}</title>".encode() in data)
 
 

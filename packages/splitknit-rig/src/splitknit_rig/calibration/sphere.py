@@ -2,7 +2,7 @@
 
 Directions point from the ball's middle to the light, x right, y up, z to the camera. Without a scale the view is taken
 as parallel (along z) and the light as distant. With it `eye` (3,) is the camera's centre, and `away` (L,) the distances
-of the lights as drawn, both from the ball's middle, in radii of the ball: then nearness is no error.
+of the lights as drawn, both from the ball's middle, in radii of the ball: then nearness is not an error.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def ball_of_mask(mask: Any) -> Ball:
     ball, off = _ball_in(inside, "the ball's mask is too small; it must be white where the ball is.")
     require(
         float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
-        "the ball's mask is no disc; it must be white where the whole ball is and black elsewhere.",
+        "the ball's mask is not a disc; it must be white where the whole ball is and black elsewhere.",
     )
     return ball
 

@@ -102,7 +102,7 @@ def _colours(file: Path) -> PixelArray:
 def _open_film(path: Path, encoding: str) -> FrameSource:
     film = cv2.VideoCapture(str(path))
     good, first = film.read()
-    require(bool(good), f"'{path}' is no film that can be read; frames as PNG files in a folder will do.")
+    require(bool(good), f"'{path}' is not a film that can be read; frames as PNG files in a folder will do.")
     rate = film.get(cv2.CAP_PROP_FPS)
 
     def play(picture: Any) -> Iterator[PixelArray]:
@@ -243,7 +243,7 @@ _GRAIN_PX = 2.0
 """Standard deviation of the blur of a flat frame: its noise, and a coat's grain and dust, which move with the gel."""
 _EDGE = 0.04
 """Width of the strip along the frame's border whose median height is zero, as a fraction of the frame's sides."""
-_SLOW_MM = 0.5  # standard deviation of the mean that is no relief in a result
+_SLOW_MM = 0.5  # standard deviation of the mean that is not relief in a result
 _SAME_SHAPE = 0.01  # by which the ratio of a frame's sides may differ from the calibration's
 
 

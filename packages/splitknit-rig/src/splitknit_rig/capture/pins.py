@@ -29,7 +29,7 @@ SECOND_PINS = (9, 10, 11, 14, 15, 5, 6)
 """BCM lines of a second LED board, for side lights or for white LEDs with crossed film (header pins 21, 19, 23, 8, 10,
 29, 31): SPI, UART, and two that are pulled up and need a stronger pull-down. SPI and the serial console must be off."""
 SERVO_PIN = 4
-"""BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is no pulse to a servo."""
+"""BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is not a pulse to a servo."""
 PULSES_MS = (2.0, 1.0)
 """Pulses of the servo, parallel and crossed: a quarter turn to the left from above, where the shaft points down."""
 PULLED_UP = range(9)  # lines that are pulled up until a program takes them

@@ -110,7 +110,7 @@ class CaptureJob(Job):
         )
         if self.subject is not None:
             check_subject_id(self.subject)
-        words = f"'{self.finger}' is no finger; fingers are {', '.join(FINGERS)}."
+        words = f"'{self.finger}' is not a finger; fingers are {', '.join(FINGERS)}."
         require(self.finger is None or self.finger in FINGERS, words)
         require(self.session is None or self.session >= 1, "sessions are numbered from 1.")
         if self.enrolment is None:

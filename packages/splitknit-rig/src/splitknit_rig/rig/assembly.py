@@ -80,7 +80,7 @@ SIDE_KIND = PartKind("side_lamp", "Lamp of a side light", remedy="Its slit is fo
 
 
 def kinds_of(dimensions: RigDimensions) -> tuple[PartKind, ...]:
-    """Kinds of parts that are drawn; an analyser that does not turn is no part of its own."""
+    """Kinds of parts that are drawn; an analyser that does not turn is not a part of its own."""
     films, lamps = dimensions.films, len(dimensions.sides)
     kinds = [k for k in FILM_KINDS if films is not None and (k.name != "analyser" or films.kind != "neighbours")]
     return (*KINDS, *kinds, *([replace(SIDE_KIND, quantity=lamps)] if lamps else ()))

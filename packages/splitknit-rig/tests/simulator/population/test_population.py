@@ -221,7 +221,7 @@ def test_a_capture_follows_from_its_place_alone():
 
 
 def test_what_does_not_exist_is_refused():
-    with pytest.raises(BadInput, match="'left_toe' is no finger"):
+    with pytest.raises(BadInput, match="'left_toe' is not a finger"):
         population_capture(SMALL, SMALL.person(1), "left_toe", 1)
     with pytest.raises(BadInput, match="numbered from 1"):
         draw_person(0, 0)

@@ -292,7 +292,7 @@ def master_of_print(
     u_mm, v_mm = _fine_axes(settings)
     require(
         0 < rows <= v_mm.size and 0 < columns <= u_mm.size,
-        f"a print of {0.1 * settings.pitch_mm * columns:.3g} x {0.1 * settings.pitch_mm * rows:.3g} cm is no finger's; "
+        f"a print of {0.1 * settings.pitch_mm * columns:.3g} x {0.1 * settings.pitch_mm * rows:.3g} cm is too large; "
         "check its resolution.",
     )
     how = cv2.INTER_AREA if step > 1 else cv2.INTER_CUBIC

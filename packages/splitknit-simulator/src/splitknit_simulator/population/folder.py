@@ -306,7 +306,7 @@ def choose_prints(
 
 def _first_impressions(folder: Path) -> list[Path]:
     """One file of each real finger, by name."""
-    require(folder.is_dir(), f"'{folder}' is no folder of prints.")
+    require(folder.is_dir(), f"'{folder}' is not a folder of prints.")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     require(len(files) > 0, f"'{folder}' holds no prints (PNG, TIFF or JPEG).")
     firsts: dict[str, Path] = {}

@@ -213,7 +213,7 @@ def population_capture(
     settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
 ) -> _Shown:
     """Simulate one capture; `session` from 1, `master` of this finger where it was drawn already."""
-    require(finger in person.fingers, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
+    require(finger in person.fingers, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
     own = person.fingers[finger]
     rig = settings.rig()
     impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))

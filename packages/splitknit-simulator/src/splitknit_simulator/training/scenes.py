@@ -94,7 +94,7 @@ class SceneRanges(Checked):
     undulation_mm: Annotated[Range, Limits(0, 0.5)] = (0.0, 0.15)
     """Standard deviation of bumps and dents some 5 mm wide."""
     pigment: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)
-    """Standard deviation of the skin's brightness at the scale of ridges that is no relief."""
+    """Standard deviation of the skin's brightness at the scale of ridges that is not relief."""
     mottling: Annotated[Range, Limits(0, 1)] = (0.0, 0.2)
     """Standard deviation of the logarithm of green light under mottled blood, over 0.5 to 3 mm."""
     grain: Annotated[Range, Limits(0, 0.2)] = (0.0, 0.03)

@@ -204,7 +204,7 @@ def _through_patterns(surface: SimulatedSurface, led: Led, skin: SkinOptics, lig
     pattern = Checkerboard(light.check_mm, steps=5, alpha=0.5, dark=0.0)
     stack = checkerboard_stack(surface, led, skin, pattern).transpose(0, 2, 3, 1)
     mask = surface.mask[light.window]
-    # radiance in the rig's units knows no clipping; the black outside the mask is no fault
+    # radiance in the rig's units knows no clipping; the black outside the mask is not a fault
     unbounded = StackSettings(clip_level=None)
     made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, settings=unbounded)
     direct = np.where(mask, made.direct.transpose(2, 0, 1), np.float32(0.0))

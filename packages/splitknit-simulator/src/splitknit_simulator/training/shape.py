@@ -234,7 +234,7 @@ def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, A
 
 
 def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`_judged`, without last rows and columns where the sides are no multiples of `stride`."""
+    """Figures of :func:`_judged`, without last rows and columns where the sides are not multiples of `stride`."""
     rows, columns = (length // stride * stride for length in sample.shape[1:])
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
     return _judged(run(seen[:FIELDS]), seen)

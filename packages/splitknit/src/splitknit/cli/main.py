@@ -136,7 +136,7 @@ def _say(text: str, code: int) -> int:
         print(text, end="", flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):  # `splitknit ... | head` is no error
+        if not isinstance(error, BrokenPipeError):  # `splitknit ... | head` is not an error
             reason = "what was to be written to files or changed in them is done"
             print(f"splitknit: error: stdout cannot be written: {error.strerror}; {reason}.", file=sys.stderr)
             return BAD_INPUT

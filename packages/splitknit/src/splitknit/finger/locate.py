@@ -113,7 +113,7 @@ def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Captur
 def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
-    An opaque thing is no finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
+    An opaque thing is not a finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
     capture gives a `tip_direction_deg`. Raises BadInput if there is no finger, or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm

@@ -188,13 +188,13 @@ _SPECK_MM = 1.0
 _EDGE_MARGIN_MM = 1.0
 """Width of the zone along the outline that counts neither as finger nor as background while either is measured."""
 _MIN_WIDTH_MM = 4.0
-"""A region nowhere as wide as this is no finger."""
+"""A region nowhere as wide as this is not a finger."""
 _BRIGHT = 0.1
 """A background at least this bright against the brightest of the image may be darker than skin in some places only."""
 _COLOURED = 0.3
 """A bright background whose channels differ by more than this fraction is distinguished by its colour."""
 _MIN_STEP = 0.15
-"""A region across whose outline neither brightness nor colour changes by this fraction is no finger."""
+"""A region across whose outline neither brightness nor colour changes by this fraction is not a finger."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -178,7 +178,7 @@ def _register(
 
 
 def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What of the shifts (L, 2) is no linear function of the light's place (L, 2): least absolute deviations."""
+    """What of the shifts (L, 2) is not a linear function of the light's place (L, 2): least absolute deviations."""
     place = light - light.mean(axis=0)
     place = place / max(float(np.abs(place).max()), 1e-9)
     design = np.concatenate([place, np.ones((len(place), 1))], axis=1)

@@ -136,7 +136,7 @@ def _found(mask: BoolArray) -> tuple[float, bool]:
 def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
     """How well a finger that points in each direction covers the mask: pairs of direction (rad, counter-clockwise from
     up) and area by which they differ (squared widths). The finger is a strip of the mask's width with one round end;
-    only what the image shows of it is compared, so that a cut by the border, at whatever slant, is no evidence.
+    only what the image shows of it is compared, so that a cut by the border, at whatever slant, is not evidence.
     """
     scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale) > 0.5
@@ -177,7 +177,7 @@ def _difference(across: NDArray[np.float64], down: NDArray[np.float64], inside: 
 
 
 def as_it_lies(mask: BoolArray) -> Upright:
-    """The frame of a thing that is no finger, not turned."""
+    """The frame of a thing that is not a finger, not turned."""
     return replace(_frame(mask, 0.0), reliable=True, clear=True)
 
 

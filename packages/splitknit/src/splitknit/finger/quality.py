@@ -347,7 +347,7 @@ def photometric_mask(
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
     good = fill_holes(inside & (count >= least), _PINHOLE_MM2 * px_per_mm**2)
-    # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is no surface
+    # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is not a surface
     good = largest_component(good & inside)
     dark = f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the exposure."
     require(bool(erode(good, 2.0).any()), dark)

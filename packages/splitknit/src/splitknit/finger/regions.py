@@ -110,7 +110,7 @@ def largest_component(mask: BoolArray) -> BoolArray:
 
 
 def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
-    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is no hole."""
+    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is not a hole."""
     if not mask.any():
         return mask
     box = bounding_box(mask, 1)

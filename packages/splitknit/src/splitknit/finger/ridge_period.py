@@ -82,7 +82,7 @@ def scale_of_ridges(
     normals: FloatArray, mask: BoolArray, px_per_mm: float | None, period_mm: float
 ) -> tuple[float, str]:
     """Pixels a millimetre at which ridges lie `period_mm` apart, and how well known. BadInput if `px_per_mm` is given
-    too, `period_mm` is no distance of ridges, or none are found.
+    too, `period_mm` is not a distance of ridges, or none are found.
     """
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")

@@ -318,7 +318,7 @@ def _worth_undoing(registered: _Registered, seen_mm: float) -> bool:
 
 
 _SWITCH = (
-    ", or leave the images as they are with `settings` motion.correct=off (what is no finger is imported with "
+    ", or leave the images as they are with `settings` motion.correct=off (what is not a finger is imported with "
     "`material` opaque)"
 )
 

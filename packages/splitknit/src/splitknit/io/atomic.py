@@ -336,7 +336,7 @@ def _write_manifest(folder: Path) -> None:
 
 
 def manifest_of(folder: Path) -> frozenset[str]:
-    """The files that we wrote into a folder; none where it was not written whole, or its list is no plain file."""
+    """The files that we wrote into a folder; none where it was not written whole, or its list is not a plain file."""
     try:
         document = json.loads(b"" if (folder / MANIFEST).is_symlink() else read_bytes(folder / MANIFEST, _MAX_MANIFEST))
         if document["format"] != "splitknit-folder":

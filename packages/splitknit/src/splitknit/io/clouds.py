@@ -63,7 +63,7 @@ def read_cloud(path: str | os.PathLike[str], unit: str | None = None) -> Cloud:
     (412345, 3)
     """
     name, suffix = os.fspath(path), Path(path).suffix.lower()
-    require(suffix in CLOUDS, f"{name} is no point cloud; its suffix must be one of {', '.join(CLOUDS)}.")
+    require(suffix in CLOUDS, f"{name} is not a point cloud; its suffix must be one of {', '.join(CLOUDS)}.")
     if suffix in (".x3p", ".tmd"):
         require(unit is None, f"{name} states its unit itself; leave `unit` out.")
         height_mm, steps_mm = read_x3p(path) if suffix == ".x3p" else read_tmd(path)
@@ -73,7 +73,7 @@ def read_cloud(path: str | os.PathLike[str], unit: str | None = None) -> Cloud:
     damaged = f"{name} cannot be read as {suffix[1:].upper()}: it is damaged or of another format; write it again."
     try:
         with open_file(path, _MAX_BYTES) as (stream, size), refusing(damaged), warnings.catch_warnings():
-            warnings.simplefilter("error")  # numpy's, of text that is no number
+            warnings.simplefilter("error")  # numpy's, of text that is not a number
             return _READERS[suffix](stream, size, UNITS_MM[unit or "mm"], damaged)
     except BadInput as error:  # a format's reader knows the stream alone
         raise error if name in str(error) else BadInput(f"{name}: {error}") from error
@@ -93,7 +93,7 @@ def _text(stream: BinaryIO, damaged: str, prefix: bytes = b"", count: int = MAX_
     while count > 0 and (block := stream.read(_BLOCK) or rest):
         whole = rest + block if block is not rest else rest + b"\n"
         end = whole.rfind(b"\n") + 1
-        require(end > 0 or len(whole) < 1 << 16, damaged)  # what has no lines is no text
+        require(end > 0 or len(whole) < 1 << 16, damaged)  # what has no lines is not text
         lines, rest = whole[:end], whole[end:]
         if prefix:
             stripped = (line.lstrip() for line in lines.splitlines(keepends=True))

@@ -19,13 +19,13 @@ _DARK_FRACTION = 0.01
 """Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits hold no shading."""
 _RELATIVE_DARK = 0.03
 """Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor of 3 at most."""
-_BRIGHT_QUANTILE = 0.999  # which pixels are "bright": all but the brightest thousandth; hot pixels are no light
+_BRIGHT_QUANTILE = 0.999  # which pixels are "bright": all but the brightest thousandth; hot pixels are not light
 _FULL_SCALE = 0.995  # stored values from here on are clipped (254 of 255; 10- and 12-bit data in 16 bits end above)
 _LIT_FRACTION = 0.02  # pixels above this (black level taken off) are lit: the finger, not its black background
 _SATURATED_FRACTION = 0.2
 """Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
 _SATURATED_AREA = 0.005
-"""It must be more than this part of the whole image too: a dark object with a small highlight is no overexposure."""
+"""It must be more than this part of the whole image too: a dark object with a small highlight is not overexposure."""
 _SAMPLE_PIXELS = 200_000
 """About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
 

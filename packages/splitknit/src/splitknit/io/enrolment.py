@@ -38,7 +38,7 @@ class _EnrolmentPlan:
         require(1 <= self.sessions <= 999, f"an enrolment has 1 to 999 sessions, not {self.sessions}.")
         require(len(self.fingers) > 0, "an enrolment needs at least one finger.")
         for finger in self.fingers:
-            require(finger in FINGERS, f"{finger[:60]!a} is no finger; fingers are {', '.join(FINGERS)}.")
+            require(finger in FINGERS, f"{finger[:60]!a} is not a finger; fingers are {', '.join(FINGERS)}.")
         require(len(set(self.fingers)) == len(self.fingers), "an enrolment names a finger twice.")
 
     @property
@@ -140,7 +140,7 @@ def plan_enrolment(
     if earlier is None and folder.exists():
         require(folder.is_dir(), f"'{folder}' is a file; name a folder for the enrolment.")
         empty = not any(folder.iterdir())
-        require(empty, f"'{folder}' is not empty and holds no {PLAN_FILE}: it is no enrolment; name another folder.")
+        require(empty, f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.")
     given = {"subjects": subjects, "sessions": sessions, "fingers": None if fingers is None else tuple(fingers)}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     wanted = replace(earlier or _EnrolmentPlan(), **changes)

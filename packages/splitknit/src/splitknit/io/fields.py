@@ -50,7 +50,7 @@ def parse_json(data: bytes, name: str) -> Any:
     except RecursionError:
         raise BadInput(f"{name} is nested too deeply to be one of our files; correct the file.") from None
     except UnicodeDecodeError as error:
-        raise BadInput(f"{name} is not valid JSON: it is no text in UTF-8 (byte {error.start}).") from error
+        raise BadInput(f"{name} is not valid JSON: it is not text in UTF-8 (byte {error.start}).") from error
     except ValueError as error:  # JSON, and integers of thousands of digits
         raise BadInput(f"{name} is not valid JSON: {error}.") from error
 
@@ -176,7 +176,7 @@ def _numbers(value: Any, counts: tuple[int, ...], limit: float) -> tuple[float, 
 
 
 def as_number(value: Any) -> float | None:
-    """Return `value` as a finite float, or None if it is no number; true and false are no numbers."""
+    """Return `value` as a finite float, or None if it is not a number; true and false are not numbers."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:

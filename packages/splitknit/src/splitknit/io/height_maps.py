@@ -102,7 +102,7 @@ def read_tmd(path: str | os.PathLike[str]) -> Grid:
     data = read_bytes(path, _MAX_BYTES)
     end = data.find(b"\0", len(_TMD), len(_TMD) + 257) + 1
     known = data[: len(_TMD) - 3] == _TMD[:-3] and 0 < end <= len(data) - 24
-    require(known, f"{name} is no TMD file of version 2; export it again.")
+    require(known, f"{name} is not a TMD file of version 2; export it again.")
     columns, rows, width, length, _, _ = struct.unpack_from("<IIffff", data, end)
     _check_size(name, (rows, columns))
     size = end + 24 + 4 * rows * columns
@@ -125,7 +125,7 @@ def _check_size(name: str, shape: tuple[int, ...]) -> None:
 
 
 def _step(name: str, step_mm: float) -> float:
-    require(1e-7 < step_mm < 1e3, f"{name}: its points lie {step_mm:g} mm apart, which is no step of a surface.")
+    require(1e-7 < step_mm < 1e3, f"{name}: its points lie {step_mm:g} mm apart, which is not a step of a surface.")
     return step_mm
 
 

@@ -56,7 +56,7 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
     keys = sorted(set[_Key]().union(*series))
     subjects, sessions = _numbers({key[0] for key in keys}), _numbers({key[1] for key in keys})
     known = tuple(one for one in FINGERS if one in map(_finger_of, (key[2] for key in keys)))
-    require(len(known) > 0, f"{keys[0][2]!a} is no finger that is known; right_index, R2 and 2 would be.")
+    require(len(known) > 0, f"{keys[0][2]!a} is not a known finger; right_index, R2 and 2 would be.")
     lights = [{number for one in found.values() for number in one} for found in series]
     complete: dict[PlannedCapture, tuple[Path, ...]] = {}
     faults, taken = [], dict[PlannedCapture, str]()
@@ -126,7 +126,7 @@ def _of_lights(name: str, pattern: str) -> str:
 
 
 def _finger_of(text: str) -> str | None:
-    """``right_index`` of what a folder calls it; None where it is no finger."""
+    """``right_index`` of what a folder calls it; None where it is not a finger."""
     match = re.fullmatch(rf"({_SIDE})?[ _.-]*({_DIGIT})(?:[ _.-]*finger)?[ _.-]*({_SIDE})?", text.lower())
     side, digit = ((match[1] or match[3] or "")[:1], match[2]) if match else ("", "")
     if digit.isdecimal():

@@ -191,7 +191,7 @@ def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
 def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     rows, columns = _webp_size(data, name)
     _checked(rows, columns, 4, name, room)
-    empty = f"{name} claims {rows} x {columns} pixels in {len(data)} bytes, which is no photograph; save it as PNG."
+    empty = f"{name} claims {rows} x {columns} pixels in {len(data)} bytes, which is not a photograph; save it as PNG."
     require(rows * columns <= _PIXELS_PER_BYTE * len(data), empty)
     with refusing(_UNREADABLE.format(name)):
         pixels = _plain(np.asarray(png.codecs().webp_decode(data)))
@@ -236,7 +236,7 @@ def _raw(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     except ImportError as error:
         raise BadInput(_EXTRA.format(f"{name} (camera RAW)")) from error
     with (
-        refusing(f"{name} is no RAW file that LibRaw reads; export it as linear TIFF."),
+        refusing(f"{name} is not a RAW file that LibRaw reads; export it as linear TIFF."),
         rawpy.imread(io.BytesIO(data)) as raw,
     ):
         sizes = raw.sizes

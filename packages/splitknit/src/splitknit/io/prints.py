@@ -95,7 +95,7 @@ def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8
     """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or above `max_pixels`."""
     start = data.find(b"\xff\x4f\xff\x51")  # the code stream begins with its sizes
     head = data[start + 8 : start + 43]
-    require(start >= 0 and len(head) == 35, f"{name} is no JPEG 2000 image, or truncated; copy it again.")
+    require(start >= 0 and len(head) == 35, f"{name} is not a JPEG 2000 image, or truncated; copy it again.")
     right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
     rows, columns = down - up, right - left
     require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")

@@ -47,7 +47,7 @@ def settings_hash(settings: Any) -> str:
 
 def canonical_json(value: Any) -> str:
     """ASCII JSON of `value` with sorted keys, no spaces, floats in their shortest exact form; dataclasses, mappings,
-    sequences, numpy and paths are converted. Raises BadInput for NaN or infinity, a key that is no string, or no JSON
+    sequences, numpy and paths are converted. Raises BadInput for NaN or infinity, keys other than strings, or no JSON
     form.
     """
     return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)

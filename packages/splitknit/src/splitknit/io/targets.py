@@ -74,12 +74,12 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
 
 
 def check_rig_file(out: Path | None) -> None:
-    """Refuse to replace a file that is no rig file; see :func:`check_file`."""
+    """Refuse to replace a file that is not a rig file; see :func:`check_file`."""
     check_file(out, "a rig file", form=RIG_FORMAT)
 
 
 def check_picture(out: Path | None, photographs: Path | None = None) -> None:
-    """Refuse to replace a file that is no PNG or TIFF picture, or is one of the photographs that are read."""
+    """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that are read."""
     picture = out is None or out.suffix.lower() in (".png", ".tif", ".tiff")
     require(picture, f"'{out}' must end in .png or .tif: it is a picture.")
     check_file(out, "a picture", lambda data: data.startswith((SIGNATURE, *SIGNATURES)))

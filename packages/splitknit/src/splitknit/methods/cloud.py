@@ -141,7 +141,7 @@ def _doubts_of_finger(found: _Surface) -> tuple[str, ...]:
     """Notes where a surface is oddly wide or deep for a finger's. Raises BadInput where no finger is so, or where its
     heights are rounded to more than ridges are high.
     """
-    remedy = "check the unit (`unit`); what is no finger is `material` opaque"
+    remedy = "check the unit (`unit`); what is not a finger is `material` opaque"
     heights = found.height_mm[found.mask]
     values = np.unique(heights)
     step_mm = float(np.median(np.diff(values))) if 1 < len(values) < len(heights) / 4 else 0.0
@@ -279,7 +279,7 @@ def _fitted(points: FloatArray, view: CloudView) -> _Surface:
     require(
         scatter <= _SCATTER_PITCHES * pitch,
         f"the points lie {scatter:.2g} mm (standard deviation) beside the surface through them, where they are "
-        f"{pitch:.2g} mm apart: that is no surface which the view sees once; check the view (`up`) and the export.",
+        f"{pitch:.2g} mm apart: that is not a surface which the view sees once; check the view (`up`) and the export.",
     )
     return _Surface("fitted", pitch, np.ascontiguousarray(height, dtype=np.float32), mask, scatter_mm=scatter)
 

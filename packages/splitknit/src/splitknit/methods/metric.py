@@ -329,7 +329,7 @@ def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
     some = found.relief_mm[images.grid.mask > 0.5]
     relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
     remedy = (
-        "give `material` opaque for what is no living skin (a cast, a render), else check `px_per_mm`, and take colour "
+        "give `material` opaque for what is not live skin (a cast, a render), else check `px_per_mm`, and take colour "
         "photographs, as grey ones leave glare in the relief"
     )
     return (*notes, *RELIEF.notes(relief_um, remedy))

@@ -324,7 +324,7 @@ def _doubt_of_lights(
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
     skin = capture.material == "skin"
     doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
-    if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
+    if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are not such lights
         every = max(1, max(capture.shape) // FRAME_SIDE)
         stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
         vectors = capture.rig.select(band.lights).light_vectors()

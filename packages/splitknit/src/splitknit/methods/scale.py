@@ -27,7 +27,7 @@ def with_scale(
 
     `px_per_mm`: pixels a millimetre on the object; `ridge_period_mm`: instead, the distance of the finger's ridges on
     the skin; 0.45 is usual, people differ by 8 % (standard deviation), and heights with the scale. Raises BadInput if
-    the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or no ridges are found.
+    the capture has a scale, both ways are given, a number is no scale or ridge period, or no ridges are found.
 
     Returns the capture with the scale (the same one where neither is given), and how the scale was found in the ridges
     and how well it is known, else an empty text.

@@ -244,7 +244,7 @@ def _onnxruntime() -> Any:
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
     """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W) float32.
 
-    One channel is repeated for a network that takes more. Sides that are no multiples of the stride are lengthened by
+    One channel is repeated for a network that takes more. Sides that are not multiples of the stride are lengthened by
     reflection at the lower and right borders, and the result is cut back; tiles overlap by the network's reach. `tile`:
     side in pixels of a square as large as what is worked on at once; the memory needed grows with its square, the
     result changes by rounding (about 1e-6). Raises BadInput if the images have the wrong number of channels, hold NaN,

@@ -43,7 +43,7 @@ _CONVEX, _WHOLLY_CONVEX = 0.4, 0.8
 """Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1 on objects and
 fingers, 0.07 on a field of balls."""
 _ONE_THING = 0.4
-"""Part of the slopes that a blur over an eighth of the object leaves, below which it is no single convex thing: 0.6 to
+"""Part of the slopes that a blur over an eighth of the object leaves, below which it is not one convex thing: 0.6 to
 0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
 HIGH_RESIDUAL = 0.2
 """Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to 0.15 on objects and
@@ -57,7 +57,7 @@ _BETTER, _BETTER_OF_FIVE = (0.8, 0.6), (0.4, 0.4)
 free, and of the photographs that change their light. Real objects with brightness wrong by 20 % or directions by 2 deg
 stay above."""
 _LESS = 0.9
-"""An order that leaves less than this part of the residual is no mere turn of the lights."""
+"""An order that leaves less than this part of the residual is not merely a turn of the lights."""
 _STRANGE = 0.7
 """A photograph does not belong to the others where without it less than this part of the residual is left that would be
 for one light less: at least 0.99 of it on simulated, path-traced and polarised fingers, 0.2 to 0.65 where a photograph

@@ -240,7 +240,7 @@ def read_shading(path: str | os.PathLike[str]) -> Shading:
     Raises BadInput if the file is missing, damaged, of another kind, or its arrays do not fit each other.
     """
     name = os.fspath(path)
-    damaged = f"{name} is no calibration of 'splitknit calibrate shading', or damaged; write it again."
+    damaged = f"{name} is not a calibration of 'splitknit calibrate shading', or damaged; write it again."
     arrays = read_npz(path, max_bytes=_MAX_BYTES)
     known = {one.name for one in fields(Shading)} | {"format", "version"}
     require(known <= set(arrays) and str(arrays["format"]) == FORMAT, damaged)

@@ -39,7 +39,7 @@ _CURLS, _CURL = 60.0, 0.05
 _RIVAL_DEG, _RIVAL = 10.0, 1.5
 """Other lights that explain the photographs nearly as well: they differ by so much, and cost less than so much more."""
 _GLOSSY = 0.2
-"""Standard deviation of the factor a that is no noise: a glazed bear comes out 1.23 times too deep."""
+"""Standard deviation of the factor a that is not noise: a glazed bear comes out 1.23 times too deep."""
 _RANK = 2.0
 """Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of copies and of noise."""
 _UNDETERMINED = "the photographs do not determine their lights; give a list of directions as `lights`."

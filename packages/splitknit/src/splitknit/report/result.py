@@ -65,7 +65,7 @@ class Report:
     html: str
     facts: Mapping[str, Any]
     views: Sequence[ColourArray]  # the shaded surface from above, the left and the right
-    prints: NDArray[np.uint8] | None  # the relief as a print; None if it is no finger's, or its scale is unknown
+    prints: NDArray[np.uint8] | None  # the relief as a print; None if it is not a finger's, or its scale is unknown
 
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
@@ -84,7 +84,7 @@ def make_report(
 ) -> Report:
     """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`: what it was made from,
     whose previews enter the page; `truth`: a simulator's arrays, with which `result` and `others`, of the same capture
-    by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is no finger.
+    by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is not a finger.
     """
     finger, results = is_finger(result), (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:

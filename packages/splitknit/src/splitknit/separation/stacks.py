@@ -39,7 +39,7 @@ class StackSettings(Checked):
 
     clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
     """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
-    that the stack is no file's [0, 1] scale, and nothing is looked for."""
+    that the stack is not a file's [0, 1] scale, and nothing is looked for."""
     constant_share: Annotated[float, Limits(0, 1, below=True)] = 0.05
     """More such pixels than this, among the bright ones, and the stack is refused."""
     repeat: Annotated[float, Limits(0, 1, below=True)] = 0.02

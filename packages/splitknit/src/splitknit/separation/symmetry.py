@@ -56,7 +56,7 @@ def by_symmetry(
     For *clean* stacks: D is twice an image, its noise too, and on noisy skin the result is worse than plain maximum
     minus minimum. For checks of n pixels or more: then the phases of the result are not finer than a pixel. Half of the
     pattern is lit, and its n steps along each axis are equal and fill one period. Raises BadInput if the number of
-    images is no odd square, shifts are missing, repeated, unequal or do not fill the period, neighbouring phases
+    images is not an odd square, shifts are missing, repeated, unequal or do not fill the period, neighbouring phases
     contradict each other (order, period, noise), the white image does not belong to the stack, checks are too small, or
     the stack is unusable as for :func:`splitknit.separation.binary.checkerboard`.
 

@@ -77,7 +77,7 @@ def features(
         columns = np.flatnonzero(grid.mask[chunk].any(axis=0))
         if not len(columns):
             return
-        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))  # the rest is no finger, and left out below
+        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))  # the rest is not a finger, and left out below
         vectors, trust, entering = light.vectors[:, :, *part], light.trust[:, *part], light.entering[:, *part]
         size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
         for c in range(channels):  # of all lights at once: threads wait for each other between operations

@@ -82,7 +82,9 @@ def _is_malformed(headers: Message) -> bool:
     """What other programs might read differently."""
     twice = any(len(headers.get_all(name, [])) > 1 for name in ("Host", "Origin", "Sec-Fetch-Site", "Sec-Fetch-Dest"))
     body = "Transfer-Encoding" in headers or any(size != "0" for size in headers.get_all("Content-Length", []))
-    return twice or body or bool(headers.defects) or bool(headers.get_payload())  # a line that is no header ends them
+    return (
+        twice or body or bool(headers.defects) or bool(headers.get_payload())
+    )  # a line that is not a header ends them
 
 
 _DATABASE = b"SQLite format 3\0"
@@ -103,7 +105,7 @@ def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Pat
         require(len(paths) == 1, "a gallery is shown alone; name nothing else.")
         open_people = extension(VIEWS, "people", "the view of a gallery", MATCH)
         return Service(Catalogue(paths[0].name, (), ()), open_people(paths[0], key_file))
-    require(key_file is None, f"'{paths[0] if paths else ''}' is no gallery; `key_file` is for galleries.")
+    require(key_file is None, f"'{paths[0] if paths else ''}' is not a gallery; `key_file` is for galleries.")
     service = Service(make_catalogue(paths, capture))
     for entry in map(service.catalogue.entry, service.catalogue.chosen):
         service.check(entry)
@@ -160,7 +162,7 @@ def opened_page(url: str) -> Iterator[bool]:
         leads += f'<meta http-equiv="refresh" content="0;url={html.escape(url, quote=True)}"><title>splitknit</title>'
         with os.fdopen(os.open(page, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as stream:
             stream.write(leads)
-        # keys are no business of the browser, nor of what it starts
+        # keys are not the browser's business, nor that of what it starts
         kept = {name: os.environ.pop(name) for name in [*os.environ] if name.startswith("SPLITKNIT_")}
         try:
             done = webbrowser.open(page.as_uri())
@@ -239,7 +241,7 @@ class _ViewerServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A page that was closed in the middle of an answer is no error."""
+        """A page that was closed in the middle of an answer is not an error."""
         if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
             _LOG.exception("a request failed")
 

@@ -176,7 +176,7 @@ def read_surface(folder: Path) -> ResultSurface:
     box = bounding_box(mask)
     inside = np.ascontiguousarray(mask[box])
     turn = upright_turn(matrix)
-    require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
+    require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is not a rotation).")
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
         x, y = _places(arrays, shape, box, pitch_mm, turn)
         inside &= np.isfinite(x) & np.isfinite(y)
@@ -251,7 +251,7 @@ def pick(
 ) -> tuple[float, float, float] | None:
     """Return the first point of the surface on a ray of any length, or None where the ray misses it. `exaggeration`:
     factor of the relief in the picture that was pointed at; the point is on the true surface. Raises BadInput if the
-    ray is no ray.
+    ray has no direction or is not finite.
     """
     ray = np.concatenate([origin_mm, direction])
     length = float(np.linalg.norm(direction))

@@ -116,7 +116,7 @@ export class Dropped {
     const ridge = arrays.ridge_mm ?? arrays.ridge_px;
     const { mask, input_from_upright: matrix } = arrays;
     const like = (one) => one?.shape.length === 2 && one.shape.every((side, k) => side === mask?.shape[k]);
-    if (!like(height) || !like(ridge) || matrix?.data.length !== 9 || (this.scaled && !(arrays.pitch_mm?.data[0] > 0))) throw new Error(`${this.name}: height.npz is no result's; reconstruct the capture again.`);
+    if (!like(height) || !like(ridge) || matrix?.data.length !== 9 || (this.scaled && !(arrays.pitch_mm?.data[0] > 0))) throw new Error(`${this.name}: height.npz is not a result's; reconstruct the capture again.`);
     this.pitch = this.scaled ? arrays.pitch_mm.data[0] : 1;
     this.size = mask.shape;
     this.#turn(matrix.data);
