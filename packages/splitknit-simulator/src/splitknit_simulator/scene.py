@@ -138,7 +138,7 @@ class TwinSettings(Checked):
     """White LEDs added to the side of the finger, 90 mm from the axis and 30 mm above the finger plane, on an arc that
     leaves the hand free."""
     sensor_scale: Annotated[float | None, Limits(0.0, 1.0, above=True)] = None
-    """Side of the sensor's pixels over side of a picture's pixels, for the noise: 1 = full resolution, 0.5 = 2 x 2
+    """Size of a sensor pixel relative to an image pixel, for the noise: 1 = full resolution, 0.5 = 2 x 2
     binned. None: as :func:`splitknit_simulator.camera.sensor.binning_scale` finds it from the camera."""
     motion: HandMotion = field(default_factory=HandMotion)
     """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""

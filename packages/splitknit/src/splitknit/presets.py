@@ -39,7 +39,7 @@ class DirectSettings(Checked):
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     from_colours: bool = False
-    """Find the fraction of direct light in colours, where there are any; the thesis: in the grey images."""
+    """Estimate the fraction of direct light from colour images where there are any; the thesis uses grey images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class NormalsSettings(Checked):
     robust: RobustSettings = field(default_factory=RobustSettings)
     """Weights of ``robust`` and ``near_light``."""
     rounds: Annotated[int, Limits(1, 20)] = 3
-    """Turns of ``near_light`` and integration."""
+    """Number of rounds of ``near_light`` and integration."""
     max_slope: Annotated[float, Limits(0, above=True)] = 6.0
     """Steeper slopes are shortened to this."""
     hanrahan_krueger: HanrahanKruegerSettings = field(default_factory=HanrahanKruegerSettings)

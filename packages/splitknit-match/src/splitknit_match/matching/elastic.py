@@ -46,7 +46,7 @@ class PatchSettings(Checked):
     patch_mm: Annotated[float, Limits(0, above=True)] = 2.4
     """Side of a patch."""
     step_mm: Annotated[float, Limits(0, above=True)] = 1.6
-    """Between the middles of two patches."""
+    """Distance between the middles of two patches."""
     search_mm: Annotated[float, Limits(0)] = 0.4
     """Largest shift of a patch, along either axis."""
 

@@ -334,7 +334,7 @@ class TetrahedraSettings(Checked):
     neighbours: Annotated[int, Limits(3, 12)] = 5
     """Nearest minutiae; any three of them make a tetrahedron with the minutia."""
     edge_mm: Annotated[float, Limits(0, 5, above=True)] = 0.35
-    """Largest difference of two edges that are similar."""
+    """Largest difference of two edges that still match."""
     angle_deg: Annotated[float, Limits(0, 90, above=True)] = 25.0
     """Largest difference of the angles between directions and edges."""
     agreement: AgreementSettings = field(default_factory=AgreementSettings)

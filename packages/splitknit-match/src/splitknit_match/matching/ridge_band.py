@@ -40,7 +40,7 @@ class RidgeBandSettings(Checked):
     pitch_mm: Annotated[float, Limits(0, above=True)] = 0.1
     """Side of a pixel of the band."""
     ridge_mm: Annotated[float, Limits(0, above=True)] = 0.32
-    """Sigma of the Gaussian mean that is taken away: what is wider than a ridge."""
+    """Sigma of the Gaussian mean that is subtracted, to remove what is wider than a ridge."""
     noise_mm: Annotated[float, Limits(0, above=True)] = 0.05
     """Sigma of the low-pass before sampling."""
     window_mm: Annotated[float, Limits(0, above=True)] = 0.6
@@ -48,7 +48,7 @@ class RidgeBandSettings(Checked):
     floor: Annotated[float, Limits(0, 1)] = 0.3
     """Contrast below this fraction of the finger's median is not raised further; half of it is not a ridge at all."""
     coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
-    """Skin whose ridges agree less on a direction (0 none, 1 parallel) is left out."""
+    """Skin whose ridges have less coherence (0 no direction, 1 parallel) is left out."""
     slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0
     """Skin seen at a steeper slant is left out."""
     unroll: bool = True

@@ -27,9 +27,9 @@ class SearchSettings(Checked):
     """How a gallery is searched."""
 
     candidates: Annotated[int, Limits(1)] = 50
-    """Fingers that the codes let through to the comparison of their ridges."""
+    """Number of fingers selected by their codes whose ridges are compared."""
     shortlist: Annotated[int, Limits(1, 10_000)] = 500
-    """Fingers that shards let through to a glance, where a gallery has shards."""
+    """Number of fingers that the shards select for the next stage, where a gallery has shards."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
     """How fingers are moved for the codes; for prints the shift is at least `PRESSED_MM`."""
 

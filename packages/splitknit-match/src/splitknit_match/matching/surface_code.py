@@ -45,7 +45,7 @@ class SurfaceCodeSettings(Checked):
     coding: Literal["gray", "binary"] = "gray"
     """``gray``: neighbouring zones differ in one bit; ``binary``: the zone's number."""
     least_area_mm2: Annotated[float, Limits(0)] = 30.0
-    """A smaller code is a failure to acquire."""
+    """Smallest area of a code; less is a failure to acquire."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +172,7 @@ class SurfaceMatchSettings(Checked):
     turn_deg: Annotated[float, Limits(0, 90)] = 18.0
     """Largest turn to either side that is tried."""
     turn_step_deg: Annotated[float, Limits(0.5, 30)] = 3.0
-    """Between the turns of the first level."""
+    """Step of the turns of the first level."""
     shift_mm: Annotated[float, Limits(0, 30, above=True)] = 5.0
     """Largest shift along the finger."""
     side_shift_mm: Annotated[float, Limits(0, 30, above=True)] = 3.0

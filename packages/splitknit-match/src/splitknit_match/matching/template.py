@@ -43,7 +43,7 @@ class TemplateSettings(Checked):
     """What a template keeps."""
 
     least_area_mm2: Annotated[float, Limits(0)] = 30.0
-    """A smaller ridge band is a failure to acquire."""
+    """Smallest area of ridges; less is a failure to acquire."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -379,8 +379,8 @@ class UnrollSettings(Checked):
     iterations: Annotated[int, Limits(0)] = 10
     """Rounds of relaxation at most (``free``)."""
     centre_weight: Annotated[float, Limits(0, 20)] = 4.0
-    """Skin weighs with this power of the cosine of its slant (``free``): 0 spreads the distortion evenly, large keeps
-    the middle true and lets the sides give."""
+    """Weight of the skin as a power of the cosine of its slant (``free``): 0 spreads the distortion evenly, larger
+    values keep the middle undistorted at the cost of the sides."""
     slant_deg: Annotated[float, Limits(10, 85)] = 70.0
     """Skin steeper than this is left out of the print: the camera hardly sees it."""
     grid: GridSettings = field(default_factory=lambda: GridSettings(pitch_mm=0.5))

@@ -23,8 +23,8 @@ class BlendSettings(Checked):
     fade_mm: Annotated[float, Limits(0, 5, above=True)] = 0.8
     """Width over which a view fades in from the outline of what it shows."""
     most_deviation_um: Annotated[float, Limits(0, above=True)] = 35.0
-    """Where the relief's standard deviation is as large as this, ridges are not known; from three quarters of it on, a
-    view counts less."""
+    """Where the relief's standard deviation exceeds this, ridges are unknown; a view loses weight
+    from three quarters of it on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,8 @@ class RolledSettings:
     pitch_mm: float = 0.035
     """Pitch of the chart, finer than the camera resolves."""
     slope_prior: float = 0.5
-    """How much slopes that the lights hardly determine are held to the shape's: variance of the images' relative error
-    over that of the slopes."""
+    """Prior that holds slopes which the lights hardly determine to those of the shape: variance of the images' relative
+    error over that of the slopes."""
     search: RidgeSearchSettings = field(default_factory=RidgeSearchSettings)
     blend: BlendSettings = field(default_factory=BlendSettings)
 

@@ -248,14 +248,14 @@ class RidgeSearchSettings(Checked):
 
     _group = "rolled.search"
     across_mm: tuple[float, float] = (1.6, 0.05)
-    """By which the mirror's ridges may lie beside the front's around the finger: reach and step."""
+    """Offset of the mirror's ridges against the front's around the finger: search range and step."""
     along_mm: tuple[float, float] = (0.3, 0.05)
     """The same along the finger."""
     deviations: Annotated[tuple[float, float, float], Limits(0, above=True)] = (0.2, 0.06, 0.2)
     """Standard deviations of what the outlines determine: the surface's bulge half-way between front and side (mm), the
     mirror's place along its normal (mm), and its turns (deg)."""
     candidates: Annotated[int, Limits(1, 50)] = 6
-    """So many of the best guesses are followed up."""
+    """Number of best guesses that are refined."""
 
     def __post_init__(self) -> None:
         check_fields(self)

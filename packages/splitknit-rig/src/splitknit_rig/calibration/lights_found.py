@@ -39,7 +39,7 @@ class LightLimits(Checked):
     _group = "limits"
 
     limit_deg: Annotated[float, Limits(0, 90, above=True)] = 5.0
-    """Directions of one LED that are further apart than this disagree."""
+    """Two directions of one LED that differ by more than this disagree."""
 
 
 _COPY_MM = 0.4

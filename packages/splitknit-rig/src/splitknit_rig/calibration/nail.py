@@ -43,15 +43,15 @@ class NailSettings(Checked):
     """How well everything is known beforehand: standard deviations, and what counts as astray."""
 
     tip_sd_px: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """A shadow tip in the image, each way."""
+    """Standard deviation of a shadow tip in the image, along each axis."""
     nail_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 0.1
-    """The nail in the image, on the finger plane, each way, the same in all rows of one position."""
+    """Standard deviation of the nail's position on the finger plane, along each axis, shared by one position's rows."""
     led_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """Each LED about the circle, outwards and in height."""
+    """Standard deviation of each LED's distance from the circle, radially and in height."""
     nail_height_mm: Annotated[float | None, Limits(0.5, 500)] = None
-    """Where it is known. Then the LEDs' places follow from it, and the circle only guards against nonsense."""
+    """Height of the nail, if known: the LED positions then follow from it, and the circle is only a check."""
     nail_seen: Literal["tip", "base"] = "tip"
-    """What the nail's pixel is: its ``tip``, which a perspective camera sees further out than the ``base``."""
+    """Which point was marked: the nail's ``tip``, which a perspective camera sees further out, or its ``base``."""
 
 
 class _NailModel:

@@ -171,7 +171,7 @@ class PiCameraSettings(Checked):
     """A camera module by its sensor, ``uvc`` (any webcam or frame grabber that the system knows) or ``genicam`` (an
     industrial camera by its maker's GenTL producer)."""
     number: Annotated[int, Limits(0, 64)] = 0
-    """Which camera of `uvc` or `genicam`, where there are several."""
+    """Number of the camera of `uvc` or `genicam`, if there are several."""
     image_size: tuple[int, int] | None = None
     """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32. None: 2200 x 3200 of
     the imx219, as good as all of the others; `uvc` and `genicam` give what they are set to."""

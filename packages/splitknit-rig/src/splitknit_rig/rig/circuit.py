@@ -31,19 +31,19 @@ class LedPart:
     """A light-emitting diode at the current it is meant for."""
 
     name: str
-    """What parts list and netlist call it."""
+    """Name in the parts list and netlist."""
     forward_v: float
     """Typical forward voltage."""
     spread_v: float
     """Half the range of the forward voltage over a lot and over temperature."""
     current_a: float
-    """The current that is wanted."""
+    """Nominal current."""
     limit_a: float
     """Largest continuous current."""
     intensity_cd: float = 0.0
-    """On its axis at that current, of the brightest bin; or 0, and `intensity_w_sr`."""
+    """On-axis intensity of the brightest bin at that current; or 0, with `intensity_w_sr`."""
     intensity_w_sr: float = 0.0
-    """The same as data sheets of infrared LEDs give it."""
+    """On-axis radiant intensity, as data sheets of infrared LEDs state it."""
     half_angle_deg: float = 30.0
     """From the axis to half the intensity."""
     source_mm: float = 2.0
@@ -53,7 +53,7 @@ class LedPart:
 @dataclass(frozen=True, slots=True)
 class _Transistor:
     name: str
-    """What parts list, netlist and drawing call it."""
+    """Name in the parts list, netlist and drawing."""
     gain: tuple[float, float]
     """Smallest and largest DC current gain near 100 mA."""
     base_v: tuple[float, float]
@@ -106,13 +106,13 @@ class CircuitSettings(Checked):
     supply_v: Annotated[float, Limits(1, 24)] = 9.0
     """Supply of the LEDs: a wall adapter; the Pi has its own."""
     supply_spread: Annotated[float, Limits(0, 0.5, below=True)] = 0.05
-    """Relative, half the range."""
+    """Relative tolerance, half the range."""
     resistor_spread: Annotated[float, Limits(0, 0.3, below=True)] = 0.01
-    """Relative, half the range: metal film."""
+    """Relative tolerance, half the range: metal film."""
     white: LedPart = field(default_factory=lambda: WHITE_LED)
     nir: LedPart = field(default_factory=lambda: NIR_LED)
     duty: Annotated[float, Limits(0, 1, above=True)] = 1.0
-    """Fraction of the time that an LED is on, for eye and skin; 1: it may stay on, for programs crash."""
+    """Fraction of the time that an LED is on, for eye and skin safety; 1: it may stay on, as after a crash."""
     transistor: _Transistor = field(default_factory=lambda: BC337)
 
 

@@ -86,7 +86,7 @@ class _FingerSettings(Checked):
     """
 
     widest_mm: Annotated[float, Limits(0.05, 1000)] = 26.0
-    """Thumb, 95th percentile of men."""
+    """Largest finger width: the thumb, 95th percentile of men."""
     pad_height_mm: Annotated[float, Limits(0.05, 1000)] = 14.0
     """Thickness of the last phalanx: the groove's bottom lies this far below the finger plane."""
     groove_depth_mm: Annotated[float, Limits(0.05, 1000)] = 6.0

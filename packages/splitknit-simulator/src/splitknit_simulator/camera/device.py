@@ -66,7 +66,7 @@ class TwinDeviceSettings(Checked):
     sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
     """Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
     settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
-    """Until an LED has its full brightness."""
+    """Time until an LED reaches full brightness."""
 
 
 class TwinLightBank(GuardedLights):

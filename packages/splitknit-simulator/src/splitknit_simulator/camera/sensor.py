@@ -51,7 +51,7 @@ class SensorSettings(Checked):
 
 
 def binning_scale(camera: Camera) -> float:
-    """Side of the sensor's pixels over side of a picture's pixels: 1 = full resolution, 0.5 = 2 x 2 binned.
+    """Size of a sensor pixel relative to an image pixel: 1 = full resolution, 0.5 = 2 x 2 binned.
 
     A picture of the full frame's form (2200 x 3200) is the whole frame: its columns decide, whatever the lens and the
     distance. Any other picture is a cut-out, and its px_per_mm decides, as though the lens were the thesis's; a camera

@@ -36,9 +36,9 @@ class HandMotion(Checked):
     _group = "motion"
 
     amplitude_mm: Annotated[float, Limits(0.0, 3.0)] = 0.0
-    """Largest distance, over all pairs of shots, between the places of the finger's middle; 0 = it lies still."""
+    """Largest distance between the finger's positions in any two shots; 0 = it lies still."""
     tremor_share: Annotated[float, Limits(0.0, 0.5)] = 0.05
-    """Standard deviation of the tremor over the amplitude of the drift."""
+    """Standard deviation of the tremor relative to the drift's amplitude."""
     yaw_deg_per_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Largest difference of yaw between two shots, for each mm of amplitude."""
 

@@ -58,13 +58,13 @@ class FilmSettings(Checked):
     axis_deg: Annotated[float, Limits(-180.0, 180.0)] = 0.0
     """Axis of the LEDs' films of the parallel series as the camera sees it, counter-clockwise from x."""
     misalignment_deg: Annotated[float, Limits(0.0, 10.0)] = 0.0
-    """The camera's film is turned by this from where it should be, each LED's by a drawn part of it either way."""
+    """Rotation error of the camera's film; each LED's film is off by a random fraction of it, either way."""
     extinction: Annotated[float, Limits(1.0)] = 1000.0
-    """Transmission along a film's axis over that across it."""
+    """Ratio of a film's transmission along its axis to that across it."""
     transmission: Annotated[tuple[float, float, float], Limits(0.0, 1.0, above=True)] = (0.85, 0.85, 0.85)
     """Transmission of light that is polarised along a film's axis: red, green, blue. Different numbers tint."""
     kept: Annotated[float, Limits(0.0, 1.0)] = 0.25
-    """Part of the light scattered once in the skin that keeps its polarisation."""
+    """Fraction of the light scattered once in the skin that keeps its polarisation."""
     shift_px: Annotated[float, Limits(0.0, 2.0)] = 0.0
     """Shift of the image, in a drawn direction, when the camera's film is turned."""
     neighbour_mm: Annotated[float, Limits(1.0, 30.0)] = 6.0

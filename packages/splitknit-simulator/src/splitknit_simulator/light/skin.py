@@ -85,11 +85,11 @@ class Boundary(Checked):
     """How light enters the skin. The defaults are a matt boundary."""
 
     refraction: Annotated[float, Limits(0.0, 1.0)] = 0.0
-    """Fraction of the reversal of slope shading that refracted light brings: 0 a matt boundary, 1 a smooth one above
+    """Strength of the reversed slope shading caused by refraction: 0 a matt boundary, 1 a smooth one above
     isotropic scattering; forward scattering (anisotropy 0.8) leaves about a quarter of it."""
     entry_power: Annotated[float, Limits(-1.0, 2.0)] = 1.0
-    """Power of Fresnel's transmittance with which light enters: 1 a clean flat boundary; a rough one, and light that
-    scatters soon after a slanted entry, lower it."""
+    """Exponent of Fresnel's transmittance for entering light: 1 for a clean flat boundary, less for a
+    rough one and where light scatters soon after a slanted entry."""
     blurred: bool = False
     """Count and spread light across the picture, as in an image that is blurred, instead of along the skin: ridges
     then flatten the slopes on which they lie, which they do not do on skin."""
@@ -147,12 +147,12 @@ class SkinOptics(Checked):
     glare: Annotated[float, Limits(0.0, 5.0)] = 1.0
     """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
     relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
-    """Brightness of heights behind a matt boundary: that of a channel is this number times its effective attenuation
+    """Brightness signal of heights behind a matt boundary: in each channel this times its effective attenuation
     and :meth:`Boundary.height_signal`."""
     scattering_power: Annotated[float, Limits(0.0, 3.0)] = 1.42
     """Exponent of the wavelength in the reduced scattering: 1.42 Jacques's skin, 0.5 large scatterers."""
     layers: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    """Absorption that the light of red, green, blue and near-infrared meets, over that of one even medium: melanin
+    """Absorption of red, green, blue and near-infrared light relative to a homogeneous medium: melanin
     above and blood below act as other absorptions than a mixture would."""
     boundary: Boundary = field(default_factory=Boundary)
 

@@ -101,13 +101,13 @@ class PeopleRanges(Checked):
     period_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.10
     """Men's over women's ridge period."""
     period_digit: Annotated[Five, Limits(0.9, 1.1)] = (1.05, 1.02, 1.0, 0.98, 0.95)
-    """The digits' ridge periods, relative."""
+    """Relative ridge period of each digit."""
     period_spread: Annotated[float, Limits(0.0, 0.12)] = 0.045
-    """Between people of one sex, relative."""
+    """Relative standard deviation of the ridge period between people of one sex."""
     optics: SkinRanges = field(default_factory=SkinRanges)
     """Skin of a person; the fingers differ little."""
     habit_roll_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 3.0
-    """How far a finger is rolled whenever its owner lays it down."""
+    """Standard deviation of each finger's habitual roll."""
 
 
 FINGERS = tuple(f"{side}_{digit}" for side in SIDES for digit in DIGITS)

@@ -55,13 +55,13 @@ class SessionRanges(Checked):
     insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (26.0, 28.4)
     """From the lower image border to the tip; cut to what the picture holds."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
-    """Fraction of impressions that are laid down too short."""
+    """Fraction of impressions that show too little of the finger."""
     height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
     """z of the pad's highest point."""
     swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
     """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
     flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
-    """What a resting finger gains in breadth and loses in thickness."""
+    """Relative gain in breadth, and loss in thickness, of a resting finger."""
     deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
     """Largest shift of the skin against the body."""
     deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
@@ -178,7 +178,7 @@ class PopulationSettings(Checked):
     """A whole population; how many people, fingers and sessions of it are simulated is not part of it."""
 
     seed: Annotated[int, Limits(0)] = 0
-    """What all people, fingers and captures are drawn from: the same number gives the same bytes. 0 or more."""
+    """Seed of all people, fingers and captures: the same seed gives the same bytes. 0 or more."""
     scale: Annotated[float, Limits(0.05, 1.0)] = 0.5
     """Size of the images relative to the full frame of 2200 x 3200 pixels."""
     rig_seed: int | None = 0

@@ -37,9 +37,9 @@ class ClaheSettings(Checked):
     cell_px: Annotated[float, Limits(0, above=True)] = 64.0
     """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
     tiles: Annotated[int, Limits(0, 512)] = 0
-    """This many cells across the finger and as many along it, whatever `cell_px` is; 0: cells of `cell_px`."""
+    """Number of cells across the finger, and along it; overrides `cell_px`. 0: cells of `cell_px`."""
     clip_limit: Annotated[float, Limits(1)] = 3.0
-    """Bins are clipped at so many times the mean one (thesis: 2 to 4): contrast grows at most by it plus one."""
+    """Bins are clipped at this multiple of the mean bin (thesis: 2 to 4); contrast grows by at most this plus one."""
     high_percentile: Annotated[float, Limits(50, 100, above=True)] = 99.9
     """This percentile of the finger becomes white before equalisation."""
 

@@ -45,9 +45,9 @@ class MotionSettings(Checked):
     """How motion between shots is measured, and undone."""
 
     correct: Literal["auto", "on", "off"] = "auto"
-    """``auto``: motion of skin is undone from 0.02 mm on; ``on``: any motion is; ``off``: it is only warned of."""
+    """``auto``: motion of skin above 0.02 mm is undone; ``on``: any motion is; ``off``: motion only gives a warning."""
     most_mm: Annotated[float, Limits(0, above=True)] = 0.8
-    """More motion is refused: ridges may be taken for their neighbours."""
+    """More motion is refused, because ridges may be mistaken for their neighbours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

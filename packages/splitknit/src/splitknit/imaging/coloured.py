@@ -24,9 +24,9 @@ class LightsSettings(Checked):
     """Coloured LEDs: Lin's case only."""
 
     compose: Annotated[int, Limits(0, 3)] = 0
-    """Compose so many coloured exposures, of three white images each (or fewer); 0: images as they are."""
+    """Number of coloured exposures to compose, each of up to three white images; 0: images as they are."""
     balance: bool = False
-    """Divide the images of each colour by how bright the finger is in it; one factor a colour."""
+    """Divide the images of each colour by the finger's mean brightness in that colour."""
 
 
 def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:

@@ -43,11 +43,11 @@ class SkinLayers(Checked):
     dermis_asymmetry: Annotated[float, Limits(-0.95, 0.95)] = 0.81
     """g' of the dermis."""
     epidermis_scattering_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 50.0
-    """With absorption and thickness: where a pixel's fit starts, and what holds it where its images do not say."""
+    """Start of each pixel's fit, and prior where the images do not determine it; so are absorption and thickness."""
     epidermis_absorption_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 3.8
     """See scattering."""
     epidermis_thickness_mm: Annotated[float, Limits(1e-3, 1)] = 0.08
-    """See scattering; theirs is 0.001 to 0.15 mm."""
+    """See scattering; the source's range is 0.001 to 0.15 mm."""
     dermis_scattering_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 21.7
     """Only its fraction of scattering and absorption counts: the dermis has no end."""
     dermis_absorption_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 0.3
@@ -192,11 +192,11 @@ class LevenbergSettings(Checked):
 
     _group = "fit"
     iterations: Annotated[int, Limits(1, 1000)] = 30
-    """At most, of which rejected steps are some."""
+    """Maximum number of iterations, rejected steps included."""
     step: Annotated[float, Limits(0, 1, above=True, below=True)] = 1e-3
-    """A pixel has converged when all its parameters move by less than this; directions then turn by 0.1 deg at most."""
+    """A pixel has converged when no parameter moves by more than this; directions then turn by 0.1 deg at most."""
     gain: Annotated[float, Limits(0, 1, above=True, below=True)] = 1e-5
-    """It has also when its cost falls by less than this part of it."""
+    """A pixel has also converged when its cost falls by less than this fraction."""
 
 
 class _NormalEquations(NamedTuple):

@@ -39,7 +39,7 @@ class SkinSettings(Checked):
     """Absorption of the same channels in light skin."""
 
     colour_trust: Annotated[float, Limits(0, 1)] = 0.6
-    """How far green's and blue's absorption follow the colour of this finger: 0 not at all, 1 wholly."""
+    """How much the absorption in green and blue follows this finger's colour: 0 not at all, 1 fully."""
 
     def scattering(self, channel: str) -> float:
         """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""

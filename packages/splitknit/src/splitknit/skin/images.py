@@ -29,15 +29,15 @@ class MetricSettings(Checked):
     """Grids and iterations of the `metric` preset on skin."""
 
     working_pitch_mm: Annotated[float, Limits(0, above=True)] = 0.0264
-    """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
+    """Pitch of the fine grid; skin's blur leaves less than 2 % of any finer detail."""
     coarse_pitch_mm: float = 0.106
     """Pitch of the coarse grid."""
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
     rounds: Annotated[int, Limits(1)] = 2
-    """Estimates of the relief, each on the shape as refined with the one before it."""
+    """Number of relief estimates, each on the shape refined with the previous one."""
     coarse_steps: Annotated[int, Limits(1)] = 3
-    """Corrections of the shape on the coarse grid."""
+    """Gauss-Newton steps of the shape on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
     """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
     few lights for the network, are always reconstructed by colour."""
