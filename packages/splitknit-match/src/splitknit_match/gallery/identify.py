@@ -22,7 +22,7 @@ from splitknit_match.gallery.key import key_of
 from splitknit_match.gallery.minutia_index import each, unpacked
 from splitknit_match.gallery.shards import Shards
 from splitknit_match.matching.code import CODE_VERSION, code_of, probe_codes
-from splitknit_match.matching.fusion import fused_match, with_fusion
+from splitknit_match.matching.fusion import SURE, fused_match, with_fusion
 from splitknit_match.matching.inputs import Side, held, read_side
 from splitknit_match.matching.methods import (
     ComparedSide,
@@ -138,8 +138,8 @@ ALL_PRINTS = 200
 LIST, LISTED = 50, 0.005
 """Of more so many, or that fraction, are: those that :class:`splitknit_match.gallery.minutia_index.MinutiaIndex` finds
 (what is lost: ``validation/gallery/index.py``)."""
-SHORTER = 8
-"""Unless `minutiae` are asked for, so many times fewer."""
+SHORTER = 25
+"""Unless `minutiae` are asked for, so many times fewer, laid on the probe by minutiae alone where these propose how."""
 _WAVES = (0, 1, 2, 6)
 """After so many of them the search ends if one matches."""
 _OTHERS = "of {captures} captures {compared} were compared, {why}; about 1 in 100 matches is lost so"
@@ -288,7 +288,8 @@ def _search(
         ended = False
         for wave in waves:
             progress("comparing", 0.5 + 0.5 * len(found) / captures)
-            part, note = _compared(gallery, ready, gallery.entries_at(wave), {}, no_progress)
+            sure = 0.0 if search == "auto" else SURE
+            part, note = _compared(gallery, ready, gallery.entries_at(wave), {}, no_progress, sure)
             found += part
             ended = search == "auto" and any(map(matches, part))
             if ended:
@@ -336,7 +337,12 @@ def _searched(pool: list[Enrolled]) -> Searched:
 
 
 def _compared(
-    gallery: Gallery, probe: Prepared, rows: Mapping[int, Enrolled], score: Mapping[int, float], progress: Progress
+    gallery: Gallery,
+    probe: Prepared,
+    rows: Mapping[int, Enrolled],
+    score: Mapping[int, float],
+    progress: Progress,
+    sure: float = SURE,
 ) -> tuple[list[_Found], str | None]:
     """Compare the probe with each of some rows by ridges, and minutiae where both hold some; and a note."""
     payloads = gallery.templates(list(rows))  # of those that were not removed just now
@@ -347,7 +353,7 @@ def _compared(
         other = Prepared(templates[row], probe.settings)
         if not fused:
             return ridge_match(probe, other).similarity, None, None
-        both = fused_match(probe, other)
+        both = fused_match(probe, other, sure)
         return both.similarity, both.minutiae, both.ridge.overlap_mm2
 
     found: list[_Found] = []
