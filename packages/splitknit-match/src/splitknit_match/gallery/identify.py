@@ -22,7 +22,7 @@ from splitknit_match.gallery.key import key_of
 from splitknit_match.gallery.minutia_index import each, unpacked
 from splitknit_match.gallery.shards import Shards
 from splitknit_match.matching.code import CODE_VERSION, code_of, probe_codes
-from splitknit_match.matching.fusion import SURE, fused_match, with_fusion
+from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side, held, read_side
 from splitknit_match.matching.methods import (
     ComparedSide,
@@ -288,8 +288,9 @@ def _search(
         ended = False
         for wave in waves:
             progress("comparing", 0.5 + 0.5 * len(found) / captures)
-            sure = 0.0 if search == "auto" else SURE
-            part, note = _compared(gallery, ready, gallery.entries_at(wave), {}, no_progress, sure)
+            part, note = _compared(
+                gallery, ready, gallery.entries_at(wave), {}, no_progress, sure=0.0 if search == "auto" else None
+            )
             found += part
             ended = search == "auto" and any(map(matches, part))
             if ended:
@@ -342,7 +343,8 @@ def _compared(
     rows: Mapping[int, Enrolled],
     score: Mapping[int, float],
     progress: Progress,
-    sure: float = SURE,
+    *,
+    sure: float | None = None,
 ) -> tuple[list[_Found], str | None]:
     """Compare the probe with each of some rows by ridges, and minutiae where both hold some; and a note."""
     payloads = gallery.templates(list(rows))  # of those that were not removed just now

@@ -114,13 +114,13 @@ _Start = tuple[Affine, Laid | None]
 """One alignment that is tried, from B's places to A's, and by which minutiae."""
 
 
-def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float = SURE) -> _FusedMatch:
+def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | None = None) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
     Raises BadInput as :func:`splitknit_match.matching.ridge.ridge_match`.
 
     `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them; `sure`: support of an
-    alignment by minutiae from which ridges propose none.
+    alignment by minutiae from which ridges propose none (default: SURE).
     """
     left, right = prepared_sides(a, b, Prepared, None)
     areas = left.template.area_mm2, right.template.area_mm2
@@ -144,7 +144,7 @@ def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float = SU
         correlation, overlap_mm2 = found.correlation, found.overlap_mm2
     else:
         grid, overlap_mm2, by_minutiae = right.patches, none, None
-        (affine, by), first = _best_start(left, right, laid, sure)
+        (affine, by), first = _best_start(left, right, laid, SURE if sure is None else sure)
         if by is None:
             affine = refined(left, right, affine, first)
         else:
