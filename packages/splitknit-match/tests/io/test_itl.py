@@ -55,7 +55,7 @@ def test_bytes_are_those_of_the_standard() -> None:
 
 
 def test_a_contactless_print_says_so_in_its_fields() -> None:
-    """Written out by hand: scan (14.016, .017), comment (.020), technology (.901) and device (.904), before the image."""
+    """By hand: scan (14.016, .017), comment (.020), technology (.901) and device (.904), before the image."""
     text = {"SHPS": "1000", "SVPS": "1000", "COM": "no contact print", "FCT": "7", "MMS": "ACME,rig 7,0012"}
     item = PrintFile(SMALL.image, 500.0, {**text, "Software": "not written"}, "right_index", "contactless")
     data = encode_transaction([item], FACTS)

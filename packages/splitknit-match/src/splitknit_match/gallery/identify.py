@@ -140,8 +140,6 @@ LIST, LISTED = 50, 0.005
 (what is lost: ``validation/gallery/index.py``)."""
 SHORTER = 25
 """Unless `minutiae` are asked for, so many times fewer, laid on the probe by minutiae alone where these propose how."""
-_WAVES = (0, 1, 2, 6)
-"""After so many of them the search ends if one matches."""
 _OTHERS = "of {captures} captures {compared} were compared, {why}; about 1 in 100 matches is lost so"
 _WHY = "those whose minutiae agree best", "by how well minutiae agree, up to the first that matched"
 
@@ -281,8 +279,7 @@ def _search(
         chosen = index.nearest(
             ready.cylinders, max(LIST, round(LISTED * captures)) // (SHORTER if search == "auto" else 1)
         )
-        waves = [chosen[start:end] for start, end in zip(_WAVES, (*_WAVES[1:], None), strict=True)]
-        waves = [*waves, index.others] if search == "auto" else [[*chosen, *index.others]]
+        waves = [chosen[:1], chosen[1:], index.others] if search == "auto" else [[*chosen, *index.others]]
         facts = Searched("minutiae", "fusion", 0, None, None, len(gallery) - captures, captures, 0)
         found = []
         ended = False
