@@ -103,6 +103,33 @@ def test_other_programs_read_what_is_written(prints: Path, tmp_path: Path, capsy
             assert np.corrcoef(back.image.ravel(), given.ravel())[0, 1] > 0.98
 
 
+def test_transactions_state_device_and_what_is_no_contact(prints: Path, tmp_path: Path, capsys) -> None:
+    pytest.importorskip("nistitl")
+    write_impressions(tmp_path / "made", 0.06, 721, FingerPose())
+    surface = next((tmp_path / "made").glob("**/height.npz")).parent
+    facts_of(capsys, "print", prints / "a.png", "--out", tmp_path / "pressed")
+    device = "ACME,rig 7,0012"
+    exported(capsys, tmp_path, "ansi-nist-itl", tmp_path / "pressed", surface, out="itl", device=device)
+    pressed, made = (read_prints(tmp_path / "itl" / f"{one}.an2")[0] for one in ("pressed", surface.name))
+    assert (pressed.impression, pressed.text) == ("live_plain", {"MMS": device})  # it was called contactless
+    assert (made.impression, made.text["FCT"], made.text["MMS"]) == ("contactless", "7", device)
+    assert made.text["COM"].startswith("no contact print: ridges of a surface") and made.text["SHPS"].isdigit()
+    for wrong, to in (("ACME,rig", "ansi-nist-itl"), (device, "png")):
+        words = [
+            "export",
+            prints / "a.png",
+            "--to",
+            to,
+            "--date",
+            "2026-01-31",
+            "--device",
+            wrong,
+            "--out",
+            tmp_path / "n",
+        ]
+        assert "`device`" in refusal_of(capsys, *words) or "--device" in refusal_of(capsys, *words)
+
+
 def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("nbis")
     names = [prints / f"{name}.png" for name in ("a", "again", "other")]

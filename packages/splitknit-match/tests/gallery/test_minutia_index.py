@@ -99,13 +99,14 @@ def test_a_search_ends_with_the_first_match(tmp_path: Path, monkeypatch) -> None
     assert every.searched.compared == 3 and "first that matched" in found.searched.note
     assert found.candidates[0] == every.candidates[0] and found.decision == every.decision
     nobody = splitknit_match.make_template(press(9), resolution_ppi=PPI).payload
-    assert splitknit_match.identify(file, nobody).searched.compared == 3
+    assert splitknit_match.identify(file, nobody).searched.compared == 2
 
 
 def test_an_absent_finger_is_compared_with_few(gallery, tmp_path: Path, monkeypatch) -> None:
-    """By default with an eighth of the list; the exhaustive search, the reference, finds the same who is there."""
+    """By default with a part of the list; the exhaustive search, the reference, finds the same who is there."""
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
     monkeypatch.setattr("splitknit_match.gallery.identify.LIST", 16)
+    monkeypatch.setattr("splitknit_match.gallery.identify.SHORTER", 8)
     with Gallery.create(tmp_path / "g.skg", templates_hash(MatchingSettings())) as made:
         made.add(NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
     with splitknit_match.OpenGallery.open(tmp_path / "g.skg") as opened:
@@ -126,6 +127,7 @@ def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
     expected = fused_match(*sides).similarity
     monkeypatch.setattr("splitknit_match.matching.fusion.starts_by_ridges", None)
     assert fused_match(*sides).similarity == expected
-    monkeypatch.setattr("splitknit_match.matching.fusion._SURE", 1000.0)
+    monkeypatch.setattr("splitknit_match.matching.fusion.SURE", 1000.0)
     with pytest.raises(TypeError):
         fused_match(*sides)
+    assert fused_match(*sides, sure=0.0).similarity == expected  # as a search does

@@ -54,6 +54,25 @@ def test_bytes_are_those_of_the_standard() -> None:
     assert encode_transaction([SMALL], FACTS) == data
 
 
+def test_a_contactless_print_says_so_in_its_fields() -> None:
+    """By hand: scan (14.016, .017), comment (.020), technology (.901) and device (.904), before the image."""
+    text = {"SHPS": "1000", "SVPS": "1000", "COM": "no contact print", "FCT": "7", "MMS": "ACME,rig 7,0012"}
+    item = PrintFile(SMALL.image, 500.0, {**text, "Software": "not written"}, "right_index", "contactless")
+    data = encode_transaction([item], FACTS)
+    fields = (
+        b"\x1d14.013:2\x1d14.016:1000\x1d14.017:1000\x1d14.020:no contact print\x1d14.901:7"
+        b"\x1d14.904:ACME\x1frig 7\x1f0012\x1d14.999:"
+    )
+    assert data[-121 - len(fields) : -121] == fields
+    assert decode_transaction(data)[0].text == text
+    # what another producer states otherwise is passed over
+    odd = data.replace(b"no contact print", b"no contact print"[:-1] + b"\xfc")
+    assert "COM" not in decode_transaction(odd)[0].text
+    for name, wrong in (("FCT", "seven"), ("COM", "a\x1db"), ("MMS", "ACME,rig"), ("SHPS", "")):
+        with pytest.raises(BadInput, match=f"cannot be written as field {name}"):
+            encode_transaction([PrintFile(SMALL.image, 500.0, {name: wrong})], FACTS)
+
+
 def assert_same(found: Sequence[PrintFile], prints: list[PrintFile]) -> None:
     for read, written in zip(found, prints, strict=True):
         np.testing.assert_array_equal(read.image, written.image)

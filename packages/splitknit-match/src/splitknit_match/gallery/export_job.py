@@ -64,6 +64,9 @@ class ExportJob(Job):
         "little)")] = "none"
     date: Annotated[datetime.date | None, Help(
         "of the capture, which ansi-nist-itl and x3p state", "YYYY-MM-DD", read=_date)] = None
+    device: Annotated[str | None, Help(
+        "make, model and serial number of the capture device, for ansi-nist-itl (0: not known)",
+        "MAKE,MODEL,SERIAL")] = None
     owner: Annotated[int, Help(
         "IBIA's number of who makes the records (default: 0x0103, not registered)", "NUMBER", read=_owner)] = 0x0103
     minutiae: Annotated[Literal["phase", "mindtct"], Help(
@@ -80,6 +83,14 @@ class ExportJob(Job):
             self.to != "ansi-nist-itl" or self.date is not None,
             "an ANSI/NIST-ITL transaction states the date of the capture; give it: `date` 2026-01-31.",
         )
+
+        if self.device is not None:
+            require(self.to == "ansi-nist-itl", "`device` is stated by ansi-nist-itl alone.")
+            parts = self.device.split(",")
+            sound = len(parts) == 3 and all(0 < len(one) <= 50 and one.isascii() and one.isprintable() for one in parts)
+            require(
+                sound, f"`device` is MAKE,MODEL,SERIAL, each of 1 to 50 ASCII characters, not {self.device[:60]!a}."
+            )
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Write them."""

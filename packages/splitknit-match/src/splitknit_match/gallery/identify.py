@@ -138,10 +138,8 @@ ALL_PRINTS = 200
 LIST, LISTED = 50, 0.005
 """Of more so many, or that fraction, are: those that :class:`splitknit_match.gallery.minutia_index.MinutiaIndex` finds
 (what is lost: ``validation/gallery/index.py``)."""
-SHORTER = 8
-"""Unless `minutiae` are asked for, so many times fewer."""
-_WAVES = (0, 1, 2, 6)
-"""After so many of them the search ends if one matches."""
+SHORTER = 25
+"""Unless `minutiae` are asked for, so many times fewer, laid on the probe by minutiae alone where these propose how."""
 _OTHERS = "of {captures} captures {compared} were compared, {why}; about 1 in 100 matches is lost so"
 _WHY = "those whose minutiae agree best", "by how well minutiae agree, up to the first that matched"
 
@@ -281,14 +279,15 @@ def _search(
         chosen = index.nearest(
             ready.cylinders, max(LIST, round(LISTED * captures)) // (SHORTER if search == "auto" else 1)
         )
-        waves = [chosen[start:end] for start, end in zip(_WAVES, (*_WAVES[1:], None), strict=True)]
-        waves = [*waves, index.others] if search == "auto" else [[*chosen, *index.others]]
+        waves = [chosen[:1], chosen[1:], index.others] if search == "auto" else [[*chosen, *index.others]]
         facts = Searched("minutiae", "fusion", 0, None, None, len(gallery) - captures, captures, 0)
         found = []
         ended = False
         for wave in waves:
             progress("comparing", 0.5 + 0.5 * len(found) / captures)
-            part, note = _compared(gallery, ready, gallery.entries_at(wave), {}, no_progress)
+            part, note = _compared(
+                gallery, ready, gallery.entries_at(wave), {}, no_progress, sure=0.0 if search == "auto" else None
+            )
             found += part
             ended = search == "auto" and any(map(matches, part))
             if ended:
@@ -336,7 +335,13 @@ def _searched(pool: list[Enrolled]) -> Searched:
 
 
 def _compared(
-    gallery: Gallery, probe: Prepared, rows: Mapping[int, Enrolled], score: Mapping[int, float], progress: Progress
+    gallery: Gallery,
+    probe: Prepared,
+    rows: Mapping[int, Enrolled],
+    score: Mapping[int, float],
+    progress: Progress,
+    *,
+    sure: float | None = None,
 ) -> tuple[list[_Found], str | None]:
     """Compare the probe with each of some rows by ridges, and minutiae where both hold some; and a note."""
     payloads = gallery.templates(list(rows))  # of those that were not removed just now
@@ -347,7 +352,7 @@ def _compared(
         other = Prepared(templates[row], probe.settings)
         if not fused:
             return ridge_match(probe, other).similarity, None, None
-        both = fused_match(probe, other)
+        both = fused_match(probe, other, sure)
         return both.similarity, both.minutiae, both.ridge.overlap_mm2
 
     found: list[_Found] = []

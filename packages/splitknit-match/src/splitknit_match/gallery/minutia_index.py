@@ -28,20 +28,22 @@ from splitknit_match.matching.template import Template, unpack
 _TABLES, _BITS = 80, 12
 _MEAN = 0.157
 """Of a cylinder's numbers, in real prints (``validation/gallery/index.py``)."""
-_TURNS = 32
-"""Steps of turn; votes of two neighbours are added."""
+_TURNS, _DOUBLE = 32, 6
+"""Steps of turn; votes of two neighbours are added. Twice as many are 2 to the power of 6."""
 _PEAKS = 2
 """Turns of a capture whose votes are counted by shift."""
 _CELL_MM, _SHIFTS = 2.0, 15
 """Steps of shift, and how many there are each way; votes of two neighbours are added."""
-_COMMON, _RARE = 4.0, 8
+_COMMON, _RARE = 2.0, 8
 """A key that more of the gallery's minutiae have than so many times the mean, and than so many, is left out."""
-_TURNED, _LAID = 0.1, 100
+_TURNED, _LAID = 0.05, 200
 """Fraction of the captures whose shifts are looked at, and number of those whose minutiae are laid on the probe's."""
 _AGREE = 20.0
 """What the root of the fraction of agreeing minutiae counts beside votes."""
 _FITS_MM, _FITS_RAD, _FEW = 0.5, 0.35, 9.0
 """Differences at which a minutia laid on another counts 1/e; minutiae that are added to those that could agree."""
+_REACH_MM2 = 2.25
+"""Farther apart, squared, they do not count: less than 0.0002 each."""
 
 Floats = NDArray[np.float32]
 T = TypeVar("T")
@@ -108,12 +110,13 @@ class MinutiaIndex:
         """Rows of the `k` captures that agree with the probe best, best first, equal ones in the order of rows."""
         if not len(self.turn) or not len(probe.turn):
             return []
-        found, minutia, weight, code = self._sharing(probe)
+        found, shared, minutia, weight, code = self._sharing(probe)
         captures, slot, count = self._turned(code)
         slot = slot.take(code)
         voting = np.flatnonzero(slot >= 0)
         slot, found, code = slot.take(voting), found.take(voting), code.take(voting)
-        minutia, weight = minutia.take(voting), weight.take(voting)
+        shared = shared.take(voting)
+        minutia, weight = minutia.take(shared), weight.take(shared)
         turned = (probe.place[:, None] * np.exp(2j * np.pi / _TURNS * np.arange(_TURNS))).astype(np.complex64)
         start = turned.ravel().take(minutia * _TURNS + code % _TURNS)
         right, up = (
@@ -148,9 +151,9 @@ class MinutiaIndex:
 
     def _sharing(
         self, probe: Cylinders
-    ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
-        """Minutiae that share a key which is not too common, those of the probe, weights, and their code less the steps
-        that the probe's is turned.
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
+        """Minutiae that share a key which is not too common, which of these it is, minutiae of the probe and weights of
+        these keys, and the code of what was found: its capture's number times the steps, and how many it is turned by.
         """
         keys, tables = _keys(probe), np.arange(_TABLES)
         mean = len(self.turn) / (1 << _BITS)
@@ -160,21 +163,22 @@ class MinutiaIndex:
         lists = self.lists.ravel()
         parts = [lists[start:end] for start, end in zip(starts.tolist(), (starts + size).tolist(), strict=True)]
         found = np.concatenate([lists[:0], *parts])
-        minutia = np.repeat(telling // _TABLES, size)
-        weight = np.repeat(np.sqrt(mean / np.maximum(size, 1)), size)
-        steps = _steps(probe.turn.astype(np.float32))[telling // _TABLES]
-        return found, minutia, weight, self.code.take(found) - np.repeat(steps, size)
+        minutia, weight = telling // _TABLES, np.sqrt(mean / np.maximum(size, 1))
+        shared = np.repeat(np.arange(len(telling), dtype=np.int32), size)
+        steps = _steps(probe.turn.astype(np.float32))[minutia]
+        code = self.code.take(found) - steps.take(shared)
+        return found, shared, minutia, weight, (code >> _DOUBLE << _DOUBLE - 1) | (code & _TURNS - 1)
 
     def _turned(self, code: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32], int]:
         """Captures with most votes for some turn; by code the number of a capture's best turn, -1 for others; and how
         many of these there are.
         """
-        votes = np.bincount(code, minlength=2 * _TURNS * len(self)).reshape(-1, 2, _TURNS).sum(axis=1)
+        votes = np.bincount(code, minlength=_TURNS * len(self)).reshape(-1, _TURNS)
         votes += np.roll(votes, -1, axis=1)
         most = votes.max(axis=1) / np.sqrt(np.maximum(self.count, 1))
         captures = _largest(most, max(_LAID, round(_TURNED * len(self))))
         every = np.arange(len(captures))
-        slot = np.full((len(self), 2, _TURNS), -1, dtype=np.int32)
+        slot = np.full((len(self), _TURNS), -1, dtype=np.int32)
         free = votes[captures]
         for peak in range(_PEAKS):
             top = free.argmax(axis=1)
@@ -182,7 +186,7 @@ class MinutiaIndex:
                 at = (top + step) % _TURNS
                 free[every, at] = -1
                 if step >= 0:
-                    slot[captures, :, at] = (every * _PEAKS + peak)[:, None]
+                    slot[captures, at] = every * _PEAKS + peak
         return captures, slot.ravel(), len(captures) * _PEAKS
 
     def _agreeing(
@@ -194,19 +198,25 @@ class MinutiaIndex:
         column = np.arange(width)
         at = np.minimum(self.first[captures][:, None] + column, len(self.turn) - 1)
         x, y, turn = self.x[at], self.y[at], self.turn[at]
-        laid = (probe.place * turns[:, None] + shift[:, None]).astype(np.complex64)[:, :, None]
-        apart = (laid.real - x[:, None]) ** 2 + (laid.imag - y[:, None]) ** 2
-        miss = (
-            np.angle(turns).astype(np.float32)[:, None, None] + probe.turn.astype(np.float32)[:, None] - turn[:, None]
-        )
-        miss -= np.float32(2 * np.pi) * np.rint(miss / np.float32(2 * np.pi))
-        like = np.exp(-apart / np.float32(_FITS_MM**2) - (miss / np.float32(_FITS_RAD)) ** 2)
-        like *= (column < count[:, None])[:, None]
-        both = (like == like.max(axis=2, keepdims=True)) & (like == like.max(axis=1, keepdims=True))
-        agreeing = np.where(both, like, np.float32(0)).sum(axis=(1, 2))
+        laid = (probe.place * turns[:, None] + shift[:, None]).astype(np.complex64)
+        there = column < count[:, None]
+        apart = laid.real[:, :, None] - np.where(there, x, np.float32(np.inf))[:, None]
+        apart *= apart
+        apart += (laid.imag[:, :, None] - y[:, None]) ** 2
+        near = np.flatnonzero(apart < np.float32(_REACH_MM2))
+        one, other = near // width, near // laid[0].size // width * width + near % width  # of the probe, the captures
+        miss = (np.angle(turns)[:, None] + probe.turn).ravel()[one] - turn.ravel()[other]
+        miss -= 2 * np.pi * np.rint(miss / (2 * np.pi))
+        like = np.exp(-apart.ravel()[near] / _FITS_MM**2 - (miss / _FITS_RAD) ** 2)
+        both = np.ones(len(near), dtype=np.bool_)
+        for side, size in ((one, laid.size), (other, x.size)):
+            most = np.zeros(size)
+            np.maximum.at(most, side, like)
+            both &= like == most[side]
+        agreeing = np.bincount(one[both] // laid[0].size, like[both], minlength=len(captures))
         back = (x + 1j * y - shift[:, None]) * turns.conj()[:, None]
-        inside = _inside(back, np.array(_box(probe.place))) & (column < count[:, None])
-        seen = _inside(laid[..., 0], self.boxes[captures].T[:, :, None]).sum(axis=1)
+        inside = _inside(back, np.array(_box(probe.place))) & there
+        seen = _inside(laid, self.boxes[captures].T[:, :, None]).sum(axis=1)
         return np.asarray(agreeing / np.sqrt(np.sqrt(inside.sum(axis=1) * seen) + _FEW))
 
 

@@ -20,6 +20,7 @@ from splitknit import SURFACES as KINDS
 from splitknit import (
     AnyPath,
     BadInput,
+    Fields,
     Led,
     PrintFile,
     Progress,
@@ -68,7 +69,7 @@ FACTS_FILE = "export.json"
 SURFACES = (*KINDS, "lp")
 """Formats of surfaces, and of lights."""
 _FORMAT = "splitknit-export"
-_PARAMETERS = ("to", "finger", "impression", "compression", "owner", "minutiae", "input_ppi", "preset")
+_PARAMETERS = ("to", "finger", "impression", "compression", "device", "owner", "minutiae", "input_ppi", "preset")
 _SQLITE = b"SQLite format 3\0"
 _KEPT_PPI = (500, 1000)
 """Resolutions that records have; prints of others are resampled to 500."""
@@ -210,8 +211,18 @@ def _of_surface(source: Path, name: str, settings: ExportJob, hashes: dict[str, 
     taken = read_source(source, photo=False, surface=True, preset=settings.preset)
     hashes.update(taken.hashes)
     made = naming(source, lambda: make_print(taken, "unroll", None, PPI))
-    finger = coded_finger(taken.subject.get("finger"))
-    return _Item(name, taken.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
+    finger, text = coded_finger(taken.subject.get("finger")), _contactless("unroll", taken.pitch_mm)
+    return _Item(name, taken.kind, PrintFile(made.image, PPI, text, finger, "contactless"), made=made)
+
+
+def _contactless(method: str, pitch_mm: float) -> dict[str, str]:
+    """Fields of ANSI/NIST-ITL: the technology of the capture (6: light, unrolled by the shape; 7: ridges of a surface),
+    its resolution, and that it is no contact print.
+    """
+    light, ppi = method in ("photo", "specular"), str(round(25.4 / pitch_mm))
+    what = "light of the skin" if light else "ridges of a surface"
+    comment = f"no contact print: {what}, printed by splitknit {provenance({}, {})['version']}, method {method}"
+    return {"SHPS": ppi, "SVPS": ppi, "COM": comment, "FCT": "6" if light else "7"}
 
 
 def _lights(source: Path, folder: Path, _: ExportJob, taken: set[str], hashes: dict[str, str]) -> Facts:
@@ -252,12 +263,17 @@ def _surface(
 
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Item:
     picture, view = read_print_folder(source)
+    about = Fields(read_json(source / "report.json")[0], f"{source}: report.json")
+    method, text, impression = about.text("method"), {}, "live_plain"
+    if method != "file":  # that was a print of a finger's contact already
+        pitch_mm = Fields(about.get("source"), f"{source}: report.json", "source").number("pitch_mm", 1e-4, 1.0)
+        text, impression = _contactless(method, pitch_mm), "contactless"
     if view is not None:
-        view = dataclasses.replace(view, impression="contactless")
+        view = dataclasses.replace(view, impression=impression)
         hashes[f"{source.name}/minutiae.iso"] = file_hash(source / "minutiae.iso")
     hashes[f"{source.name}/print.png"] = file_hash(source / "print.png")
     finger = "unknown" if view is None else view.finger
-    return _Item(name, "print", dataclasses.replace(picture, finger=finger, impression="contactless"), view)
+    return _Item(name, "print", dataclasses.replace(picture, text=text, finger=finger, impression=impression), view)
 
 
 def _of_gallery(source: Path, key: Key | None) -> Iterator[_Item]:
@@ -336,13 +352,15 @@ def _written(
     if item.names is not None:
         facts |= {"person": item.names[0], "session": item.names[1]}
     text = provenance_texts(provenance({"to": form.name}, hashes))
+    device = {} if settings.device is None else {"MMS": settings.device}
     how = Writing(settings.compression, settings.date, text=text, owner=settings.owner)
     if form.holds == "image":
         if item.picture is None:
             raise BadInput(
                 f"it holds minutiae and no picture, but {form.words} is for pictures; write iso-19794-2 or ansi-378."
             )
-        picture = _fitting(dataclasses.replace(item.picture, finger=finger, impression=impression), form)
+        text = {**item.picture.text, **device}
+        picture = _fitting(dataclasses.replace(item.picture, text=text, finger=finger, impression=impression), form)
         facts |= {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
         if form.name in ("iso-19794-4-2011", "iso-39794-4"):
             how = dataclasses.replace(how, quality=minutiae_in(picture, "none", item.made).finger_quality)

@@ -95,7 +95,10 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     gap = ((place - place[:, None]) * ahead.conj()).astype(np.complex64)[:, None]
     # the Gaussian around a minutia is the product of one to the right and one up; each (N, cells, N)
     line = _LINE_MM[:, None]
-    right, up = (np.exp((line - part) ** 2 / np.float32(-2 * _SIGMA_MM**2)) for part in (gap.real, gap.imag))
+    far = np.float32(-35)  # less makes numbers so small (subnormal) that sums of their products take ten times as long
+    right, up = (
+        np.exp(np.maximum((line - part) ** 2 / np.float32(-2 * _SIGMA_MM**2), far)) for part in (gap.real, gap.imag)
+    )
     own = np.arange(len(place))
     right[own, :, own] = 0.0
     turned = _wrapped(turn - turn[:, None]).astype(np.float32)[:, None]

@@ -37,6 +37,10 @@ MAX_PRINTS = 98
 """Information designation characters go from 0 to 99; 0 is that of Type-2."""
 _DATES = {14: "FCD", 13: "LCD", 15: "PCD"}
 """Types of records that hold one picture, and the names of their dates of capture."""
+TEXTS = {"SHPS": r"[0-9]{2,5}", "SVPS": r"[0-9]{2,5}", "COM": r"[ -~]{1,126}", "FCT": r"[0-9]{1,2}",
+         "MMS": r"[ -+\--~]{1,50}(,[ -+\--~]{1,50}){2}"}  # fmt: skip
+"""Fields that a print's `text` may hold, and what they are: pixels an inch of the capture (14.016, .017), comment
+(.020), technology of the capture (.901), and make, model and serial number of the device, with commas (.904)."""
 MIN_PPI, MAX_PPI = 490.0, 5080.0
 """A print below the class of 500 ppi is not an exemplar."""
 
@@ -114,6 +118,10 @@ def _record(nistitl: Any, item: PrintFile, compression: str, number: int, source
     fields |= {"CGA": COMPRESSIONS[compression], "BPX": 8, "FGP": position}
     for name, value in fields.items():
         setattr(record, name, str(value))
+    for name in TEXTS.keys() & item.text.keys():
+        text = item.text[name]
+        require(re.fullmatch(TEXTS[name], text) is not None, f"{text[:60]!a} cannot be written as field {name}.")
+        setattr(record, name, [text.split(",")] if name == "MMS" else text)
     record.DATA = encode_print(item.image, ppi, compression)
     return record
 
@@ -277,9 +285,16 @@ def _print(record: Any, name: str) -> PrintFile:
         known = {14: FINGER_CODES, 15: PALM_CODES, 13: {**FINGER_CODES, **PALM_CODES}}[record.type]
         finger = name_of(_number(record, "FGP", name), known, "finger position")
         impression = name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type")
-        return _checked(PrintFile(image, ppi, {}, finger, impression, _LATENT if record.type == 13 else ""))
+        text = {key: _joined(record[key].value) for key in TEXTS if record[key] is not None}
+        text = {key: one for key, one in text.items() if re.fullmatch(TEXTS[key], one)}
+        return _checked(PrintFile(image, ppi, text, finger, impression, _LATENT if record.type == 13 else ""))
     except BadInput as error:
         raise BadInput(str(error) if name in str(error) else f"{name}: {error}") from error
+
+
+def _joined(value: Any) -> str:
+    """Text of a field, or of its items and subfields with commas."""
+    return ",".join(map(_joined, value)) if isinstance(value, list) else str(value)
 
 
 def _resolution(record: Any, name: str) -> float:
