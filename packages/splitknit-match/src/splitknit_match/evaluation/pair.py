@@ -185,9 +185,10 @@ class _Side:
         require(bool(self.mask.any()), "a result holds no surface.")
         height = _sampled(result.height_mm, known, there, step / result.pitch_mm)
         self.height = np.where(self.mask, height, np.float32(0.0)).astype(np.float32)
-        smooth = smoothed(self.height, self.mask, 0.6 / step)
-        slopes = height_gradients(np.where(self.mask, smooth, np.float32(np.nan)), step)
-        self.cosine = (1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)).astype(np.float32)
+        # means of slopes, not slopes of means: beside the outline a mean over the inner side alone is too flat
+        slopes = height_gradients(np.where(self.mask, self.height, np.float32(np.nan)), step)
+        x, y = (smoothed(part, self.mask, 0.6 / step) for part in slopes)
+        self.cosine = (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
         self.ridges, self.places = self._unrolled()
 
     def _unrolled(self) -> tuple[Prepared, FloatArray]:
