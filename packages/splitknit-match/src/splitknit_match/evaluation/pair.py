@@ -185,9 +185,8 @@ class _Side:
         require(bool(self.mask.any()), "a result holds no surface.")
         height = _sampled(result.height_mm, known, there, step / result.pitch_mm)
         self.height = np.where(self.mask, height, np.float32(0.0)).astype(np.float32)
-        # means of slopes, not slopes of means: beside the outline a mean over the inner side alone is too flat
         slopes = height_gradients(np.where(self.mask, self.height, np.float32(np.nan)), step)
-        x, y = (smoothed(part, self.mask, 0.6 / step) for part in slopes)
+        x, y = (smoothed(part, self.mask, 0.6 / step) for part in slopes)  # a mean's slope is too flat at the edge
         self.cosine = (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
         self.ridges, self.places = self._unrolled()
 
