@@ -25,10 +25,10 @@ MAIN = "0 to 40"
 
 def laid_down(
     roll: float = 0.0, yaw: float = 0.0, moved: tuple[float, float] = (0.0, 0.0), *, um: float = 30.0,
-    whorl: float = 1.0, stretched: float = 0.0, near_mm: float = 0.0,
+    whorl: float = 1.0, stretched: float = 0.0, near_mm: float = 0.0, half_mm: float = 5.6,
 ) -> Reconstruction:  # fmt: skip
     """The cylinder with concentric ridges, rolled and turned (rad) and moved (mm)."""
-    x, y = np.meshgrid(np.arange(-6.0, 6.0, PITCH), np.arange(7.0, -7.0, -PITCH))
+    x, y = np.meshgrid(np.arange(-half_mm - 0.4, half_mm + 0.4, PITCH), np.arange(7.0, -7.0, -PITCH))
     plane, above = (x, y), np.zeros(x.shape)
     for _ in range(4 if near_mm else 0):  # a perspective camera sees what lies deeper, further out
         x, y = (part * (1.0 - above / near_mm) for part in plane)
@@ -44,7 +44,7 @@ def laid_down(
         v = v + stretched * np.cos(s / 1.9)
         phase = 2 * np.pi / 0.5 * (np.hypot(s - whorl, v + 3.0 * whorl) + 0.3 * np.sin(0.7 * v + 0.4 * s))
         relief = 1e-3 * um * np.cos(phase)
-    mask = (np.abs(x) < 5.6) & (np.abs(y) < 6.6)
+    mask = (np.abs(x) < half_mm) & (np.abs(y) < 6.6)
     seen = np.where(mask, 1.0, np.nan)
     height = ((RADIUS_MM + relief) * np.cos(angle) * seen).astype(np.float32)
     shape = (np.sqrt(RADIUS_MM**2 - np.minimum(x**2, 60.0)) * seen).astype(np.float32)
@@ -97,6 +97,16 @@ def test_a_perspective_camera_sees_the_same_surface() -> None:
     found = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
     assert found["0.25 to 0.8 mm"][MAIN]["rms_um"]["value"] < 1.0
     assert found["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
+
+
+@pytest.mark.slow
+def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
+    true = laid_down(half_mm=7.5)
+    x = np.arange(-7.9, 7.9, PITCH)
+    beyond = np.maximum(np.rad2deg(np.arcsin(np.clip(np.abs(x) / RADIUS_MM, 0, 0.95))) - 61.0, 0.0)
+    wrong = replace(true, height_mm=true.height_mm + np.float32(0.05) * beyond.astype(np.float32))
+    found = compare_results(wrong, true).figures["relief"][MAIN]
+    assert found["rms_um"]["value"] < 0.5
 
 
 @pytest.mark.slow
