@@ -241,7 +241,7 @@ def search(job: Job, size: int) -> None:
     """Wrong candidates of windows of 6 and 8 mm in a gallery of whole prints, each of another finger; writes a table.
 
     `size`: simulated presses, with windows of ten others; 0: all real prints, with windows of the first impressions of
-    two fingers of each set. All are compared. *stated*: with a match at the smallest rate that is stated of windows;
+    a finger of each set. All are compared. *stated*: with a match at the smallest rate that is stated of windows;
     *above*: by the score alone, whatever overlaps.
     """
     at = fmr_basis("windows").smallest
@@ -256,7 +256,7 @@ def search(job: Job, size: int) -> None:
             images, owner, impression = prints(name, job)
             gallery += [(who, Prepared(made(one, "template", job))) for who, one in zip(owner, images, strict=True)]
             first_ = [(who, number, one) for who, n, one in zip(owner, impression, images, strict=True) if n == 0]
-            probes += first_[:2]
+            probes += first_[:1]
     counts: dict[int, list[tuple[int, int, int]]] = {6: [], 8: []}
     for owner_, number, image in probes:
         for _, mm, which, part in windows([image], number):
