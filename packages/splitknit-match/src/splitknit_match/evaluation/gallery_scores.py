@@ -85,8 +85,8 @@ def _similarities(
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]
         both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
-        score = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]
-        return np.array(score), None, "minutiae"
+        found = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]
+        return np.array(found), None, "minutiae"
     templates = [unpack(payload) for payload in payloads]
     fused, note = with_fusion([one for one in templates if not one.empty])
     match = fused_match if fused else ridge_match
