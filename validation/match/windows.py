@@ -4,6 +4,7 @@
     python validation/match/windows.py                        # fits, rates and tables from what was compared
     python validation/match/windows.py --write                # and writes what the matcher ships
     python validation/match/windows.py --overlap              # of genuine touches, by the alignment of the whole prints
+    python validation/match/windows.py --gallery 300          # windows of others against a gallery; --gallery 0: real
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
 where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
@@ -14,6 +15,7 @@ constants and false match rates follow from one run: every set is judged by cons
 from __future__ import annotations
 
 import argparse
+import csv
 import itertools
 import json
 import time
@@ -26,11 +28,12 @@ import numpy as np
 from code_tails import wilson
 from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
 from numpy.typing import NDArray
+from pressed_prints import finger, press
 
 from impostors import FOLDER
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import fused_match
-from splitknit_match.matching.methods import REAL_PRINTS, TABLES
+from splitknit_match.matching.methods import REAL_PRINTS, TABLES, fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
 
@@ -234,6 +237,54 @@ def overlaps(job: Job) -> None:
         print(f"{mm} mm: {len(areas)} genuine pairs overlap by {np.median(areas):.0f} mm2 (median), {said}")
 
 
+def search(job: Job, size: int) -> None:
+    """Wrong candidates of windows of 6 and 8 mm in a gallery of whole prints, each of another finger; writes a table.
+
+    `size`: simulated presses, with windows of ten others; 0: all real prints, with windows of the first impressions of
+    a finger of each set. All are compared. *stated*: with a match at the smallest rate that is stated of windows;
+    *above*: by the score alone, whatever overlaps.
+    """
+    at = fmr_basis("windows").smallest
+    limit = similarity_at(at, "windows")
+    if size:
+        pressed = [made(press(finger(98_000 + k), 0), "template", job) for k in range(size)]
+        gallery = [(str(k), Prepared(one)) for k, one in enumerate(pressed)]
+        probes = [(f"other {k}", 0, press(finger(97_000 + k), 0)) for k in range(10)]
+    else:
+        gallery, probes = [], []
+        for number, name in enumerate(SETS):
+            images, owner, impression = prints(name, job)
+            gallery += [(who, Prepared(made(one, "template", job))) for who, one in zip(owner, images, strict=True)]
+            first_ = [(who, number, one) for who, n, one in zip(owner, impression, images, strict=True) if n == 0]
+            probes += first_[:1]
+    counts: dict[int, list[tuple[int, int, int]]] = {6: [], 8: []}
+    for owner_, number, image in probes:
+        for _, mm, which, part in windows([image], number):
+            if mm not in counts or which != "middle":
+                continue
+            probe, found = Prepared(made(part, "template", job)), []
+            for whose, other in gallery:
+                if whose == owner_:
+                    continue
+                one = fused_match(probe, other)
+                areas = probe.template.area_mm2, other.template.area_mm2
+                kind, overlap = scores_of("fusion", areas, one.minutiae), one.ridge.overlap_mm2
+                answer = rate(one.similarity, kind, overlap, at).answer
+                found.append((answer == "match", one.similarity >= limit))
+            counts[mm].append((len(found), *np.sum(found, axis=0).tolist()))
+            print(owner_, mm, counts[mm][-1], flush=True)
+    file = HERE / "tables" / f"windows_gallery_{'simulated' if size else 'real'}.csv"
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("mm", "searches", "compared", "stated_rate", "expected", "stated", "above", "most_in_one"))
+        for mm, searches in counts.items():
+            table = np.array(searches)
+            compared, stated, above = table.sum(axis=0).tolist()
+            row = (mm, len(table), compared, f"{at:.3g}", round(compared * at, 2), stated, above, table[:, 2].max())
+            writer.writerow(row)
+            print(*row)
+
+
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
     """Cost of log-likelihood ratios, in bits (Bruemmer and du Preez 2006)."""
     return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (2 * np.log(2))
@@ -348,8 +399,12 @@ def main() -> None:
     parser.add_argument("--version", default="1", help="of what is made of a print")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--overlap", action="store_true")
+    parser.add_argument("--gallery", type=int, metavar="N", help="search galleries of N simulated prints; 0: real ones")
     options = parser.parse_args()
     cv2.setNumThreads(1)
+    if options.gallery is not None:
+        search(Job(options.cache, options.version), options.gallery)
+        return
     if options.compare is not None:
         compare(Job(options.cache, options.version), options.compare)
     if options.overlap:

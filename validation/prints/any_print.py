@@ -3,7 +3,8 @@
     python validation/prints/any_print.py [--data ../shared/data]
 
 writes ``tables/any_print.csv``, a row for each set of 40 prints. *white*: of the prints as they are, and inverted, how
-many are turned, and of how many it is said to be in doubt. *period*: distance of the ridges over 0.46 mm, 2.5 % and
+many are turned, and of how many it is said to be in doubt. *doubted*: prints whose resolution is in doubt as it is, and
+if half or twice of it is stated. *period*: distance of the ridges over 0.46 mm, 2.5 % and
 97.5 %, by :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found. *page*: the
 first impressions on a white page of 2000 x 2000: in how many exactly one print is found, and mean minutiae alone and
 on the page.
@@ -28,11 +29,14 @@ def row(folder: Path) -> dict[str, object]:
     """Figures of one set."""
     ppi = PPI.get(folder.name, 500.0)
     said = {"dark": [], "inverted": []}
+    doubted = {"as it is": 0, "half": 0, "twice": 0}
     periods, alone, on_page, single = [], [], [], 0
     for file in sorted(folder.glob("*.png")):
         image = read_print_png(file).image
         for name, picture in (("dark", image), ("inverted", 255 - image)):
             said[name].append(_prints_on(PrintFile(picture, ppi, {}))[0].note)
+        for name, factor in zip(doubted, (1, 0.5, 2), strict=True):
+            doubted[name] += bool(_prints_on(PrintFile(image, factor * ppi, {}))[0].doubt)
         periods.append(_ridge_period_px(image))
         if file.stem.endswith("_1"):
             page = np.full((2000, 2000), 255, np.uint8)
@@ -47,7 +51,7 @@ def row(folder: Path) -> dict[str, object]:
         "prints": len(periods),
         **{f"{name}_turned": sum("turned dark" in one for one in notes) for name, notes in said.items()},
         **{f"{name}_in_doubt": sum("invert the picture" in one for one in notes) for name, notes in said.items()},
-        "unusual_distance": sum("which is unusual" in one for one in said["dark"]),
+        **{f"doubted_{name.replace(' ', '_')}": count for name, count in doubted.items()},
         "no_period": periods.count(None),
         "period_2.5": round(float(np.percentile(known, 2.5)), 3),
         "period_97.5": round(float(np.percentile(known, 97.5)), 3),

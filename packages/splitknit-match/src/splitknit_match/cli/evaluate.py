@@ -43,7 +43,7 @@ class EvaluationJob(Job):
     calibrate: Annotated[AnyPath | None, Help(
         "write the false match rates of one system here, for 'splitknit match --decision'", "FILE")] = None
     method: Annotated[Literal["fusion", "ridge", "minutiae"], Help(
-        "with `calibrate`: the method of 'splitknit match' that gave the scores")] = "fusion"
+        "with `calibrate` and `scores`: the method of 'splitknit match' that gave them")] = "fusion"
     least_mm2: Annotated[float, Help(
         "with `calibrate`: the smallest overlap among the prints compared; where less overlaps nothing is decided",
         "MM2")] = 100.0
@@ -69,7 +69,9 @@ class EvaluationJob(Job):
         if self.calibrate is not None:
             one = found.results[0].scores
             require(len(found.results) == 1, "`calibrate` takes the scores of one system; name one file.")
-            document = own_rates_document(one.impostor, f"scores of {one.name}", self.method, self.least_mm2)
+            require(not self.dissimilarity, "`calibrate` takes similarities, as 'splitknit match' gives them.")
+            method = self.method if gallery is None else gallery.method
+            document = own_rates_document(one.impostor, f"scores of {one.name}", method, self.least_mm2)
             write_file(path(self.calibrate), json_text(document).encode())
         return write_evaluation(found, path(self.out))
 

@@ -74,7 +74,7 @@ def _words(found: Identification, raw: bool) -> list[str]:
 
 def _verdict(found: Identification) -> str:
     decision = found.decision
-    if not found.probe.acquired:
+    if not found.probe.acquired and not found.probe.doubt:
         lacks = "too few minutiae" if found.by == "minutiae" else "no ridges"
         return f"No match: {found.probe.path} holds {lacks} (failure to acquire)."
     if found.searched.captures == 0:

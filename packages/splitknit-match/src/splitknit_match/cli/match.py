@@ -109,7 +109,7 @@ def _template_words(made: TemplateFile) -> str:
 
 
 def _verdict(found: Match) -> str:
-    if not found.compared:
+    if not found.compared and not (found.a.doubt or found.b.doubt):
         both = found.a.acquired and found.b.acquired
         apart = found.method in ("thesis", "fusion") or (found.method == "surface-code" and both)
         word = "Undecided" if both else "Not acquired"

@@ -34,6 +34,7 @@ class GalleryScores:
     table: bytes  # the same as a score file
     sha256: str  # hash of the gallery's file
     notes: tuple[str, ...]
+    method: str  # of `match`, which gives such scores
 
 
 def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = no_progress) -> GalleryScores:
@@ -55,7 +56,7 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     fingers = [f"{person}/{one.entry.finger}" for person, one in zip(persons, rows, strict=True)]
     try:
         pairs = comparisons(fingers, when, within=True)
-        score, note = _similarities([templates[one.row] for one in rows], pairs, progress)
+        score, note, method = _similarities([templates[one.row] for one in rows], pairs, progress)
         session_names = [one.entry.session for one in rows]
         scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
     except BadInput as error:
@@ -70,20 +71,22 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     sides = pairs.a.tolist(), pairs.b.tolist()
     both = {kind: ([own[n] for n in sides[0]], [own[n] for n in sides[1]]) for kind, own in named.items()}
     table = score_table(pairs.genuine.tolist(), both, {"score": score.tolist()})
-    return GalleryScores(scores, table, sha256, tuple(notes))
+    return GalleryScores(scores, table, sha256, tuple(notes), method)
 
 
 def _similarities(
     payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
-) -> tuple[NDArray[np.float64], str | None]:
-    """(N,) similarity of each pair, NaN where a side is a failure to acquire, and what is to be noted. Kept sides are
-    large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side after the other.
+) -> tuple[NDArray[np.float64], str | None, str]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted, and the method.
+    Kept sides are large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side
+    after the other.
     Both sides decide which is turned (:func:`splitknit_match.matching.ridge.ridge_match`): order changes nothing.
     """
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]
         both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
-        return np.array([minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]), None
+        found = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]
+        return np.array(found), None, "minutiae"
     templates = [unpack(payload) for payload in payloads]
     fused, note = with_fusion([one for one in templates if not one.empty])
     match = fused_match if fused else ridge_match
@@ -107,4 +110,4 @@ def _similarities(
         if a != last[0]:
             last = (a, Prepared(templates[a]))
         score[n] = match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
-    return score, note
+    return score, note, "fusion" if fused else "ridge"

@@ -38,7 +38,7 @@ from splitknit_match.gallery.entry import Enrolled, Entry, NewCapture, check_per
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.key import Key
 from splitknit_match.matching.code import CODE_VERSION, code_of
-from splitknit_match.matching.inputs import Held, Pixels, Side, is_of_minutiae, read_side
+from splitknit_match.matching.inputs import Held, Pixels, Side, is_of_minutiae, read_side, undoubted
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.minutiae_record import MINUTIAE_VERSION, holds_minutiae, pack_minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
@@ -266,7 +266,9 @@ def _made_of(
     examine: Callable[[Side], None] | None = None,
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
-    side = read_side(path, settings.preset, settings.matching, progress, settings.input_ppi, where=settings.where)
+    side = undoubted(
+        read_side(path, settings.preset, settings.matching, progress, settings.input_ppi, where=settings.where)
+    )
     if examine is not None:
         examine(side)
     kept = None if settings.keep == "none" else _kept(path, side, settings.keep)

@@ -188,6 +188,9 @@ def identify_finger(
         area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
         fusion = "fingerphotos" if side.kind == "photo" else "fusion"
 
+        doubt = None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
+        calibrated = calibrated and doubt is None
+
         def matches(one: _Found) -> bool:
             return calibrated and _rated(one, fusion, area_mm2, question.fmr).answer == "match"
 
@@ -204,7 +207,7 @@ def identify_finger(
     first = rated[0] if rated else None
     decision, undecided = None, None
     if not calibrated:
-        undecided = "with other settings than the shipped ones false match rates are not known"
+        undecided = doubt or "with other settings than the shipped ones false match rates are not known"
     elif first is not None and first.decision is None:
         undecided = first.undecided
     else:
@@ -215,7 +218,7 @@ def identify_finger(
     progress("done", 1.0)
     return Identification(
         gallery=str(gallery),
-        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note),
+        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
         mode="identification" if person is None else "verification",
         person=person,
         finger=finger,
@@ -225,8 +228,8 @@ def identify_finger(
         candidates=tuple(reported),
         fmr_basis=None if not calibrated else fmr_basis(by) if first is None else first.basis,
         decision=decision,
-        answer=answer if acquired else "not acquired",
-        undecided=undecided if acquired else "failure to acquire",
+        answer=answer if acquired or doubt else "not acquired",
+        undecided=undecided if acquired or doubt else "failure to acquire",
         timings_s={"search": seconds},
     )
 

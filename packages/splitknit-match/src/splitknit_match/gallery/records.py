@@ -347,8 +347,8 @@ def _written(
     touched = stated.impression == "unknown" and item.kind == "print"
     impression = settings.impression or ("live_plain" if touched else stated.impression)
     facts: dict[str, Any] = {"finger": finger, "impression": impression}
-    if item.picture is not None and item.picture.note:
-        facts["note"] = item.picture.note
+    if item.picture is not None and (item.picture.doubt or item.picture.note):
+        facts["note"] = " ".join(filter(None, (item.picture.doubt, item.picture.note)))
     if item.names is not None:
         facts |= {"person": item.names[0], "session": item.names[1]}
     text = provenance_texts(provenance({"to": form.name}, hashes))

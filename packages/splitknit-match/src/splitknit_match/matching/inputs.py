@@ -67,6 +67,8 @@ class Side:
     """What a photograph was taken for, or what was changed of a print on reading."""
     quality: float | None = None
     """Of a photograph, 0 to 100."""
+    doubt: str | None = None
+    """Why the resolution of a print cannot be right."""
 
     @property
     def payload(self) -> bytes:
@@ -194,7 +196,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
     printed = naming(path, lambda: print_at_500_ppi(finger))
     template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
-    return naming(path, lambda: Side(path, "print", None, template, printed.image, note=finger.note or None))
+    return Side(path, "print", None, template, printed.image, note=finger.note or None, doubt=finger.doubt or None)
 
 
 def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: Progress) -> Side:
@@ -204,8 +206,12 @@ def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: P
         surface = surface_of(result)
         return Side(Path("reconstruction"), "result", surface, surface_template(surface, settings))
     if isinstance(given, Pixels):
-        image = at_500_ppi(given.image, given.resolution_ppi)
-        return Side(Path("array"), "print", None, print_template(image, PPI, settings), image)
+        from splitknit_match.prints.from_file import pixels_as_print  # a template needs none of it
+
+        item = pixels_as_print(given.image, given.resolution_ppi)
+        image = at_500_ppi(item.image, given.resolution_ppi)
+        template = print_template(image, PPI, settings)
+        return Side(Path("array"), "print", None, template, image, note=item.note or None, doubt=item.doubt or None)
     if holds_minutiae(given):
         return Side(Path("template"), "template", minutiae=unpack_minutiae(given))
     return Side(Path("template"), "template", None, unpack(given))
@@ -218,7 +224,7 @@ def _touched(folder: Path, files: list[Path], settings: MatchingSettings, input_
     require(
         len(files) <= _MOST_TOUCHES, f"'{folder}' holds {len(files)} prints; of touches {_MOST_TOUCHES} are joined."
     )
-    templates = []
+    templates, doubt = [], None
     for file in files:
         one = read_side(file, "metric", settings, input_ppi=input_ppi)
         require(
@@ -226,12 +232,19 @@ def _touched(folder: Path, files: list[Path], settings: MatchingSettings, input_
             f"{file} is a {one.kind}; a folder of touches holds prints of one finger alone.",
         )
         templates.append(one.template)
+        doubt = doubt or (one.doubt and f"{file.name}: {one.doubt}")
     whole, joined = join_touches([one for one in templates if one is not None])
     found = sum(not one.empty for one in templates if one is not None)
     note = f"{len(files)} touches, {joined} joined" + (f", {found - joined} beside them" if found > joined else "")
     if found < len(files):
         note += f", {len(files) - found} without enough ridges"
-    return Side(folder, "touches", None, whole, note=note)
+    return Side(folder, "touches", None, whole, note=note, doubt=doubt)
+
+
+def undoubted(side: Side) -> Side:
+    """The side, whose template is to be kept. Raises BadInput if its resolution cannot be right."""
+    require(side.doubt is None, f"{side.path}: {side.doubt} Nothing is kept of it; give the true resolution.")
+    return side
 
 
 def _photo(path: Path, source: Source, settings: MatchingSettings) -> Side:
@@ -243,12 +256,13 @@ def _photo(path: Path, source: Source, settings: MatchingSettings) -> Side:
 
 def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
     """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
-    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder
+    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder, resolution_doubt
 
     picture, view = read_print_folder(folder)
     printed = naming(folder, lambda: print_at_500_ppi(picture))
     template = naming(folder, lambda: print_template(printed.image, settings=settings))
-    return Side(folder, "print", None, template, printed.image, None if view is None else minutiae_of(view))
+    minutiae, doubt = None if view is None else minutiae_of(view), resolution_doubt(picture) or None
+    return Side(folder, "print", None, template, printed.image, minutiae, doubt=doubt)
 
 
 def is_photo(given: Path | Held) -> bool:

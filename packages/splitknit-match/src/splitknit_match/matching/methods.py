@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput, Progress, Surface, naming, no_progress, override, path, require
 from splitknit_match.matching.fusion import SMALL_MM2, can_fuse, fused_match, fused_photo
-from splitknit_match.matching.inputs import Side, held, is_photo, read_side
+from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
@@ -73,6 +73,8 @@ class ComparedSide:
     """What a photograph was taken for, and how its scale is known."""
     quality: float | None = None
     """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
+    doubt: str | None = None
+    """Why the resolution of a print cannot be right; the answer is then undecided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +231,7 @@ def make_template_file(job: MakeTemplateJob, progress: Progress = no_progress) -
     side = read_side(finger, job.preset, chosen, progress, job.input_ppi, where=PhotoFinger(job.mask, job.box))
     written = None if template is None else _written(template, side)
     progress("done", 1.0)
-    return TemplateMade(_side(side), written, side.payload)
+    return TemplateMade(_side(side), written, undoubted(side).payload)
 
 
 def _check_template_file(template: Path, *inputs: Any) -> None:
@@ -242,7 +244,7 @@ def _check_template_file(template: Path, *inputs: Any) -> None:
 
 
 def _written(template: Path, side: Side) -> TemplateFile:
-    write_template(template, side.payload, VERSION)
+    write_template(template, undoubted(side).payload, VERSION)
     return TemplateFile(str(template), template.stat().st_size)
 
 
@@ -302,15 +304,16 @@ def _rated(
 ) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
     fmr, own = decide
-    missing = None
-    if not (found.a.acquired and found.b.acquired):
+    doubt = next((f"{one.path}: {one.doubt}".rstrip(".") for one in (found.a, found.b) if one.doubt), None)
+    missing = doubt
+    if doubt is None and not (found.a.acquired and found.b.acquired):
         return replace(found, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
     if scores not in TABLES and own is None:
-        missing = f"false match rates of the method {scores} were not measured"
+        missing = missing or f"false match rates of the method {scores} were not measured"
     elif own is None and not as_calibrated(settings, scores):
-        missing = "with other settings than the shipped ones false match rates are not known"
+        missing = missing or "with other settings than the shipped ones false match rates are not known"
     elif not found.compared:
-        missing = "nothing was compared"
+        missing = missing or "nothing was compared"
     if missing is not None:
         return replace(found, fmr_missing=missing, undecided=missing)
     areas = found.a.area_mm2, found.b.area_mm2
@@ -459,8 +462,8 @@ def _side(side: Side) -> ComparedSide:
     if template is None:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
-    path, area = str(side.path), template.area_mm2
-    return ComparedSide(path, side.kind, area, not template.empty, note=side.note, quality=side.quality)
+    said = ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty, note=side.note)
+    return replace(said, quality=side.quality, doubt=side.doubt)
 
 
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:

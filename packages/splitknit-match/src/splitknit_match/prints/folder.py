@@ -194,7 +194,8 @@ def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
     ppi = item.resolution_ppi or PPI
     source = Source(
         "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / ppi, np.eye(3), item.image.shape,
-        hashes={path.name: file_hash(path)}, subject={"finger": item.finger}, scale=item.note,
+        hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+        scale=" ".join(filter(None, (item.doubt, item.note))),
     )  # fmt: skip
     return source, made
 

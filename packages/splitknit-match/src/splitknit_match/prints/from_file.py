@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -34,6 +34,8 @@ _WAVE = 0.5
 """Part of a tile's power that lies in one wave, where it shows ridges."""
 _PERIODS = 0.76, 1.47
 """Of the usual period: those of 95 % of 280 real prints of seven sensors (validation/prints/any_print.py)."""
+_RIDGES = 0.4
+"""Of a picture's strong tiles, from which on ridges lie as its resolution has them; else they are sought at others."""
 _CLEAR = 0.2
 """Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or more."""
 _FAINT = 4.0
@@ -46,6 +48,9 @@ _DARK, _WHITE = 0.15, -0.2
 """Mean level beside a print, at its rim and at the picture's edge over that of its middle, in contrasts of its ridges,
 from which on ridges are dark, or white: of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)."""
 _DOUBT = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+
+
+_Read = TypeVar("_Read", bound=PrintFile | FingerView)
 
 
 def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
@@ -76,11 +81,17 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
 
     Raises BadInput as :func:`read_print_file`, or if the file holds several.
     """
-    found = read_print_file(path, input_ppi)
-    require(
-        len(found) == 1,
-        f"{path} holds {len(found)} prints; take them apart with 'splitknit import' or crop the picture.",
-    )
+    return _only(read_print_file(path, input_ppi), str(path))
+
+
+def pixels_as_print(image: NDArray[np.uint8], ppi: float) -> PrintFile:
+    """An array (H, W) as the only print of a file is read. Raises BadInput if it shows several."""
+    return _only(_prints_on(PrintFile(image, ppi, {})), "the array")
+
+
+def _only(found: tuple[_Read, ...], name: str) -> _Read:
+    several = f"{name} holds {len(found)} prints; take them apart with 'splitknit import' or crop the picture."
+    require(len(found) == 1, several)
     return found[0]
 
 
@@ -176,7 +187,7 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
     rows, columns = item.image.shape
     scale = 380.0 / ppi  # usual ridges lie 7 pixels apart
     if min(rows, columns) * scale < 3 * _TILE_PX:
-        return (_dark_ridges(item),)
+        return (_dark_ridges(dataclasses.replace(item, doubt=resolution_doubt(item))),)
     page = max(rows, columns) * 25.4 / ppi > _PAGE_MM
     small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     step = _TILE_PX if small.size > 8_000_000 else _TILE_PX // 2
@@ -198,12 +209,11 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
         starts = [max(0, round(at * pitch_px - margin)) for at in (top, left)]
         ends = [round((at + n - 1) * pitch_px + 2 * margin) for at, n in ((top, high), (left, wide))]
         parts.append((slice(starts[0], min(ends[0], rows)), slice(starts[1], min(ends[1], columns))))
-    apart_px = float(np.median(apart[ridges])) / scale if clear else _ridge_period_px(item.image[parts[0]])
-    if apart_px is not None:
-        period = apart_px * 25.4 / ppi
-        if not 0.95 * _PERIODS[0] < period / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
-            doubt = f"at {ppi:.0f} ppi its ridges are {period:.2f} mm apart, which is unusual: check the resolution."
-            item = dataclasses.replace(item, note=" ".join(filter(None, (item.note, doubt))))
+    if clear and ridges.sum() >= _RIDGES * strong.sum():
+        doubt = resolution_doubt(item, float(np.median(apart[ridges])) / scale)
+    else:
+        doubt = resolution_doubt(dataclasses.replace(item, image=item.image[parts[0]]))
+    item = dataclasses.replace(item, doubt=doubt)
     covered = sum((box[0].stop - box[0].start) * (box[1].stop - box[1].start) for box in parts)
     if not page and covered > 0.2 * item.image.size:
         return (_dark_ridges(item),)
@@ -214,6 +224,19 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
         )
         for box in parts
     )
+
+
+def resolution_doubt(item: PrintFile, apart_px: float | None = None) -> str:
+    """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than in people; or "".
+
+    `apart_px`: distance of its ridges, if it is known. None of 280 real prints is doubted, at half or twice their
+    resolution 259 and 261 are (validation/prints/any_print.py).
+    """
+    period, ppi = apart_px or _ridge_period_px(item.image), item.resolution_ppi or PPI
+    apart_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
+    if 0.9 * _PERIODS[0] < apart_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
+        return ""
+    return f"at {ppi:.0f} ppi its ridges are {apart_mm:.2f} mm apart, which is unusual: check the resolution."
 
 
 def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:

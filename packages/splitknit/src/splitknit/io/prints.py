@@ -52,6 +52,8 @@ class PrintFile:
     """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
     note: str = ""
     """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt; sentences."""
+    doubt: str = ""
+    """Why its resolution cannot be right; a sentence."""
 
 
 def write_print_png(
