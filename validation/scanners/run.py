@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import simulated as sim
 from scipy.stats import beta
 
 import splitknit
@@ -24,140 +23,45 @@ import splitknit_simulator
 from splitknit.io.clouds import Cloud
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit_simulator.light.skin import diffusion_profile
-from splitknit_simulator.scanners import focus, laser, stereo, structured_light
+from splitknit_simulator.scanners import simulated as sim
+from splitknit_simulator.scanners import structured_light
 
-SCALE = 0.4
-PX_PER_MM = 75.7 * SCALE
-PERIODS = (1300.0, 200.0, 36.0)
 FINE = 12.0
 """Period in projector rows, finer than ridges."""
-STEPS = 6
 FRAME_S = 1 / 30
-Scan = tuple[Cloud, float, float]
-"""Cloud, light on the skin (1: one evenly lit exposure), seconds of computing."""
 
 
-class Fingers:
-    """A finger in its cameras, each made once."""
-
-    def __init__(self, seed: int) -> None:
-        self.who, self._sights = sim.person(seed, SCALE), {}
-
-    def at(self, deg: float) -> sim.Sight:
-        if deg not in self._sights:
-            self._sights[deg] = sim.Sight(self.who, PX_PER_MM, deg)
-        return self._sights[deg]
-
-
-def even(sight: sim.Sight, channel: str, lamp) -> tuple[np.ndarray, float, float]:
-    """Evenly lit: radiance, its brightest, and the light on the skin over it."""
-    radiance, on_skin = next(sight.light(channel, lamp))
-    brightest = float(np.percentile(radiance[sight.surface.mask], 99.5))
-    return radiance, brightest, on_skin
-
-
-def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] = PERIODS) -> Scan:
-    sight, lamp = finger.at(0), sim.projector()
-    _, brightest, unit = even(sight, channel, lamp)
-    plan = [sim.stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
-    shots = list(sight.light(channel, lamp, plan))
-    images = np.stack([sight.record(one, brightest) for one, _ in shots])
-    images[:, (images >= 1.0).any(axis=0)] = np.nan
-    begun = time.process_time()
-    decoded = structured_light.decode(images.reshape(len(periods), STEPS, *images.shape[1:]), periods)
-    cloud, _ = structured_light.scan(sight.view, lamp, decoded)
-    return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
-
-
-def colour_stripes(finger: Fingers) -> Scan:
+def colour_stripes(finger: sim.Fingers) -> sim.Scan:
     """One exposure a period, the three steps in its three colours, and an evenly lit one."""
     sight, lamp = finger.at(0), sim.projector()
     series, light = [], 0.0
     for k, channel in enumerate(("red", "green", "blue")):
-        radiance, brightest, unit = even(sight, channel, lamp)
+        radiance, brightest, unit = sight.even(channel, lamp)
         flat = np.maximum(sight.record(radiance, brightest), 0.01)
-        shots = list(sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in PERIODS]))
+        shots = list(sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in sim.PERIODS]))
         series.append([sight.record(one, brightest) / flat for one, _ in shots])
         light += (1 + sum(one for _, one in shots) / unit) / 3
     images = np.swapaxes(np.array(series), 0, 1) * sight.surface.mask
     begun = time.process_time()
-    cloud, _ = structured_light.scan(sight.view, lamp, structured_light.decode(images, PERIODS))
+    cloud, _ = structured_light.scan(sight.view, lamp, structured_light.decode(images, sim.PERIODS))
     return cloud, light, time.process_time() - begun
 
 
-def laser_line(finger: Fingers) -> Scan:
-    sight, lamp = finger.at(0), sim.projector()
-    rows = sim.projector().pixels(sight.points[sight.patch.mask])[1]
-    first, step = float(rows.min()) - 10.0, 0.1 / sim.PROJECTOR_PX_MM
-    plan = [sim.line(first + k * step) for k in range(int((np.ptp(rows) + 20.0) / step))]
-    _, _, unit = even(sight, "red", lamp)
-    middle = next(sight.light("red", lamp, [plan[len(plan) // 2]]))[0]
-    brightest = float(np.percentile(middle[middle > 0.2 * middle.max()], 99.0))
-    light, busy, exposure = 0.0, 0.0, 0.0
-
-    def frames():
-        nonlocal light, busy, exposure
-        even_brightest = even(sight, "red", lamp)[1]
-        exposure = even_brightest / brightest
-        for one, on_skin in sight.light("red", lamp, plan):
-            light += on_skin
-            shot = sight.record(one, brightest)
-            begun = time.process_time()
-            yield shot
-            busy += time.process_time() - begun
-
-    when = laser.peaks(frames())
-    begun = time.process_time()
-    cloud = laser.scan(sight.view, lamp, when, (first, step))
-    return cloud, light / unit * exposure, busy + time.process_time() - begun
-
-
-def depth_from_focus(finger: Fingers) -> Scan:
-    sight = finger.at(0)
-    radiance, brightest, _ = even(sight, "green", sim.projector())
-    heights = np.linspace(1.0, -8.5, 20)
-    stack = np.stack([sight.record(one, brightest) for one in sim.focused(sight, radiance, heights)])
-    begun = time.process_time()
-    number, _ = focus.depth(stack, 0.4 * PX_PER_MM)
-    cloud = focus.scan(sight.view, number, (float(heights[0]), float(heights[1] - heights[0])))
-    return cloud, 20.0, time.process_time() - begun
-
-
-def cameras(finger: Fingers, angles: tuple[float, ...]) -> Scan:
-    pictures, lamp = [], sim.projector()
-    for deg in angles:
-        sight = finger.at(deg)
-        radiance, brightest, _ = even(sight, "green", lamp)
-        pictures.append(sight.record(radiance, brightest))
-    begun = time.process_time()
-    views = [finger.at(deg).view for deg in angles]
-    cloud = stereo.scan(pictures, views, np.array([0.0, 0.0, -3.0]), 6.0)
-    return cloud, 1.0, time.process_time() - begun
-
-
-def hull(finger: Fingers) -> Scan:
-    seen = [sim.silhouette(finger.who, 10.0, deg) for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0)]
-    begun = time.process_time()
-    box = np.array([[-13.0, -14.4, -8.0], [13.0, 14.4, 1.5]])
-    cloud = stereo.hull([mask for mask, _ in seen], [view for _, view in seen], box, 0.045)
-    return cloud, 1.0, time.process_time() - begun
-
-
-SYSTEMS: dict[str, tuple[Callable[[Fingers], Scan], str, int, int, float]] = {
-    "stripes": (stripes, "Structured light, 3 periods x 6 steps, blue", 3, 650, 18 * FRAME_S),
+SYSTEMS: dict[str, tuple[Callable[[sim.Fingers], sim.Scan], str, int, int, float]] = {
+    "stripes": (sim.stripes, "Structured light, 3 periods x 6 steps, blue", 3, 650, 18 * FRAME_S),
     "stripes-fine": (
-        lambda f: stripes(f, "blue", (*PERIODS, FINE)),
+        lambda f: sim.stripes(f, "blue", (*sim.PERIODS, FINE)),
         "Structured light, a fourth period of 0.36 mm, blue",
         3,
         650,
         24 * FRAME_S,
     ),
     "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 650, 4 * FRAME_S),
-    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 450, 264 * FRAME_S),
-    "focus": (depth_from_focus, "Depth from focus, 20 pictures", 4, 400, 20 * FRAME_S),
-    "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 4, 300, FRAME_S),
-    "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 7, 550, FRAME_S),
-    "hull": (hull, "Visual hull, six cameras", 8, 620, FRAME_S),
+    "laser": (sim.laser_line, "Laser line, red, 0.1 mm a step", 4, 450, 264 * FRAME_S),
+    "focus": (sim.depth_from_focus, "Depth from focus, 20 pictures", 4, 400, 20 * FRAME_S),
+    "stereo2": (lambda f: sim.cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 4, 300, FRAME_S),
+    "stereo5": (sim.cameras, "Stereo, five cameras", 7, 550, FRAME_S),
+    "hull": (sim.hull, "Visual hull, six cameras", 8, 620, FRAME_S),
 }
 """How, name, parts, price in EUR (both estimated), seconds of capture at 30 frames a second."""
 
@@ -189,7 +93,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
     todo = [name for name in (*names, "metric") if not (out / f"{seed}-{name}.json").exists()]
     if not todo:
         return
-    settings = {"scale": SCALE}
+    settings = {"scale": sim.SCALE}
     capture, truth = splitknit_simulator.simulate_capture(seed, settings=settings)
     own = out / f"{seed}-metric"
     if "metric" in todo:
@@ -202,7 +106,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         splitknit.reconstruct(other, "metric").save(out / f"{seed}-second")
         (out / f"{seed}-metric.json").write_text(json.dumps(facts))
     metric = splitknit.read_result(own)
-    finger = Fingers(seed)
+    finger = sim.Fingers(seed)
     for name in todo:
         if name == "metric":
             continue
@@ -224,8 +128,8 @@ def fringe_table(out: Path) -> None:
     path = out / "fringes.json"
     if path.exists():
         return
-    _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": SCALE})
-    finger = Fingers(1)
+    _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": sim.SCALE})
+    finger = sim.Fingers(1)
     sight, lamp, facts = finger.at(0), sim.projector(), {}
     inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
     for channel in ("opaque", "red", "green", "blue", "nir"):
@@ -237,11 +141,11 @@ def fringe_table(out: Path) -> None:
             )
             found = structured_light.decode(shots[None], [period], 0.0).modulation[0][sight.patch.window]
             rows[str(mm)] = float(np.median(found[inner]))
-        cloud, _, _ = stripes(finger, channel)
+        cloud, _, _ = sim.stripes(finger, channel)
         result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
         figures = splitknit.compare(result, truth).figures
         facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
-        cloud, _, _ = stripes(finger, channel, (*PERIODS, FINE))
+        cloud, _, _ = sim.stripes(finger, channel, (*sim.PERIODS, FINE))
         figures = splitknit.compare(on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth).figures
         facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
         if channel != "opaque":
