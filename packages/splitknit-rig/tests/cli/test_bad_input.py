@@ -317,7 +317,7 @@ def test_lights_of_other_brightness_are_refused_or_estimated(
 @pytest.mark.slow
 def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
     """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
-    for quality in (0, 75):
+    for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
 
         def through_jpeg(image: NDArray[Any], quality: int = quality) -> NDArray[Any]:
