@@ -34,6 +34,12 @@ NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
     "reflection bend it."
 )
+ENCODING = (
+    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}: check how they were "
+    "stored; heights are wrong otherwise."
+)
+_CURVED = 0.05
+"""Light left unexplained from which the other encoding is tried: of linear photographs declared sRGB 0.07 to 0.1."""
 JPEG = (
     "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
     "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
@@ -327,6 +333,13 @@ def _doubt_of_lights(
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
     skin = capture.material == "skin"
     doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
+    in_order = fit.strange is None and fit.frame == "right-up" and fit.order == tuple(range(len(fit.order)))
+    if skin and in_order and (doubts or fit.residual > _CURVED):
+        other = "linear" if capture.encoding == "srgb" else "srgb"
+        stored = _fit(replace(capture, encoding=other), band, finger)  # unequal lights stay so, a wrong curve does not
+        explained = doubts and not doubts_of_lights(stored, band.image_names, capture.material)
+        if explained or stored.residual < 0.5 * fit.residual:
+            doubts = [(ENCODING.format(capture.encoding, other), spoils(fit))]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are no such lights
         every = max(1, max(capture.shape) // FRAME_SIDE)
         stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
