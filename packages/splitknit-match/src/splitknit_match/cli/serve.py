@@ -31,7 +31,7 @@ class ServeJob(Job):
     def run(self, progress: Progress) -> Outcome:
         """Serve until a signal ends it."""
         from splitknit_match.gallery.key import key_of  # verbs import what they need
-        from splitknit_match.gallery.serve import make_app, read_token
+        from splitknit_match.gallery.serve import impatient, make_app, read_token
         from splitknit_match.gallery.warm import OpenGallery
 
         good = (self.certificate is None) == (self.certificate_key is None)
@@ -47,7 +47,7 @@ class ServeJob(Job):
             print(f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it.", file=sys.stderr)
             uvicorn.run(
                 app, host=self.host, port=self.port, log_level="warning", access_log=False, server_header=False,
-                limit_concurrency=64, timeout_keep_alive=5, h11_max_incomplete_event_size=65_536,
+                limit_concurrency=64, timeout_keep_alive=5, http=impatient(), h11_max_incomplete_event_size=65_536,
                 ssl_certfile=path(self.certificate), ssl_keyfile=path(self.certificate_key),
             )  # fmt: skip
         return {}, []
