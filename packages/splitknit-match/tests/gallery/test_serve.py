@@ -21,6 +21,7 @@ from splitknit.io.prints import encode_print_png
 pytest.importorskip("starlette")
 httpx = pytest.importorskip("httpx")
 
+from splitknit_match.cli.serve import impatient  # noqa: E402
 from splitknit_match.gallery import serve  # noqa: E402
 from splitknit_match.gallery.serve import ACTS, make_app, openapi  # noqa: E402
 from splitknit_match.gallery.warm import OpenGallery  # noqa: E402
@@ -42,7 +43,7 @@ def service(tmp_path: Path):
     with OpenGallery.open(tmp_path / "people.skg") as gallery, socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         app = make_app(gallery, TOKEN, tmp_path / "audit", max_body=2_000_000)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="critical", http=serve.impatient()))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="critical", http=impatient()))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
         thread.start()
         base = f"http://127.0.0.1:{place.getsockname()[1]}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import KW_ONLY, dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, importing, path, require
 
@@ -31,7 +31,7 @@ class ServeJob(Job):
     def run(self, progress: Progress) -> Outcome:
         """Serve until a signal ends it."""
         from splitknit_match.gallery.key import key_of  # verbs import what they need
-        from splitknit_match.gallery.serve import impatient, make_app, read_token
+        from splitknit_match.gallery.serve import make_app, read_token
         from splitknit_match.gallery.warm import OpenGallery
 
         good = (self.certificate is None) == (self.certificate_key is None)
@@ -51,6 +51,27 @@ class ServeJob(Job):
                 ssl_certfile=path(self.certificate), ssl_keyfile=path(self.certificate_key),
             )  # fmt: skip
         return {}, []
+
+
+def impatient() -> type:
+    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s are closed."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    from splitknit_match.gallery import serve
+
+    class Impatient(H11Protocol):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self.loop.call_later(serve.PATIENCE_S, self._look, None)
+
+        def _look(self, last: Any) -> None:
+            cycle: Any = self.cycle
+            if cycle is last and (cycle is None or cycle.response_complete):
+                self.transport.close()
+            if not self.transport.is_closing():
+                self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
+
+    return Impatient
 
 
 SERVE = Verb(ServeJob)

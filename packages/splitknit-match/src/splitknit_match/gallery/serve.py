@@ -140,24 +140,6 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
     return app
 
 
-def impatient() -> type:
-    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s are closed."""
-    from uvicorn.protocols.http.h11_impl import H11Protocol
-
-    class Impatient(H11Protocol):
-        def connection_made(self, transport: Any) -> None:
-            super().connection_made(transport)
-            self.loop.call_later(PATIENCE_S, self._look, None)
-
-        def _look(self, last: Any) -> None:
-            if self.cycle is last and (not last or last.response_complete):
-                self.transport.close()
-            if not self.transport.is_closing():
-                self.loop.call_later(PATIENCE_S, self._look, self.cycle)
-
-    return Impatient
-
-
 def _asked(name: str, body: bytes) -> dict[str, Any]:
     """Fields of a request, each of its kind. Raises BadInput."""
     _, fields, needed = ACTS[name]
