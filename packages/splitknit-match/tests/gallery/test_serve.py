@@ -21,6 +21,8 @@ from splitknit.io.prints import encode_print_png
 pytest.importorskip("starlette")
 httpx = pytest.importorskip("httpx")
 
+from splitknit_match.cli.serve import impatient  # noqa: E402
+from splitknit_match.gallery import serve  # noqa: E402
 from splitknit_match.gallery.serve import ACTS, make_app, openapi  # noqa: E402
 from splitknit_match.gallery.warm import OpenGallery  # noqa: E402
 
@@ -41,7 +43,7 @@ def service(tmp_path: Path):
     with OpenGallery.open(tmp_path / "people.skg") as gallery, socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         app = make_app(gallery, TOKEN, tmp_path / "audit", max_body=2_000_000)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="critical"))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="critical", http=impatient()))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
         thread.start()
         base = f"http://127.0.0.1:{place.getsockname()[1]}"
@@ -140,6 +142,19 @@ def test_faults_say_nothing(service, monkeypatch) -> None:
     monkeypatch.setattr("splitknit_match.gallery.serve._done", broken)
     answer = service.post("/quality", json={"print": sent(press(1))})
     assert (answer.status_code, answer.json()) == (500, {"error": "internal error"})
+
+
+def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -> None:
+    monkeypatch.setattr(serve, "PATIENCE_S", 0.5)
+    place = service.base_url.host, service.base_url.port
+    head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: 9\r\n\r\n{{"
+    for begin, answer in (("POST /quality HTTP/1.1\r\n", b""), ("", b""), (head, b"HTTP/1.1 408")):
+        with socket.create_connection(place, 10) as slow:
+            slow.sendall(begin.encode())
+            assert slow.recv(100)[:12] == answer
+    assert service.post("/quality/").status_code == 404
+    said = service.post("/identify", content=b'{"fmr": %s, "print": ""}' % (b"9" * 400))
+    assert (said.status_code, said.json()) == (400, {"error": "'fmr' must be a number."})
 
 
 def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
+from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 
 Damage = Callable[[Path], object]
@@ -315,9 +316,26 @@ def test_lights_of_other_brightness_are_refused_or_estimated(
 
 
 @pytest.mark.slow
+def test_another_encoding_than_the_stored_one_is_named(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    """In both directions: a wrong curve looks like LEDs of other brightness, and is no fault of theirs."""
+
+    def curved(image: NDArray[Any]) -> NDArray[Any]:
+        return np.rint(255.0 * srgb_code(image.astype(np.float64) / 255.0)).astype(np.uint8)
+
+    for declared, other in (("linear", "srgb"), ("srgb", "linear")):
+        folder = copy_of(twin_folder, tmp_path / declared)
+        edit(folder / "capture.json", lambda facts, declared=declared: facts.update(encoding=declared, black_level=0))
+        for file in folder.glob("[wn]*_*.png") if declared == "linear" else ():
+            repaint(file, curved)
+        refused(
+            ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--strict"], capsys, (f"{declared} (", other)
+        )
+
+
+@pytest.mark.slow
 def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
     """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
-    for quality in (0, 75):
+    for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
 
         def through_jpeg(image: NDArray[Any], quality: int = quality) -> NDArray[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import KW_ONLY, dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, importing, path, require
 
@@ -47,10 +47,31 @@ class ServeJob(Job):
             print(f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it.", file=sys.stderr)
             uvicorn.run(
                 app, host=self.host, port=self.port, log_level="warning", access_log=False, server_header=False,
-                limit_concurrency=64, timeout_keep_alive=5, h11_max_incomplete_event_size=65_536,
+                limit_concurrency=64, timeout_keep_alive=5, http=impatient(), h11_max_incomplete_event_size=65_536,
                 ssl_certfile=path(self.certificate), ssl_keyfile=path(self.certificate_key),
             )  # fmt: skip
         return {}, []
+
+
+def impatient() -> type:
+    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s are closed."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    from splitknit_match.gallery import serve
+
+    class Impatient(H11Protocol):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self.loop.call_later(serve.PATIENCE_S, self._look, None)
+
+        def _look(self, last: Any) -> None:
+            cycle: Any = self.cycle
+            if cycle is last and (cycle is None or cycle.response_complete):
+                self.transport.close()
+            if not self.transport.is_closing():
+                self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
+
+    return Impatient
 
 
 SERVE = Verb(ServeJob)

@@ -12,6 +12,7 @@ import datetime
 import hmac
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,6 +30,8 @@ from splitknit_match.records.print_formats import decode_prints
 
 MAX_BODY = 10_000_000
 """Bytes of a request, at most: a print of 7 MB as base64."""
+PATIENCE_S = 20.0
+"""So long may a body take to arrive, and a connection wait without a request that is complete."""
 MIN_TOKEN = 16
 _FINGER: dict[str, tuple[type, str]] = {
     "print": (str, "file of a print or record (PNG, WSQ, ISO 19794, ISO 39794, ANSI/NIST-ITL ...), base64"),
@@ -82,7 +85,7 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
     with refusing(f"the audit file '{audit}' cannot be written; name another one."):
         _put_down(audit, {"act": "start"}, {})
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
-        from anyio import CapacityLimiter, to_thread
+        from anyio import CapacityLimiter, fail_after, to_thread
         from starlette.applications import Starlette
         from starlette.requests import ClientDisconnect, Request
         from starlette.responses import JSONResponse
@@ -93,10 +96,11 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
     async def body_of(request: Request) -> bytes | None:
         """The body, or None where it is too large."""
         body = bytearray()
-        async for part in request.stream():
-            body += part
-            if len(body) > max_body:
-                return None
+        with fail_after(PATIENCE_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > max_body:
+                    return None
         return bytes(body)
 
     def answer_of(name: str) -> Callable[[Request], Any]:
@@ -115,6 +119,8 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
                     code = 200
             except BadInput as error:
                 code, said = 400, {"error": str(error)}
+            except TimeoutError:
+                code, said = 408, {"error": f"the request took more than {PATIENCE_S:g} s to arrive"}
             except ClientDisconnect:
                 code = 499
             except Exception:
@@ -129,7 +135,9 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
         return JSONResponse(openapi())
 
     routes = [Route(f"/{name}", answer_of(name), methods=["POST"]) for name in ACTS]
-    return Starlette(routes=[*routes, Route("/openapi.json", described)])
+    app = Starlette(routes=[*routes, Route("/openapi.json", described)])
+    app.router.redirect_slashes = False  # it would redirect to the host that a client names
+    return app
 
 
 def _asked(name: str, body: bytes) -> dict[str, Any]:
@@ -145,6 +153,7 @@ def _asked(name: str, body: bytes) -> dict[str, Any]:
         require(key in fields, f"'{key[:40]}' is not a field of {name}; it has {', '.join(fields)}.")
         kind = fields[key][0]
         sound = isinstance(value, int | float if kind is float else kind) and not isinstance(value, bool)
+        sound = sound and (kind is not float or abs(value) <= sys.float_info.max)
         require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")
     for key in needed:
         require(key in given, f"'{key}' is missing: {fields[key][1]}.")

@@ -181,9 +181,10 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     if registered is None and capture.material == "skin" and "white_crossed" in capture.bands:
         registered, where = register(capture, finger, settings, still_white=True), "parallel and the crossed series"
         least = _SERIES_MM if has_colour(capture.bands["white"]) else CORRECT_MM
-        if motion.correct == "off" or registered.most_mm < least:
+        helps = _helps(registered.facts["motion_white_crossed"])
+        if motion.correct == "off" or registered.most_mm < least or not helps:
             moved = Note(f"the finger moved by {{:.2f mm}} between the {where}.", registered.most_mm)
-            doubt = (moved,) if registered.most_mm >= WARN_MM else ()
+            doubt = (moved,) if helps and registered.most_mm >= WARN_MM else ()
             facts = {**finger.facts, **registered.facts}
             return capture, replace(finger, facts=facts, warnings=(*finger.warnings, *doubt))
     if registered is None:
@@ -215,7 +216,9 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
         return capture, ()
     centred = towards - towards.mean(axis=0)  # ridges seem shifted along the light: not by all lights alike
     along = (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9)
-    if np.hypot(*(shifts - along * towards).mean(axis=0)) < CORRECT_MM:
+    apart = shifts - along * towards
+    known = _SURE * float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart))
+    if np.hypot(*apart.mean(axis=0)) < max(CORRECT_MM, known):
         return capture, ()
     bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
     return replace(capture, bands=bands), (SIDE_MOVED,)
@@ -223,6 +226,8 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
 
 _MEASURED = 3
 """Side images whose shift is known: with fewer, one that all share is not told from one along each light."""
+_SURE = 3.0
+"""Standard errors of the shift of all side images above which they moved: gloss shifts each by up to 60 um."""
 SIDE_MOVED = (
     "the finger moved between the images lit from the front and from the side, and those from the side are left out; "
     "rest it on its support and capture again."
@@ -321,6 +326,12 @@ _SWITCH = (
     ", or leave the images as they are with `settings` motion.correct=off (what is not a finger is imported with "
     "`material` opaque)"
 )
+
+
+def _helps(figures: dict[str, Any]) -> bool:
+    """Whether a crossed series looks clearly more like the parallel one once its motion is undone; gloss does not."""
+    before, after = (1.0 - np.square(figures[f"likeness_{when}"]).mean() for when in ("before", "after"))
+    return bool(after < HELPS**2 * before)
 
 
 def _check(registered: _Registered, settings: FingerSettings) -> None:
