@@ -54,19 +54,6 @@ class Objects:
 Location = Path | Objects  # where a population, a store, or a file in it is
 
 
-@dataclass(slots=True)
-class Moved:
-    """What this process asked of object storage so far."""
-
-    gets: int = 0  # requests that read: of an object, a range of it, its size, a listing
-    puts: int = 0  # objects that were written
-    read: int = 0  # bytes
-    written: int = 0
-
-
-MOVED = Moved()
-
-
 def location(name: str | os.PathLike[str] | Objects) -> Location:
     """What a name means: a URL is objects, all else a path.
 
@@ -114,7 +101,6 @@ def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
     with _refusing(place, "read"):
         fs, path = _of(place)
         size = int(fs.info(path)["size"])
-        MOVED.gets += 1
         require(size <= max_bytes, f"'{place}' is too large: {size} bytes, at most {max_bytes} are read.")
         if size <= _SMALL_BYTES:
             yield io.BytesIO(_read(place, fs, path, 0, size))
@@ -126,8 +112,6 @@ def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
 def _read(place: Objects, fs: Any, path: str, start: int, end: int) -> bytes:
     with _refusing(place, "read"):
         data: bytes = fs.cat_file(path, start=start, end=end) if end > start else b""
-    MOVED.gets += 1
-    MOVED.read += len(data)
     return data
 
 
@@ -170,8 +154,6 @@ def whole_file(place: Location) -> Iterator[BinaryIO]:
     with _refusing(place, "written"):
         fs, path = _of(place)
         fs.pipe_file(path, memory.getvalue())  # not its open(): that keeps a part where the block fails
-        MOVED.puts += 1
-        MOVED.written += memory.tell()
 
 
 def there(place: Location) -> bool:
@@ -180,7 +162,6 @@ def there(place: Location) -> bool:
         return place.is_file()
     with _refusing(place, "read"):
         fs, path = _of(place)
-        MOVED.gets += 1
         return bool(fs.isfile(path))
 
 
@@ -197,7 +178,6 @@ def _sizes(place: Objects, *, deep: bool) -> dict[str, int]:
     with _refusing(place, "listed"):
         fs, path = _of(place)
         found = fs.find(path, maxdepth=None if deep else 1, detail=True)
-        MOVED.gets += 1 + len(found) // 1000
         start = len(path.rstrip("/")) + 1
         return {name[start:]: int(facts["size"]) for name, facts in found.items() if len(name) > start}
 

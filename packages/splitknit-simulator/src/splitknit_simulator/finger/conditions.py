@@ -136,29 +136,9 @@ def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.
 # Water on the skin: it fills the valleys, creeps up the ridges, and at last lies over them.
 
 
-@dataclass(frozen=True, slots=True)
-class _Water:
-    """How much water there is; everything follows from the severity."""
-
-    meniscus_mm: float  # radius of curvature of the water's surface: the larger, the fuller the valleys
-    over_ridges_um: float  # thickness of the film over the ridges' tops
-    levelled_mm: float  # standard deviation over which the film has levelled out; 0 where none closes over the ridges
-    fraction: float  # fraction of the skin that is wet
-
-
-def _water_of(severity: float) -> _Water:
-    """From sweat in the valleys' corners to a hand that comes out of water.
-
-    The radius grows from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary length
-    is 2.7 mm); above one half a film closes over the ridges, up to 15 um, and no dry patch is left. A film of 20 um
-    levels out over 5 mm in seconds, so a closed one shows no ridges.
-    """
-    closed = max(0.0, 2.0 * severity - 1.0)
-    return _Water(0.05 * 40.0**severity, 15.0 * closed, 0.6 * closed, min(1.0, 2.0 * severity))
-
-
-def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.random.Generator) -> Array:
-    """(H, W) displacement of the water's surface, mm; equal to `displacement` where there is no water.
+def _water_surface(displacement: Array, pitch_mm: float, severity: float) -> Array:
+    """(H, W) displacement of the water's surface, mm, if all skin is wet: from sweat in the valleys' corners to a hand
+    that comes out of water.
 
     Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
     ball of that radius, here by the paraboloid that osculates it, along rows and columns in turn. The body's own
@@ -166,15 +146,24 @@ def _water_level(displacement: Array, pitch_mm: float, water: _Water, rng: np.ra
     de Gennes, Brochard-Wyart and Quere 2004, Capillarity and Wetting Phenomena, sections 1.1.3 and 2.2; van den
     Boomgaard et al. 1996, Quadratic structuring functions in mathematical morphology.
     """
-    filled = _closed(displacement, pitch_mm, water.meniscus_mm)
-    if water.levelled_mm > 0.0:
-        level = cv2.GaussianBlur(filled, (0, 0), water.levelled_mm / pitch_mm)
-        filled = _closed(np.maximum(level + 1e-3 * water.over_ridges_um, displacement), pitch_mm, water.meniscus_mm)
-    if water.fraction >= 1.0:
+    # from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary length is 2.7 mm)
+    meniscus_mm = 0.05 * 40.0**severity
+    filled = _closed(displacement, pitch_mm, meniscus_mm)
+    closed = max(0.0, 2.0 * severity - 1.0)  # above one half a film of up to 15 um closes over the ridges
+    if closed > 0.0:  # 20 um level out over 5 mm in seconds: such a film shows no ridges
+        level = cv2.GaussianBlur(filled, (0, 0), 0.6 * closed / pitch_mm)
+        filled = _closed(np.maximum(level + 1e-3 * (15.0 * closed), displacement), pitch_mm, meniscus_mm)
+    return filled
+
+
+def _water_level(displacement: Array, pitch_mm: float, severity: float, rng: np.random.Generator) -> Array:
+    """(H, W) displacement of skin and water, mm: below one half, part of the skin is dry."""
+    filled = _water_surface(displacement, pitch_mm, severity)
+    if severity >= 0.5:
         return filled
     # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted fraction
     noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
-    threshold = float(np.quantile(noise, water.fraction))
+    threshold = float(np.quantile(noise, 2.0 * severity))
     patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
     patch = patch * patch * (3.0 - 2.0 * patch)
     return np.asarray(displacement + patch * (filled - displacement))
@@ -285,7 +274,7 @@ def conditioned_surface(  # noqa: PLR0917
     elif condition.kind == "scarred":
         weathered = _scarred(relief, master, severity, np.random.default_rng([finger.seed, 0x5CA]))
     elif condition.kind == "wet":
-        level = _water_level(relief, plain.pitch_mm, _water_of(severity), rng)
+        level = _water_level(relief, plain.pitch_mm, severity, rng)
     skin_relief = relief if weathered is None else weathered.displacement
     highest = float((skin_relief if level is None else np.maximum(skin_relief, level)).max())
     lower = max(0.0, highest - _TOP_MM)

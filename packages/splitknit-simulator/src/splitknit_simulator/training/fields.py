@@ -115,25 +115,11 @@ class FieldsSettings(TrainerSettings):
         """Weights of the loss's parts in their sum."""
         return {}
 
-    @property
-    def weight_decay(self) -> float:
-        """By which weights shrink, times the learning rate."""
-        return 0.0
-
-    @property
-    def whole_share(self) -> float:
-        """Fraction of the patches that are cut from whole fingers, where there are any."""
-        return 0.0
-
-    @property
-    def beyond_px(self) -> int:
-        """How far a patch may reach over a finger's edge."""
-        return 0
-
-    @property
-    def no_nir_share(self) -> float:
-        """Fraction of the patches without near-infrared fields."""
-        return 0.0
+    # what a network's own settings may say otherwise
+    weight_decay = 0.0  # by which weights shrink, times the learning rate
+    whole_share = 0.0  # fraction of the patches that are cut from whole fingers, where there are any
+    beyond_px = 0  # how far a patch may reach over a finger's edge
+    no_nir_share = 0.0  # fraction of the patches without near-infrared fields
 
     def rate(self, iteration: int) -> float:
         """Learning rate of an iteration, counted from zero."""

@@ -17,7 +17,7 @@ from splitknit_simulator.finger.conditions import (
     _scale_reflectance,
     _scarred,
     _water_level,
-    _water_of,
+    _water_surface,
     conditioned_surface,
 )
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -138,9 +138,7 @@ def test_equal_roughnesses_have_no_direction():
 def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
     u = 0.02 * np.arange(600)
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * u / 0.44))[None, :], 8, axis=0)
-    levels = [
-        _water_level(valleys, 0.02, replace(_water_of(s), fraction=1.0), np.random.default_rng(0)) for s in (0.4, 0.5)
-    ]
+    levels = [_water_surface(valleys, 0.02, severity) for severity in (0.4, 0.5)]
     for level in levels:
         assert (level >= valleys - 1e-12).all()
     thickness = [float((level - valleys).mean()) for level in levels]
@@ -148,16 +146,16 @@ def test_water_lies_on_the_skin_and_bridges_valleys_in_arcs():
     middle = levels[0][4, 22 * 8 : 22 * 12]
     bend = np.diff(middle, 2) / 0.02**2
     inside = (middle - valleys[4, 22 * 8 : 22 * 12])[1:-1] > 2e-3
-    np.testing.assert_allclose(np.median(bend[inside]), 1 / _water_of(0.4).meniscus_mm, rtol=0.05)
-    closed = _water_level(valleys, 0.02, _water_of(1.0), np.random.default_rng(0))
+    np.testing.assert_allclose(np.median(bend[inside]), 1 / (0.05 * 40**0.4), rtol=0.05)
+    closed = _water_level(valleys, 0.02, 1.0, np.random.default_rng(0))
     assert float(np.ptp(closed[:, 100:-100])) < 1e-3  # a film over the ridges levels out
     assert float((closed - valleys).min()) > 5e-3
 
 
 def test_half_of_the_skin_is_wet_at_a_quarter():
     valleys = np.repeat(-0.03 * (1 - np.cos(2 * np.pi * np.arange(700) / 11))[None, :], 700, axis=0)
-    level = _water_level(valleys, 0.04, _water_of(0.25), np.random.default_rng(1))
-    full = _water_level(valleys, 0.04, replace(_water_of(0.25), fraction=1.0), np.random.default_rng(1))
+    level = _water_level(valleys, 0.04, 0.25, np.random.default_rng(1))
+    full = _water_surface(valleys, 0.04, 0.25)
     deep = full - valleys > 1e-3
     assert 0.35 < float(((level - valleys)[deep] > 0.5 * (full - valleys)[deep]).mean()) < 0.65
 
