@@ -216,15 +216,17 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
     )
 
 
-def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
+def pressed_print(
+    item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None
+) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
-    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere. Raises BadInput if it has no
-    ridges, or is smaller than 2 mm.
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`: its ridges, where
+    they were found before. Raises BadInput if it has no ridges, or is smaller than 2 mm.
     """
     image = print_at_500_ppi(item).image
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
-    pressed = pressed_ridges(image)
+    pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
     require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
     ppi = item.resolution_ppi or PPI
