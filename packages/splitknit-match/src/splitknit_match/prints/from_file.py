@@ -216,9 +216,7 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
     )
 
 
-def pressed_print(
-    item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None
-) -> Print:
+def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
     `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`: its ridges, where

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, BoolArray, Capture, FloatArray, Progress, Reconstruction, naming, no_progress, require
-
 from splitknit_match.prints.pressed import PressedRidges
 
 
