@@ -201,7 +201,7 @@ def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:
     whole = cv2.erode((made.weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     known = whole.astype(np.float32)
     weight = np.maximum(blur(known, _SHADING_PX), np.float32(1e-3))
-    detail = np.log(np.maximum(made.values, np.float32(1.0))) * known
+    detail: NDArray[Any] = np.log(np.maximum(made.values, np.float32(1.0))) * known
     for _ in range(2):
         detail = (detail - blur(detail * known, _SHADING_PX) / weight) * known
     usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0

@@ -16,7 +16,7 @@ from splitknit import BadInput, BoolArray, FloatArray, PrintFile, fill_holes, la
 from splitknit_match.matching.minutiae import at_500_ppi
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
-from splitknit_match.prints.pressed import frame, pressed_ridges
+from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
