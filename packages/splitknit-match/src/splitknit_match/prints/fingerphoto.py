@@ -135,9 +135,7 @@ def source_of_photo(
     else:
         mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
         check_borders(mask)
-    coarse = min(1.0, _COARSE / max(mask.shape))
-    small = cv2.resize(mask.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
-    width = find_upright(small, direction_deg).width_px / coarse
+    width = _width_px(mask, direction_deg)
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -191,6 +189,13 @@ def source_of_photo(
         found, mask=phalange, pitch_mm=1.0 / scale, shape_mm=shape / np.float32(scale), scale=f"{taken} {note}",
         quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
     )  # fmt: skip
+
+
+def _width_px(mask: BoolArray, direction_deg: float | None) -> float:
+    """Width of a finger (H, W), by a mask of fewer pixels."""
+    coarse = min(1.0, _COARSE / max(mask.shape))
+    small = cv2.resize(mask.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
+    return find_upright(small, direction_deg).width_px / coarse
 
 
 def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:

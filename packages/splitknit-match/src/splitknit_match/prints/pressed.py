@@ -84,8 +84,8 @@ class PressedRidges:
 def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None = None) -> PressedRidges:
     """Enhance a print (H, W) uint8 of 500 ppi, ridges dark, that was pressed on glass or paper; white without ridges.
 
-    `usual`: of a photograph, the expected distance of its ridges, pixels, and its relative standard deviation: noise that
-    JPEG and smoothing leave is strong at longer distances.
+    `usual`: of a photograph, the expected distance of its ridges, pixels, and its relative standard deviation: noise
+    that JPEG and smoothing leave is strong at longer distances.
 
     Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
     Recognition 40, 2007 (windows, filters); A. Rosenfeld, R. Hummel and S. Zucker, "Scene labeling by relaxation
