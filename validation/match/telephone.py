@@ -33,12 +33,12 @@ from scipy.special import ellipeinc
 
 from splitknit.errors import BadInput
 from splitknit_match.matching import methods
-from splitknit_match.matching.fusion import SCALES, fused_match
+from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import _photo, print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.template import Template, scaled
+from splitknit_match.matching.template import Template
 from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_simulator.finger.finger import draw_finger
@@ -368,7 +368,7 @@ def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]
 
 
 def scores(count: int, work: Path, write: bool) -> None:
-    """Photographs against presses of all fingers and the other photographs: the best of all scales that are tried."""
+    """Photographs against presses of all fingers, and those of the same and the next six: the best scale's score."""
     presses = []
     for number in range(count):
         master = draw_finger(SEED + number).master()
@@ -376,17 +376,17 @@ def scores(count: int, work: Path, write: bool) -> None:
     photos = [(number, take, *side_of(number, take, work)) for take in (0, 1) for number in range(count)]
     rows: list[dict[str, object]] = []
 
-    def compared(a: tuple[Prepared, ...], b: Prepared) -> float:
-        return max(fused_match(one, b).similarity for one in a)
-
     for k, (i, take, template, quality) in enumerate(photos):
-        views = () if template is None else tuple(Prepared(scaled(template, scale)) for scale in SCALES)
+        side = None if template is None else Prepared(template)
         for j in range(count):
-            found = compared(views, presses[j]) if views else -np.inf
+            found = -np.inf if side is None else fused_photo(side, presses[j], (True, False))[0].similarity
             rows.append({"a": f"{i}.{take}", "b": f"press {j}", "quality": f"{quality:.0f}", "score": f"{found:.3f}"})
         for j, other, template_b, quality_b in photos[k + 1 :]:
-            both = bool(views) and template_b is not None
-            found = compared(views, Prepared(template_b)) if both and template_b is not None else -np.inf
+            if (j - i) % count > 6:
+                continue
+            found = -np.inf
+            if side is not None and template_b is not None:
+                found = fused_photo(side, Prepared(template_b), (True, True))[0].similarity
             least = min(quality, quality_b)
             rows.append({"a": f"{i}.{take}", "b": f"{j}.{other}", "quality": f"{least:.0f}", "score": f"{found:.3f}"})
         print(i, take, f"{quality:.0f}", flush=True)

@@ -40,6 +40,7 @@ from splitknit_match.matching.template import VERSION, Template, make_template, 
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:
+    from splitknit_match.prints.pressed import PressedRidges
     from splitknit_match.prints.sources import Source
 
 TOUCHES = (".png", ".tif", ".tiff", ".bmp", ".wsq", ".skt")
@@ -250,7 +251,7 @@ def undoubted(side: Side) -> Side:
 def _photo(path: Path, source: Source, settings: MatchingSettings) -> Side:
     """A photograph of a finger: its print, unrolled by the mean shape."""
     assert source.flat is not None
-    template = print_template(source.flat, settings=settings, enhanced=True)
+    template = print_template(source.flat, settings=settings, pressed=source.pressed)
     return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
 
 
@@ -286,11 +287,14 @@ def is_of_minutiae(path: Path | Held) -> bool:
 
 
 def print_template(
-    image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None, *, enhanced: bool = False
+    image: NDArray[np.uint8],
+    ppi: float = PPI,
+    settings: MatchingSettings | None = None,
+    pressed: PressedRidges | None = None,
 ) -> Template:
     """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
 
-    `enhanced`: take the ridges from the enhanced picture, as of photographs, whose noise is as strong as they are.
+    `pressed`: ridges of a photograph, which are taken in place of the picture: its noise is as strong as they are.
     Raises BadInput as :func:`splitknit_match.matching.ridge_band.print_band`.
     """
     from splitknit import PrintFile  # templates of others need none of these
@@ -300,10 +304,10 @@ def print_template(
     settings, image = settings or MatchingSettings(), at_500_ppi(image, ppi)
     inside, minutiae = np.zeros(image.shape, dtype=np.bool_), no_minutiae((image.shape[0], image.shape[1]))
     with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
-        made = pressed_print(PrintFile(image, PPI, {}))
+        made = pressed_print(PrintFile(image, PPI, {}), pressed=pressed)
         inside = made.weight > 0
         minutiae = minutiae_by_phase(made, enhance(made, PPI), PPI)
-        image = made.clearest if enhanced else image
+        image = image if pressed is None else pressed.image
     band = print_band(image, PPI, settings.band, inside)
     least = replace(settings.template, least_area_mm2=_LEAST_OF_PRINTS * settings.template.least_area_mm2)
     return with_minutiae(make_template(band, least), band.valid, minutiae)

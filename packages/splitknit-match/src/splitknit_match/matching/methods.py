@@ -275,7 +275,7 @@ def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match
     photos = [side.kind == "photo" for side in (a, b)]
     if assumed and any(photos):
         found, scale, number = fused_photo(left, right, photos)
-        if scale != 1:
+        if abs(scale - 1) >= 0.01:
             larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
             sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
     else:

@@ -25,6 +25,7 @@ from splitknit import (
     FloatArray,
     Photo,
     Upright,
+    blur,
     bounding_box,
     check_borders,
     check_mask,
@@ -42,9 +43,9 @@ from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
-from splitknit_match.prints.make import make_print
+from splitknit_match.prints.make import Print, make_print
 from splitknit_match.prints.photo_mask import finger_in_photo
-from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.prints.pressed import PressedRidges, pressed_ridges
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.prints.sources import Source
 
@@ -60,7 +61,11 @@ _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
 _NARROWEST, _WIDEST = 130, 700
 """Widths of the finger in pixels: at least, and in the picture that is kept."""
-LEAST_QUALITY, _GOOD = 20, 50
+_COARSE = 1000
+"""Longer side of the mask that shows how wide the finger is."""
+_RIM_PX, _SHADING_PX = 8, 9.0
+"""At 500 ppi: the rim of a print that is left out; sigma over which shading is taken out of it."""
+LEAST_QUALITY, _GOOD = 10, 50
 """Of a photograph: at least, and from which on nothing has to be changed; without ridges in view it is 0 to 22
 (validation/match/telephone.py)."""
 _CLEAR = 0.4
@@ -130,7 +135,7 @@ def source_of_photo(
     else:
         mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
         check_borders(mask)
-    width = find_upright(mask, direction_deg).width_px
+    width = _width_px(mask, direction_deg)
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -148,9 +153,9 @@ def source_of_photo(
         photo=light,
     )  # fmt: skip
     made = make_print(found, "photo", "free")
-    ridges = pressed_ridges(made.image)
-    seen = (ridges.image, ridges.inside) if ridges.inside.any() else (made.image, made.weight > 0.5)
-    field = ridge_field(seen[0], PPI, seen[1])
+    image, finger_px = _even(made)
+    ridges = pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
+    field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
     amplitude = np.abs(node_amplitudes(made.values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
     clear &= amplitude > _FAINT * _at_nodes(made.values, field)
@@ -172,12 +177,41 @@ def source_of_photo(
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
     shown = cv2.remap(phalange.view(np.uint8), made.map.columns, made.map.rows, cv2.INTER_NEAREST) > 0
-    larger = found.pitch_mm * scale  # than the finger is
-    flat = cv2.resize(np.where(shown, made.image, np.uint8(255)), None, fx=1 / larger, fy=1 / larger)
+    smaller = 1.0 / (found.pitch_mm * scale)
+
+    def scaled(values: NDArray[Any], beyond: int) -> NDArray[Any]:
+        return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=smaller, fy=smaller))
+
+    pressed = PressedRidges(
+        scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
+    )
     return replace(
         found, mask=phalange, pitch_mm=1.0 / scale, shape_mm=shape / np.float32(scale), scale=f"{taken} {note}",
-        quality=round(quality, 1), flat=np.asarray(flat, dtype=np.uint8),
+        quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
     )  # fmt: skip
+
+
+def _width_px(mask: BoolArray, direction_deg: float | None) -> float:
+    """Width of a finger (H, W), by a mask of fewer pixels."""
+    coarse = min(1.0, _COARSE / max(mask.shape))
+    small = cv2.resize(mask.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
+    return find_upright(small, direction_deg).width_px / coarse
+
+
+def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:
+    """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere, so that blocks of
+    JPEG that lost their ridges stay flat.
+    """
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1, 2 * _RIM_PX + 1))
+    whole = cv2.erode((made.weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    known = whole.astype(np.float32)
+    weight = np.maximum(blur(known, _SHADING_PX), np.float32(1e-3))
+    detail: NDArray[Any] = np.log(np.maximum(made.values, np.float32(1.0))) * known
+    for _ in range(2):
+        detail = (detail - blur(detail * known, _SHADING_PX) / weight) * known
+    usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0
+    grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * float(usual), 1e-6), -1.0, 1.0)
+    return np.round(grey).astype(np.uint8), whole > 0
 
 
 def _to_change(

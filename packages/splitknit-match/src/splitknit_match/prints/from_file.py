@@ -16,7 +16,7 @@ from splitknit import BadInput, BoolArray, FloatArray, PrintFile, fill_holes, la
 from splitknit_match.matching.minutiae import at_500_ppi
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
-from splitknit_match.prints.pressed import frame, pressed_ridges
+from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
@@ -239,15 +239,15 @@ def resolution_doubt(item: PrintFile, apart_px: float | None = None) -> str:
     return f"at {ppi:.0f} ppi its ridges are {apart_mm:.2f} mm apart, which is unusual: check the resolution."
 
 
-def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
+def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
-    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere. Raises BadInput if it has no
-    ridges, or is smaller than 2 mm.
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`: its ridges, where
+    they were found before. Raises BadInput if it has no ridges, or is smaller than 2 mm.
     """
     image = print_at_500_ppi(item).image
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
-    pressed = pressed_ridges(image)
+    pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
     require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
     ppi = item.resolution_ppi or PPI

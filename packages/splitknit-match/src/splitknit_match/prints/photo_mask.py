@@ -71,11 +71,11 @@ class Outline:
         right = np.array([-self.ahead[1], self.ahead[0]])
         return np.asarray(vectors[:, :1] * right - vectors[:, 1:] * self.ahead)
 
-    def mask(self, shape: tuple[int, ...], first: float = _WHOLE + 1, shrunk: float = 1.0) -> BoolArray:
-        """(H, W) the inside, from the tip to `first` widths behind it."""
+    def corners(self, shape: tuple[int, ...], first: float = _WHOLE + 1, shrunk: float = 1.0) -> Array:
+        """(N, 2) pixels of a picture: around the part from the tip to `first` widths behind it."""
         kept = self.points[(self.tip - self.points) @ self.ahead < first * self.width]
         centre = self.tip - _TIP * self.width * self.ahead
-        return _filled((centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5, shape)
+        return np.asarray((centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +109,11 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     low, most = (np.array(one, dtype=np.float64) for one in ((left - first[0], top - first[1]), (wide, high)))
     fine, side = _colours(part, _FINE), max(part.shape[:2])
     lab = _reduced(fine, _FITTED)
+    bins = _bins(lab)
     rated: list[tuple[float, Outline]] = []
     for one in _sought(_reduced(fine, _SOUGHT)):
         for reach in (0.3, 0.2):
-            one = _fitted(one, lab, _LENGTH, reach)  # noqa: PLW2901
+            one = _fitted(one, lab, bins, _LENGTH, reach)  # noqa: PLW2901
         if ((one.middle * side >= low) & (one.middle * side <= low + most)).all():
             rated.append((_likeness(one, lab, part), one))
     rated.sort(key=lambda item: -item[0])
@@ -133,10 +134,12 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
         aside = abs((one.middle - best.middle) @ np.array([-best.ahead[1], best.ahead[0]])) > 0.6 * best.width
         if value > 0.5 * rated[0][0] and apart and aside and 0.5 < one.width / best.width < 1.6:
             others.append(one)
+    bins = _bins(fine)
     for reach in (0.2, 0.15, 0.08):
-        best = _fitted(best, fine, _WHOLE, reach)
+        best = _fitted(best, fine, bins, _WHOLE, reach)
     mask = np.zeros((height, width), np.bool_)
-    mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = best.mask(part.shape)
+    inside = _middles_in(best.corners(part.shape), part.shape)
+    mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = inside
     return FingerFound(mask, float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1]))), len(others))
 
 
@@ -152,10 +155,20 @@ def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
 
 
 def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
-    """(H, W) the inside of a polygon of pixels (N, 2)."""
+    """(H, W) the inside of a polygon of pixels (N, 2), and the pixels that its sides cross."""
     mask = np.zeros(shape[:2], np.uint8)
     cv2.fillPoly(mask, [np.rint(16 * corners).astype(np.int32)], 1, shift=4)
     return mask > 0
+
+
+def _middles_in(corners: Array, shape: tuple[int, ...]) -> BoolArray:
+    """(H, W) pixels whose middle lies in a polygon (N, 2): those that its sides cross make a finger a pixel wider."""
+    (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
+    row, side = np.nonzero((y > (rows := np.arange(shape[0])[:, None])) != (to_y > rows))
+    crossed = x[side] + (row - y[side]) / (to_y - y)[side] * (to_x - x)[side]
+    sides = np.zeros((shape[0], shape[1] + 1), np.uint8)
+    np.add.at(sides, (row, np.clip(np.ceil(crossed), 0, shape[1]).astype(np.intp)), 1)
+    return np.asarray(np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0)
 
 
 def _tip_at(turn: Array) -> tuple[Array, Array]:
@@ -232,14 +245,22 @@ def _of_width(
         for points, normals in parts:
             across = one.places(normals)
             bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
-            seen = [at(maps[b], place) for b, place in zip(bins, one.places(points), strict=True)]
-            means.append(np.add.reduce(seen) / len(seen))
+            means.append(_mean([at(maps[b], place) for b, place in zip(bins, one.places(points), strict=True)]))
         tip, left, right = means
         value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right)
-        value += np.add.reduce([at(plain, place) for place in one.places(inner)]) / len(inner)
+        value += _mean([at(plain, place) for place in one.places(inner)])
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
             yield float(value[i, j]), replace(one, tip=np.array([j * step + 0.5, i * step + 0.5]) / side)
+
+
+def _mean(pictures: list[FloatArray]) -> FloatArray:
+    """Mean of pictures of a size, without a stack of them."""
+    total = pictures[0] + pictures[1]
+    for one in pictures[2:]:
+        total += one
+    total /= len(pictures)
+    return total
 
 
 def _skin(lab: FloatArray) -> FloatArray:
@@ -250,7 +271,7 @@ def _skin(lab: FloatArray) -> FloatArray:
     return np.asarray(value * np.clip(chroma / 8.0, 0.15, 1.0) * np.clip((60.0 - chroma) / 20.0, 0, 1), np.float32)
 
 
-def _fitted(one: Outline, lab: FloatArray, length: float, reach: float) -> Outline:
+def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float, reach: float) -> Outline:
     """The smooth outline that follows edges and parts colours best, within `reach` widths of where it was expected.
 
     Each place across the outline is rated by its edge, and by how the colours before it resemble those inside, those
@@ -263,7 +284,7 @@ def _fitted(one: Outline, lab: FloatArray, length: float, reach: float) -> Outli
     offsets = np.linspace(-reach, reach, _ACROSS) * px
     places = (base[:, None] + offsets[None, :, None] * out[:, None]).astype(np.float32)
     seen = ((places >= -0.5) & (places <= np.array(lab.shape[1::-1]) - 0.5)).all(-1)
-    stack = np.dstack([lab, _resemblance(one, lab, length, reach)])
+    stack = np.dstack([lab, _resemblance(one, bins, length, reach)])
     values = cv2.remap(stack, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     step = 2 * reach * px / (_ACROSS - 1)
     values = cv2.GaussianBlur(values, (0, 0), sigmaX=0.01, sigmaY=0.6)
@@ -304,21 +325,25 @@ def _moved(one: Outline, where: Array, back: Array, shown: BoolArray, side: int)
     return replace(one, tip=(tip + 0.5) / side, ahead=ahead, width=width / side)
 
 
-def _resemblance(one: Outline, lab: FloatArray, length: float, reach: float) -> FloatArray:
-    """(H, W) log-likelihood ratio of each colour: inside over around the outline."""
+def _bins(lab: FloatArray) -> NDArray[np.intp]:
+    """(H, W) numbers of the colours' bins in a histogram (32^3,)."""
+    part = np.minimum((lab - lab.reshape(-1, 3).min(0)) / np.float32(5.0), 31).astype(np.intp)
+    return np.asarray((part[..., 0] * 32 + part[..., 1]) * 32 + part[..., 2])
+
+
+def _resemblance(one: Outline, bins: NDArray[np.intp], length: float, reach: float) -> FloatArray:
+    """(H, W) log-likelihood ratio of each colour, by its bin: inside over around the outline."""
 
     def within(wider: float, longer: float) -> BoolArray:
         vectors = _model(length)[0] * np.array([wider, 1.0]) + np.array([0.0, 0.5 * (1 - wider) - longer])
-        return _filled((one.tip + one.width * one.places(vectors)) * max(lab.shape[:2]), lab.shape)
+        return _filled((one.tip + one.width * one.places(vectors)) * max(bins.shape), bins.shape)
 
-    bins = np.minimum((lab - lab.reshape(-1, 3).min(0)) / np.float32(5.0), 31).astype(np.intp)
-    index = (bins[..., 0] * 32 + bins[..., 1]) * 32 + bins[..., 2]
     inside, around = (
-        _smoothed(np.bincount(index[part], minlength=32**3) / np.float32(max(int(part.sum()), 1)))
+        _smoothed(np.bincount(bins[part], minlength=32**3) / np.float32(max(int(part.sum()), 1)))
         for part in (within(1 - reach, 0.0), within(2.4, 0.0) & ~within(1 + reach, 0.2 * reach))
     )
     ratio = np.log((inside + 2e-4) / (around + 2e-4))
-    return np.asarray(np.clip(ratio, -2, 2).ravel()[index], dtype=np.float32)
+    return np.asarray(np.clip(ratio, -2, 2).ravel()[bins], dtype=np.float32)
 
 
 def _smoothed(histogram: NDArray[Any]) -> FloatArray:
@@ -330,7 +355,7 @@ def _smoothed(histogram: NDArray[Any]) -> FloatArray:
 
 def _likeness(one: Outline, lab: FloatArray, pixels: Pixels) -> float:
     """How much an outline and what is in it are like a finger, 0 to 1."""
-    side, inside = max(lab.shape[:2]), one.mask(lab.shape, 1.4, 0.85)
+    side, inside = max(lab.shape[:2]), _filled(one.corners(lab.shape, 1.4, 0.85), lab.shape)
     if inside.sum() < 30:
         return 0.0
     tip = _tip_at(np.linspace(-1.3, 1.3, 15))[0]

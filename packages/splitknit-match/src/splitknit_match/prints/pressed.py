@@ -25,8 +25,8 @@ _WINDOW_PX, _STEP_PX = 32, 8
 _TAPER = np.sqrt(np.outer(*(np.hanning(_WINDOW_PX + 1)[:-1],) * 2)).astype(np.float32)
 _SHORTEST_PX, _LONGEST_PX = 4.5, 15.0
 """Periods of ridges: 0.23 to 0.76 mm."""
-_CONTRAST_PX = 11.0
-"""Sigma over which mean and contrast are made even."""
+_CONTRAST_PX, _OF_PHOTO_PX = 11.0, 20.0
+"""Sigma over which mean and contrast are made even: of a print; of a photograph, whose weak ridges are noise."""
 _LEVEL, _RAISED = 8.0, 0.3
 """Grey levels, and part of the print's usual contrast; contrast below the larger one is not raised further."""
 _DIRECTIONS, _PERIODS = 24, 10
@@ -39,8 +39,8 @@ _DIRECTION_DEG, _PERIOD_WIDTH = 9.0, 0.11
 """Sigma of one of them; of periods relative."""
 _TURN_DEG = 10.0
 """Sigma of the turn of directions from a window to those about it."""
-_TYPICAL = 0.3
-"""Sigma of periods about the print's own, relative."""
+_TYPICAL, _OF_PHOTO = 0.3, 0.2
+"""Sigma of periods about the print's own, relative; of a photograph."""
 _REACHES = (4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
 """Sigma of the surroundings, in windows, of one pass after the other."""
 _WEAK = 0.03
@@ -59,10 +59,10 @@ _CLEAR = 0.35
 """Confidence of a print's clearest ridges below which there is no print."""
 _CLEAREST_PX = 7750
 """Number of the clearest pixels that set this level: 20 mm2."""
-_EDGE = 0.25
-"""Ridges end where their confidence falls below this part of the way from noise to the clearest ones."""
-_FAINT = 0.4
-"""Contrast, relative to that of the clear ridges, below which confidence falls: what others left on the sensor."""
+_EDGE, _FAINT = (0.25, 0.4), (0.4, 0.15)
+"""Of a print and of a photograph: ridges end where their confidence falls below this part of the way from noise to the
+clearest ones; contrast, relative to that of the clear ridges, below which confidence falls (what others left on the
+sensor)."""
 _CLOSED_PX, _OPENED_PX = 14, 10
 """Radii: gaps between ridges belong to them, specks do not."""
 _FRAME_STEP = 20
@@ -81,8 +81,11 @@ class PressedRidges:
     """(H, W) 0 (noise) to 1 (parallel ridges and nothing else)."""
 
 
-def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
+def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None = None) -> PressedRidges:
     """Enhance a print (H, W) uint8 of 500 ppi, ridges dark, that was pressed on glass or paper; white without ridges.
+
+    `usual`: of a photograph, the expected distance of its ridges, pixels, and its relative standard deviation: noise
+    that JPEG and smoothing leave is strong at longer distances.
 
     Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
     Recognition 40, 2007 (windows, filters); A. Rosenfeld, R. Hummel and S. Zucker, "Scene labeling by relaxation
@@ -92,7 +95,8 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     >>> bool(pressed_ridges(waves.astype(np.uint8)).inside[80, 80])
     True
     """
-    even, contrast = _evened(image)
+    kind, reach = int(usual is not None), _CONTRAST_PX if usual is None else _OF_PHOTO_PX
+    even, contrast = _evened(image, reach)
     spectra = _spectra(even)
     rows, columns = spectra.shape[:2]
     power = np.square(spectra.real) + np.square(spectra.imag)
@@ -102,9 +106,9 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
     total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
-    direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)))
+    direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
-    wave /= np.sqrt(blur(wave * wave, 0.7 * _CONTRAST_PX)) + np.float32(0.02)
+    wave /= np.sqrt(blur(wave * wave, 0.7 * reach)) + np.float32(0.02)
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
     sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence: FloatArray = np.asarray(
@@ -112,23 +116,23 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
         dtype=np.float32,
     )
     strong = contrast[confidence >= 0.5 * _clearest(confidence)]
-    confidence *= np.minimum(contrast / (_FAINT * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
-    inside = _extent(confidence)
+    confidence *= np.minimum(contrast / (_FAINT[kind] * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
+    inside = _extent(confidence, _EDGE[kind])
     soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
     grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(np.float32(_STEEPNESS) * wave))
     return PressedRidges(np.round(255.0 * grey).astype(np.uint8), inside, np.where(inside, confidence, np.float32(0)))
 
 
-def _evened(image: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
+def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatArray]:
     """(H, W) the print with even mean and contrast, and its contrast; the sensor's frame does not count."""
     known = (~frame(image)).astype(np.float32)
     grey = image.astype(np.float32)
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
-    weight = np.maximum(blur(known, _CONTRAST_PX), np.float32(1e-3))
+    weight = np.maximum(blur(known, reach), np.float32(1e-3))
     centred: FloatArray = grey
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the frame
-        centred = np.asarray((centred - blur(centred * known, _CONTRAST_PX) / weight) * known, dtype=np.float32)
-    contrast = np.sqrt(blur(centred * centred, _CONTRAST_PX) / weight)
+        centred = np.asarray((centred - blur(centred * known, reach) / weight) * known, dtype=np.float32)
+    contrast = np.sqrt(blur(centred * centred, reach) / weight)
     level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
@@ -202,7 +206,9 @@ def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.mod(a - b + np.pi / 2, np.pi) - np.pi / 2))
 
 
-def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _field(
+    weighed: FloatArray, trust: FloatArray, expected: tuple[float, float] | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Direction across the ridges, frequency, how well the directions agree, and the part of the power that has both.
 
     `weighed` (n, m, directions, periods): parts of each window's own power; `trust` (n, m, 1, 1): little where a window
@@ -212,8 +218,11 @@ def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArr
     said = weighed * trust
     clear = said.reshape(n, m, -1).max(axis=2)
     votes = np.einsum("nmf,nm->f", said.max(axis=2), clear**3)
+    if expected is not None:
+        votes *= np.exp(-0.5 * ((_LOGS + np.log(expected[0])) / expected[1]) ** 2)
     own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))  # logarithm of the print's frequency
-    usual = (np.exp(-0.5 * ((_LOGS - own) / _TYPICAL) ** 2) + 0.05).astype(np.float32)
+    typical = _TYPICAL if expected is None else _OF_PHOTO
+    usual = (np.exp(-0.5 * ((_LOGS - own) / typical) ** 2) + 0.05).astype(np.float32)
     said = said @ usual
     strength = said.sum(axis=2, keepdims=True) + np.float32(1e-12)
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
@@ -261,12 +270,12 @@ def _clearest(confidence: FloatArray) -> float:
     return float(np.partition(confidence, last, axis=None)[last])
 
 
-def _extent(confidence: FloatArray) -> BoolArray:
+def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     """(H, W) where there are ridges: clear ones and what hangs on them, holes filled."""
     clearest = _clearest(confidence)
     if clearest < _CLEAR:
         return np.zeros(confidence.shape, dtype=np.bool_)
-    raw, pad = (confidence > _EDGE * clearest).astype(np.uint8), 2 * _CLOSED_PX
+    raw, pad = (confidence > edge * clearest).astype(np.uint8), 2 * _CLOSED_PX
     closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, BoolArray, Capture, FloatArray, Progress, Reconstruction, naming, no_progress, require
+from splitknit_match.prints.pressed import PressedRidges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +45,8 @@ class Source:
     """Of a photograph of a finger, 0 to 100."""
     flat: NDArray[np.uint8] | None = None
     """(h, w) print of a photograph of a finger at 500 ppi, on the skin laid flat."""
+    pressed: PressedRidges | None = None
+    """Its ridges."""
 
     @property
     def xy_mm(self) -> tuple[FloatArray, FloatArray] | None:
