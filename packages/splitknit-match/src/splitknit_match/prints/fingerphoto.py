@@ -195,7 +195,7 @@ def _width_px(mask: BoolArray, direction_deg: float | None) -> float:
     """Width of a finger (H, W), by a mask of fewer pixels."""
     coarse = min(1.0, _COARSE / max(mask.shape))
     small = cv2.resize(mask.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
-    return find_upright(small, direction_deg).width_px / coarse
+    return float(find_upright(small, direction_deg).width_px / coarse)
 
 
 def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:
