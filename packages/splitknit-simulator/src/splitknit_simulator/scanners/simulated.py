@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, Cloud, FloatArray, Led, atomic_file, check_file, default_rig
+from splitknit import BoolArray, Camera, Cloud, FloatArray, Led, atomic_file, check_file, default_rig, require
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, placement_of
@@ -35,6 +36,7 @@ PROJECTOR_ROWS, PROJECTOR_PX_MM, PROJECTOR_DEG = 1300, 0.03, 25.0
 PROJECTOR_BLUR_MM, LASER_SIGMA_MM = 0.05, 0.05
 APERTURE_MM = 28.0  # of the lens of depth from focus: f/2.5 at 70 mm
 PERIODS, STEPS = (1300.0, 200.0, 36.0), 6
+_WRITTEN = re.compile(rb"(-?[0-9]+\.[0-9]{4}[ \n]){3}")
 Pattern = Callable[[FloatArray], NDArray[np.floating]]  # light by the projector's row
 Scan = tuple[Cloud, float, float]  # with the light on the skin (1: one evenly lit exposure), seconds of computing
 
@@ -256,7 +258,9 @@ SCANNERS: dict[str, Callable[[Fingers], Scan]] = {
 
 def scan_to_file(out: Path, scanner: str, seed: int, impression: int, *, overwrite: bool) -> dict[str, Any]:
     """Write the cloud (.xyz, mm) that a scanner delivers of a simulated finger; return what was made."""
-    check_file(out, "a point cloud (.xyz)", lambda _: overwrite)
+    require(out.suffix.lower() == ".xyz", f"'{out}' must end in .xyz: it is a point cloud.")
+    check_file(out, "an earlier simulated scan", lambda data: bool(_WRITTEN.match(data)))
+    require(overwrite or not out.exists(), f"'{out}' exists; give `overwrite`, or another `out`.")
     cloud, _, _ = SCANNERS[scanner](Fingers(seed, impression))
     points = cloud.points_mm[(np.abs(cloud.points_mm - PIVOT) < VOLUME_MM).all(axis=1)]
     with atomic_file(out) as stream:

@@ -112,7 +112,7 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     else:
         yaw = float(expected + turn if reliable else expected)
     if not clear and not note:
-        taken = f"it was taken to point {np.rad2deg(yaw):.0f} deg from up, counter-clockwise"
+        taken = f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise"
         remedy = "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
         note = f"the outline does not show which way the finger's tip points; {taken}. {remedy}"
     return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)

@@ -31,7 +31,7 @@ FINGER_MM = 0.015
 """Finest grid that the scattered points of a finger are fitted on where no pitch is given: 30 pixels a ridge."""
 _SCATTER_PITCHES, _NOISY_MM, _NOISIEST_MM, _ROUNDED_MM = 1.5, 0.035, 0.06, 0.03
 """Scatter of points beside the fitted surface beyond which they are none, in pitches; that in which ridges are lost;
-the most for which a coarser grid is taken; steps of rounded heights in which ridges are lost.
+the most of a finger on any grid; steps of rounded heights in which ridges are lost.
 """
 _MAX_PADDED = 100_000_000
 _MAX_NODES, _ROWS, _FINEST_MM = 30_000_000, 1 << 18, 1e-4
@@ -244,10 +244,8 @@ def _organised(points: FloatArray) -> _Surface | None:
     return _Surface("organised", pitch, height, np.isfinite(height), None, x, y)
 
 
-def _fitted(points: FloatArray, view: CloudView, pitch_mm: float | None = None) -> _Surface:
-    """A grid of planes fitted to the points around each node, weighted by a tent of a pitch and a half. Where points of
-    a finger scatter by more, by up to `_NOISIEST_MM`, the grid is chosen as coarse as that (`pitch_mm`).
-    """
+def _fitted(points: FloatArray, view: CloudView) -> _Surface:
+    """A grid of planes fitted to the points around each node, weighted by a tent of a pitch and a half."""
     finest = FINGER_MM if view.material == "skin" else _FINEST_MM
     coarse = 4.0 * (view.pitch_mm or max(_spacing(points), finest))
     shape, column, row = _nodes(points, coarse)
@@ -255,7 +253,7 @@ def _fitted(points: FloatArray, view: CloudView, pitch_mm: float | None = None) 
     top = np.full(shape[0] * shape[1], -np.inf, dtype=np.float32)
     np.maximum.at(top, node, points[:, 2])
     points = points[points[:, 2] >= top[node] - 4.0 * coarse]  # the nearest layer
-    pitch = pitch_mm or view.pitch_mm or max(_spacing(points), finest)
+    pitch = view.pitch_mm or max(_spacing(points), finest)
     shape, column, row = _nodes(points, pitch)
     moments = np.zeros((9, shape[0] * shape[1]), dtype=np.float32)
     for part in (slice(k, k + _ROWS) for k in range(0, len(points), _ROWS)):
@@ -278,14 +276,8 @@ def _fitted(points: FloatArray, view: CloudView, pitch_mm: float | None = None) 
     nearest = np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
     beside = np.abs(points[:, 2] - height[nearest])[mask[nearest]]
     scatter = 1.4826 * float(np.median(beside))
-    if (
-        view.pitch_mm is pitch_mm is None
-        and view.material == "skin"
-        and _SCATTER_PITCHES * pitch < scatter <= _NOISIEST_MM
-    ):
-        return _fitted(points, view, scatter)
     require(
-        scatter <= _SCATTER_PITCHES * pitch,
+        scatter <= max(_SCATTER_PITCHES * pitch, _NOISIEST_MM if view.material == "skin" else 0.0),
         f"the points lie {scatter:.2g} mm (standard deviation) beside the surface through them, where they are "
         f"{pitch:.2g} mm apart: that is not a surface which the view sees once; check the view (`up`) and the export.",
     )
