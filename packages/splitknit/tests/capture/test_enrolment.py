@@ -61,7 +61,7 @@ def test_a_plan_may_grow_but_not_shrink(tmp_path):
 def test_folders_that_are_no_enrolment_are_refused(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.doc").write_text("x")
-    with pytest.raises(BadInput, match=r"holds no enrolment\.json"):
+    with pytest.raises(BadInput, match=r"holds other files and no enrolment\.json"):
         open_enrolment(tmp_path / "other")
     (tmp_path / "file").write_text("x")
     with pytest.raises(BadInput, match="is a file"):
