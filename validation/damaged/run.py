@@ -135,10 +135,13 @@ def doubted(count: int) -> int:
         twin |= rigs[seed % 3 if seed % 2 else 0] | ({"condition.kind": condition} if condition else {})
         capture, _ = simulate_capture(seed, settings=twin, impression=seed % 3)
         try:
-            found += reconstruct(capture, "metric").facts.get("spoilt", 0) > 0
+            result = reconstruct(capture, "metric")
         except BadInput as refusal:
-            print(seed, refusal)
-            found += 1
+            words = str(refusal)
+        else:
+            words = result.warnings[0] if result.facts.get("spoilt", 0) > 0 else ""
+        found += bool(words)
+        print(*([seed, words] if words else []), end="\n" if words else "", flush=True)
     return found
 
 

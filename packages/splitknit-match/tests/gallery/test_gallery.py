@@ -478,6 +478,10 @@ def opened():
         KEYS.reverse()
         return Gallery.open(path, KEYS[0])
 
+def changed(people, what, who):
+    # a change of keys names somebody who may have been removed before
+    return people - {who} if what == "remove" else people | {who} if what != "rekey" else people
+
 def write(told, seed):
     # changes, each told before and after
     rng = random.Random(seed)
@@ -525,11 +529,10 @@ for kill in range(50):
     for line in lines:
         if line != "done":
             what, who = line.split()
-            (people.discard if what == "remove" else people.add)(who)
+            people = changed(people, what, who)
     possible = [set(people)]
     if under_way:
-        what, who = under_way
-        possible.append(people - {who} if what == "remove" else people | {who})
+        possible.append(changed(people, *under_way))
     with opened() as gallery:
         assert {one.entry.person for one in gallery.entries()} in possible, (lines, under_way)
 print("sound")
