@@ -189,7 +189,6 @@ def identify_finger(
         fusion = "fingerphotos" if side.kind == "photo" else "fusion"
 
         doubt = None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
-        calibrated = calibrated and doubt is None
 
         def matches(one: _Found) -> bool:
             return calibrated and _rated(one, fusion, area_mm2, question.fmr).answer == "match"
@@ -207,13 +206,15 @@ def identify_finger(
     first = rated[0] if rated else None
     decision, undecided = None, None
     if not calibrated:
-        undecided = doubt or "with other settings than the shipped ones false match rates are not known"
+        undecided = "with other settings than the shipped ones false match rates are not known"
     elif first is not None and first.decision is None:
         undecided = first.undecided
     else:
         at = None if first is None else first.decision
         at = at or MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
         decision = SearchDecision(at.match, at.fmr, at.threshold, at.expected_fmr, facts.captures * at.fmr)
+    if doubt is not None and not (decision and decision.match and side.kind != "touches"):  # a match confirms a print's
+        decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     progress("done", 1.0)
     return Identification(

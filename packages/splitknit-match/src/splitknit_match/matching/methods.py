@@ -304,25 +304,28 @@ def _rated(
 ) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
     fmr, own = decide
-    doubt = next((f"{one.path}: {one.doubt}".rstrip(".") for one in (found.a, found.b) if one.doubt), None)
-    missing = doubt
-    if doubt is None and not (found.a.acquired and found.b.acquired):
+    doubts = [f"{one.path}: {one.doubt}".rstrip(".") for one in (found.a, found.b) if one.doubt]
+    missing = None
+    if not doubts and not (found.a.acquired and found.b.acquired):
         return replace(found, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
     if scores not in TABLES and own is None:
-        missing = missing or f"false match rates of the method {scores} were not measured"
+        missing = f"false match rates of the method {scores} were not measured"
     elif own is None and not as_calibrated(settings, scores):
-        missing = missing or "with other settings than the shipped ones false match rates are not known"
+        missing = "with other settings than the shipped ones false match rates are not known"
     elif not found.compared:
-        missing = missing or "nothing was compared"
-    if missing is not None:
-        return replace(found, fmr_missing=missing, undecided=missing)
-    areas = found.a.area_mm2, found.b.area_mm2
-    scores = scores_of(scores, areas, found.similarity_of_minutiae)
-    rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
-    return replace(
-        found, fmr=rated.fmr, fmr_missing=rated.missing, fmr_basis=rated.basis, decision=rated.decision,
-        answer=rated.answer, undecided=rated.undecided,
-    )  # fmt: skip
+        missing = "nothing was compared"
+    else:
+        areas = found.a.area_mm2, found.b.area_mm2
+        scores = scores_of(scores, areas, found.similarity_of_minutiae)
+        rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
+        one_print = len(doubts) == 1 and "touches" not in (found.a.kind, found.b.kind)
+        if not doubts or (one_print and rated.answer == "match"):  # one resolution confirms the other
+            return replace(
+                found, fmr=rated.fmr, fmr_missing=rated.missing, fmr_basis=rated.basis, decision=rated.decision,
+                answer=rated.answer, undecided=rated.undecided,
+            )  # fmt: skip
+    missing = doubts[0] if doubts else missing
+    return replace(found, fmr_missing=missing, undecided=missing)
 
 
 @dataclass(frozen=True, slots=True)
