@@ -78,9 +78,10 @@ def _similarities(
     payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
 ) -> tuple[NDArray[np.float64], str | None, str]:
     """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted, and the method.
+
     Kept sides are large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side
-    after the other.
-    Both sides decide which is turned (:func:`splitknit_match.matching.ridge.ridge_match`): order changes nothing.
+    after the other. Both sides decide which is turned (:func:`splitknit_match.matching.ridge.ridge_match`): order
+    changes nothing.
     """
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]

@@ -30,6 +30,7 @@ from splitknit_match.matching.methods import (
     MatchDecision,
     Rated,
     as_calibrated,
+    doubt_of,
     fmr_basis,
     rate,
     scores_of,
@@ -188,8 +189,6 @@ def identify_finger(
         area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
         fusion = "fingerphotos" if side.kind == "photo" else "fusion"
 
-        doubt = None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
-
         def matches(one: _Found) -> bool:
             return calibrated and _rated(one, fusion, area_mm2, question.fmr).answer == "match"
 
@@ -213,6 +212,7 @@ def identify_finger(
         at = None if first is None else first.decision
         at = at or MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
         decision = SearchDecision(at.match, at.fmr, at.threshold, at.expected_fmr, facts.captures * at.fmr)
+    doubt = doubt_of(side)
     if doubt is not None and not (decision and decision.match and side.kind != "touches"):  # a match confirms a print's
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"

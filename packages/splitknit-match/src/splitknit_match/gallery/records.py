@@ -24,6 +24,7 @@ from splitknit import (
     Led,
     PrintFile,
     Progress,
+    __version__,
     atomic_folder,
     check_target,
     file_hash,
@@ -221,7 +222,7 @@ def _contactless(method: str, pitch_mm: float) -> dict[str, str]:
     """
     light, ppi = method in ("photo", "specular"), str(round(25.4 / pitch_mm))
     what = "light of the skin" if light else "ridges of a surface"
-    comment = f"no contact print: {what}, printed by splitknit {provenance({}, {})['version']}, method {method}"
+    comment = f"no contact print: {what}, printed by splitknit {__version__}, method {method}"
     return {"SHPS": ppi, "SVPS": ppi, "COM": comment, "FCT": "6" if light else "7"}
 
 

@@ -299,12 +299,17 @@ def _scores_of(method: str, a: Side, b: Side) -> str:
     return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
 
 
+def doubt_of(side: Side | ComparedSide) -> str | None:
+    """Why the resolution of a side's print cannot be right, with its path; None where nothing speaks against it."""
+    return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
+
+
 def _rated(
     found: Match, scores: str, settings: MatchingSettings, decide: tuple[float | None, OwnRates | None]
 ) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
     fmr, own = decide
-    doubts = [f"{one.path}: {one.doubt}".rstrip(".") for one in (found.a, found.b) if one.doubt]
+    doubts = [doubt for doubt in map(doubt_of, (found.a, found.b)) if doubt is not None]
     missing = None
     if not doubts and not (found.a.acquired and found.b.acquired):
         return replace(found, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")

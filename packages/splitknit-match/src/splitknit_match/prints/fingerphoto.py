@@ -25,7 +25,6 @@ from splitknit import (
     FloatArray,
     Photo,
     Upright,
-    blur,
     bounding_box,
     check_borders,
     check_mask,
@@ -45,7 +44,7 @@ from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.make import Print, make_print
 from splitknit_match.prints.photo_mask import finger_in_photo
-from splitknit_match.prints.pressed import PressedRidges, pressed_ridges
+from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.prints.sources import Source
 
@@ -205,10 +204,7 @@ def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1, 2 * _RIM_PX + 1))
     whole = cv2.erode((made.weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     known = whole.astype(np.float32)
-    weight = np.maximum(blur(known, _SHADING_PX), np.float32(1e-3))
-    detail: NDArray[Any] = np.log(np.maximum(made.values, np.float32(1.0))) * known
-    for _ in range(2):
-        detail = (detail - blur(detail * known, _SHADING_PX) / weight) * known
+    detail, _ = without_shading(np.log(np.maximum(made.values, np.float32(1.0))) * known, known, _SHADING_PX)
     usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0
     grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * float(usual), 1e-6), -1.0, 1.0)
     return np.round(grey).astype(np.uint8), whole > 0

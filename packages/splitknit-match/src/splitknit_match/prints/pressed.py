@@ -123,15 +123,22 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     return PressedRidges(np.round(255.0 * grey).astype(np.uint8), inside, np.where(inside, confidence, np.float32(0)))
 
 
+def without_shading(values: FloatArray, known: FloatArray, reach: float) -> tuple[FloatArray, FloatArray]:
+    """(H, W) values less their mean in a Gaussian window of sigma `reach` (px) where `known` is 1, else 0; and the
+    window's weight, above 0.
+    """
+    weight = np.maximum(blur(known, reach), np.float32(1e-3))
+    for _ in range(2):  # the second pass takes out what a one-sided window leaves at the edge
+        values = np.asarray((values - blur(values * known, reach) / weight) * known, dtype=np.float32)
+    return values, weight
+
+
 def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatArray]:
     """(H, W) the print with even mean and contrast, and its contrast; the sensor's frame does not count."""
     known = (~frame(image)).astype(np.float32)
     grey = image.astype(np.float32)
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
-    weight = np.maximum(blur(known, reach), np.float32(1e-3))
-    centred: FloatArray = grey
-    for _ in range(2):  # the second pass takes out what a one-sided window leaves at the frame
-        centred = np.asarray((centred - blur(centred * known, reach) / weight) * known, dtype=np.float32)
+    centred, weight = without_shading(grey, known, reach)
     contrast = np.sqrt(blur(centred * centred, reach) / weight)
     level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast

@@ -82,9 +82,7 @@ def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
     """Mean of the white images for people, `size` (columns, rows)."""
     pixels = capture.bands["white"].pixels
     total = np.zeros((size[1], size[0], 3), dtype=np.float32)
-    for (
-        image
-    ) in pixels:  # linear: its noise is averaged over the images, and ridges are wider than the picture's pixels
+    for image in pixels:  # sampled linearly: the images' mean averages noise, and ridges are wider than a pixel of it
         small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
         total += small.reshape(size[1], size[0], -1)
     total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
