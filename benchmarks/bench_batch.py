@@ -22,17 +22,22 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
+
+import fsspec
+from fsspec.implementations.memory import MemoryFileSystem
 
 from splitknit.io.enrolment import FINGERS
 from splitknit_match.batch.chunks import read_chunk
 from splitknit_match.batch.engine import _feature_tasks, _score_tasks, run_batch
 from splitknit_match.batch.execution import AHEAD, Cluster, connected, run_tasks
 from splitknit_match.batch.matchers import matcher
-from splitknit_match.batch.objects import MOVED, Location, Objects, files_below, location, stored_bytes, whole_file
+from splitknit_match.batch.objects import Location, Objects, files_below, location, stored_bytes, whole_file
 from splitknit_match.batch.population import CaptureRef, all_pairs, blocks_of, read_population
 from splitknit_match.batch.reading import Place, drop_cached, small_column
 from splitknit_match.batch.settings import BatchSettings, preset_cases
@@ -63,6 +68,34 @@ class Cost:
     puts: float = 0.0
 
 
+class CountedMemory(MemoryFileSystem):
+    """Objects in memory, and what is asked of them."""
+
+    moved: ClassVar[Counter[str]] = Counter()
+
+    def pipe_file(self, path: str, value: bytes, **rest: Any) -> None:
+        self.moved.update(puts=1, written=len(value))
+        super().pipe_file(path, value, **rest)
+
+    def cat_file(self, path: str, **rest: Any) -> bytes:
+        found: bytes = super().cat_file(path, **rest)
+        self.moved.update(gets=1, read=len(found))
+        return found
+
+    def find(self, path: str, **rest: Any) -> Any:
+        found = super().find(path, **rest)
+        self.moved.update(gets=1 + len(found) // 1000)
+        return found
+
+    def info(self, path: str, **rest: Any) -> Any:
+        self.moved.update(gets=1)
+        return super().info(path, **rest)
+
+    def isfile(self, path: str) -> bool:
+        self.moved.update(gets=1)
+        return bool(super().isfile(path))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--store", default=None)
@@ -75,6 +108,7 @@ def main() -> None:
     for name, price in PRICES.items():
         parser.add_argument(f"--price-{name}", type=float, default=price, help=f"an example: {price}")
     options = parser.parse_args()
+    fsspec.register_implementation("memory", CountedMemory, clobber=True)
     print(f"Batch, {machine()}")
     if options.store is not None:
         print_store(location(options.store))
@@ -118,12 +152,12 @@ def small_population(options: argparse.Namespace) -> Objects:
 @contextmanager
 def counted(number: int) -> Iterator[Cost]:
     """Cost of one of `number` things that the block does."""
-    cost, before, times = Cost(), replace(MOVED), os.times()
+    cost, before, times = Cost(), CountedMemory.moved.copy(), os.times()
     yield cost
     now = os.times()
     cost.cpu_s = (now.user + now.system - times.user - times.system) / number
-    cost.read, cost.written = (MOVED.read - before.read) / number, (MOVED.written - before.written) / number
-    cost.gets, cost.puts = (MOVED.gets - before.gets) / number, (MOVED.puts - before.puts) / number
+    for name in ("read", "written", "gets", "puts"):
+        setattr(cost, name, (CountedMemory.moved[name] - before[name]) / number)
 
 
 def print_store(store: Location) -> None:
