@@ -19,6 +19,8 @@ from splitknit import BoolArray, Checked, FloatArray, Limits
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""
 
+_ONE_MAP = np.empty(0, dtype=np.float32)
+"""In place of cv2.remap's second map, where columns and rows are together in the first."""
 _MIN_OVERLAP = 0.6
 """Fraction of a patch that must be valid on both sides."""
 np.empty(1 << 21)
@@ -114,9 +116,9 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     places = np.stack([part.ravel() for part in np.meshgrid(*(np.arange(len(s)) for s in starts), indexing="ij")], 1)
     padded = np.zeros((max(shape[0], side), max(shape[1], side)), dtype=np.float32)
     padded[: shape[0], : shape[1]] = value
-    known = np.zeros_like(padded)
+    known = np.zeros(padded.shape, dtype=np.uint8)
     known[: shape[0], : shape[1]] = valid
-    fraction = sliding_window_view(known, (side, side))[rows, columns].mean(axis=(1, 2))
+    fraction = _sums(known, side)[rows, columns] / np.float32(side * side)
     kept = fraction >= _MIN_OVERLAP
     rows, columns, places, fraction = rows[kept], columns[kept], places[kept], fraction[kept]
     patches = sliding_window_view(padded, (side, side))[rows, columns]
@@ -133,7 +135,7 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
         reach=reach,
         pitch_mm=pitch_mm,
         energy=np.asarray((patches * patches).sum(axis=(1, 2)), dtype=np.float32),
-        fraction=np.asarray(fraction, dtype=np.float32),
+        fraction=fraction,
     )
 
 
@@ -153,11 +155,10 @@ def compare_patches(
         nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
     else:
-        down, across = np.mgrid[0:bottom, 0:right].astype(np.float32)
-        bent_places = np.stack([across, down], axis=-1) - _upsampled(patches, bend, (bottom, right), reach)
-        there = cv2.split(cv2.transform(bent_places, moved).astype(np.float32))
-        value = np.asarray(cv2.remap(a_value, there[0], there[1], cv2.INTER_LINEAR))
-        valid = np.asarray(cv2.remap(a_valid.view(np.uint8), there[0], there[1], cv2.INTER_NEAREST))
+        bent_places = _places(bottom, right) - _upsampled(patches, bend, (bottom, right), reach)
+        there = cv2.transform(bent_places, moved)
+        value = np.asarray(cv2.remap(a_value, there, _ONE_MAP, cv2.INTER_LINEAR))
+        valid = np.asarray(cv2.remap(a_valid.view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST))
     fraction = _sums(valid, side) / np.float32(side * side)
     seen = np.minimum(fraction[patches.rows + reach, patches.columns + reach], patches.fraction)
     used = np.flatnonzero(seen >= _MIN_OVERLAP)
@@ -266,15 +267,22 @@ def overlap_correlation(
     `a`, `b`: band (H, W) and where it is valid.
     """
     shape = b[1].shape
-    down, across = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float32)
-    places = np.stack([across, down], axis=-1)
+    places = _places(*shape)
     if bend is not None:
         places -= _upsampled(patches, bend, (shape[0], shape[1]), 0)
-    there = cv2.split(cv2.transform(places, b_from).astype(np.float32))
-    both = (np.asarray(cv2.remap(a[1].view(np.uint8), there[0], there[1], cv2.INTER_NEAREST)) > 0) & b[1]
-    one, other = np.asarray(cv2.remap(a[0], there[0], there[1], cv2.INTER_LINEAR))[both], b[0][both]
+    there = cv2.transform(places, b_from)
+    both = (np.asarray(cv2.remap(a[1].view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST)) > 0) & b[1]
+    one, other = np.asarray(cv2.remap(a[0], there, _ONE_MAP, cv2.INTER_LINEAR))[both], b[0][both]
     power = float(one @ one) * float(other @ other)
     return float(one @ other) / max(power, 1e-12) ** 0.5, float(both.sum()) * patches.pitch_mm**2
+
+
+def _places(rows: int, columns: int) -> FloatArray:
+    """(rows, columns, 2) column and row of each pixel."""
+    places = np.empty((rows, columns, 2), dtype=np.float32)
+    places[..., 0] = np.arange(columns)
+    places[..., 1] = np.arange(rows)[:, None]
+    return places
 
 
 def rigid(

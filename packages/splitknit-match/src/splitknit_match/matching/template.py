@@ -164,7 +164,10 @@ def pack(template: Template) -> bytes:
     edges = np.flatnonzero(np.diff(flat)) + 1
     runs = np.diff(np.concatenate([[0] if not flat[0] else [0, 0], edges, [flat.size]]))
     head = _HEAD.pack(*template.valid.shape, len(runs), round(1000 * template.pitch_mm))
-    lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
+    if runs.max() < _LONG:
+        lengths = runs.astype("<u2").tobytes()
+    else:
+        lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
     level = template.level.ravel()[flat]
     level = np.concatenate([level, np.zeros(-len(level) % 4, dtype=np.uint8)]).reshape(-1, 4)
     packed = level[:, 0] | level[:, 1] << 2 | level[:, 2] << 4 | level[:, 3] << 6
