@@ -138,7 +138,8 @@ def _grey_print(path: Path) -> NDArray[np.uint8]:
 
 def _inked(path: Path) -> BoolArray:
     """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left out."""
-    ink = cv2.copyMakeBorder((_grey_print(path) < 128).astype(np.uint8), 21, 21, 21, 21, cv2.BORDER_CONSTANT)
+    dark = cv2.threshold(_grey_print(path), 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    ink = cv2.copyMakeBorder(dark, 21, 21, 21, 21, cv2.BORDER_CONSTANT)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (21, 21))
     closed = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc)
     return cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.bool_)
