@@ -149,7 +149,7 @@ def fringe_table(out: Path) -> None:
         figures = splitknit.compare(on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth).figures
         facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
         if channel != "opaque":
-            optics = finger.who.optics.channel(channel)
+            optics = finger.optics.channel(channel)
             profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
             facts[channel]["half_radius_mm"] = profile.radius_mm(0.5)
     path.write_text(json.dumps(facts, indent=1))

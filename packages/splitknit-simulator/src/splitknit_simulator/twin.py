@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
+    BoolArray,
     Capture,
     FloatArray,
     Led,
@@ -33,6 +34,7 @@ from splitknit_simulator.finger.conditions import conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
 from splitknit_simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
+from splitknit_simulator.finger.shape import shape_of_rolled_print
 from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import BandLight
@@ -72,13 +74,15 @@ def simulate_to_folder(
     lights: str = "white",
     impression: int = 0,
     print_file: Path | None = None,
+    rolled: bool = False,
     changes: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Simulate a capture and write its folder with the truth; return what was made.
 
-    `print_file`: a print of 500 pixels an inch, whose ridges the finger has; `overwrite`: replace an earlier capture.
+    `print_file`: a print of 500 pixels an inch, whose ridges the finger has; `rolled`: it was rolled from nail to nail,
+    and its outline gives the finger's size; `overwrite`: replace an earlier capture.
     """
     started = time.perf_counter()
     settings = twin_settings(scale, changes)
@@ -91,9 +95,12 @@ def simulate_to_folder(
         coloured = coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])
         settings = replace(settings, rig=coloured)
     finger = None
+    require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
     if print_file is not None:
         require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
         finger = replace(draw_finger(seed), pattern="print", printed=master_of_print_file(print_file, seed))
+        shape = shape_of_rolled_print(_inked(print_file), _PRINT_MM, finger.shape) if rolled else finger.shape
+        finger = replace(finger, shape=shape)
     check_capture(out, overwrite=overwrite)
     with atomic_folder(out, overwrite=overwrite) as target:
         progress("simulating", 0.0)
@@ -119,10 +126,26 @@ def master_of_print_file(
 
     `mirrored`: of the finger that would leave its mirror image.
     """
+    grey = _grey_print(path)
+    return master_of_print(grey[:, ::-1] if mirrored else grey, seed, settings=settings)
+
+
+def _grey_print(path: Path) -> NDArray[np.uint8]:
     pixels = read_image(path)
     grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
-    grey = grey[:, ::-1] if mirrored else grey
-    return master_of_print(np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8), seed, settings=settings)
+    return np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8)
+
+
+def _inked(path: Path) -> BoolArray:
+    """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left out."""
+    dark = cv2.threshold(_grey_print(path), 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    ink = cv2.copyMakeBorder(dark, 21, 21, 21, 21, cv2.BORDER_CONSTANT)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (21, 21))
+    closed = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc)
+    return cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.bool_)
+
+
+_PRINT_MM = 25.4 / 500
 
 
 EXPOSURES = {"coloured": 2, "coloured9": 3}
@@ -171,7 +194,7 @@ def simulate_capture(
     if settings.motion.amplitude_mm > 0:
         capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
     elif settings.between_mirrors:
-        drawn = _drawn(seed, pattern, settings, impression, finger)
+        drawn = drawn_finger(seed, pattern, settings, impression, finger)
         capture, truth = photograph_between_mirrors(drawn, seed, settings)
     else:
         surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
@@ -190,7 +213,7 @@ def lay_down(
 ) -> tuple[SimulatedSurface, Drawn]:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
-    drawn = _drawn(seed, pattern, settings, impression, finger)
+    drawn = drawn_finger(seed, pattern, settings, impression, finger)
     finger, pose, skin = drawn.finger, drawn.pose, drawn.skin
     workers, camera = settings.render.workers, drawn.rig.camera
     if settings.condition.active:
@@ -201,9 +224,10 @@ def lay_down(
     return surface, drawn
 
 
-def _drawn(
+def drawn_finger(
     seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
 ) -> Drawn:
+    """Finger, pose, rig and skin of :func:`simulate_capture` with the same arguments."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     between = settings.between_mirrors
     default = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
@@ -258,7 +282,7 @@ def _photograph_moving(
     that of this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where each shot shows
     the finger. A band's ambient frame goes with its first shot; coloured LEDs of one exposure with one place.
     """
-    drawn = _drawn(seed, pattern, settings, impression, finger)
+    drawn = drawn_finger(seed, pattern, settings, impression, finger)
     rig = drawn.rig
     members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
     groups = {name: exposures_of([rig.leds[k] for k in found]) for name, found in members.items()}

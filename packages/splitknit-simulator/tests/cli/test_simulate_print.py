@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.io.images import write_image
 from splitknit.io.npz import read_npz
+from splitknit_simulator.finger.finger import draw_finger
 from splitknit_simulator.finger.master_print import ink_print, master_print
+from splitknit_simulator.finger.shape import shape_of_rolled_print
 
 
 @pytest.mark.slow
@@ -31,11 +34,45 @@ def test_the_finger_that_left_a_print_is_photographed(tmp_path: Path) -> None:
     assert abs(np.corrcoef(relief[0][middle].ravel(), relief[1][middle].ravel())[0, 1]) < 0.5
 
 
+def test_a_row_of_a_rolled_print_is_as_long_as_the_half_section() -> None:
+    shape = replace(draw_finger(4).shape, squareness=0.0)
+    half, high, pitch = 7.5, 7.5 * shape.thickness_mm / shape.width_mm, 0.05
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 20_001)
+    arc = float(np.trapezoid(np.hypot(half * np.cos(angle), high * np.sin(angle)), angle))
+    rows = np.arange(0.0, 24.0, pitch)  # a round tip of 7 mm, then a cylinder
+    row_mm = arc * np.sqrt(1.0 - np.clip(1.0 - rows / 7.0, 0.0, 1.0) ** 2)
+    columns = np.arange(-14.0, 14.0, pitch)
+    found = shape_of_rolled_print(2.0 * np.abs(columns)[None, :] < row_mm[:, None], pitch, shape)
+    assert found.width_mm == pytest.approx(2.0 * half, abs=0.1)
+    assert found.thickness_mm == pytest.approx(2.0 * high, abs=0.1)
+    assert 4.0 <= found.tip_length_mm < 7.0 and found.length_mm < 24.0  # the skin of the tip falls towards the nail
+    assert (found.squareness, found.taper) == (0.0, shape.taper)
+
+
+def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path: Path) -> None:
+    image = ink_print(master_print("whorl", 5), half_width_mm=11.5)  # 23 mm from nail to nail
+    write_image(tmp_path / "rolled.png", image)
+    options = ["--seed", "3", "--scale", "0.1", "--print", str(tmp_path / "rolled.png")]
+    assert main(["simulate", "--out", str(tmp_path / "drawn"), *options]) == 0
+    assert main(["simulate", "--out", str(tmp_path / "own"), *options, "--rolled"]) == 0
+    drawn, own = (read_npz(tmp_path / name / "truth.npz") for name in ("drawn", "own"))
+    width = [float(truth["mask"].sum(axis=1).max()) * float(truth["pitch_mm"]) for truth in (drawn, own)]
+    assert width[1] == pytest.approx(draw_width(image), abs=1.0)
+    assert abs(width[0] - width[1]) > 0.3
+
+
+def draw_width(image: np.ndarray) -> float:
+    """Of the finger of seed 3 that left a print of this outline."""
+    ink = (image < 128).any(axis=0)
+    return shape_of_rolled_print(np.ones((300, int(ink.sum())), dtype=bool), 25.4 / 500, draw_finger(3).shape).width_mm
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--pattern", "whorl"], "leave out the pattern"),
         (["--bench"], "--print does not go with --bench"),
+        (["--scanner", "hull", "--rolled"], "does not go with --scanner"),
         (["population"], "--print does not go with a population"),
         ([], "no ridges"),
     ],
@@ -47,4 +84,14 @@ def test_what_does_not_go_is_said_in_one_sentence(tmp_path: Path, capsys, option
     assert main(["simulate", *first, *given]) == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
+    assert not (tmp_path / "none").exists()
+
+
+def test_rolled_needs_a_print_of_a_finger_size(tmp_path: Path, capsys) -> None:
+    assert main(["simulate", "--out", str(tmp_path / "none"), "--rolled"]) == 2
+    assert "--print" in capsys.readouterr().err
+    write_image(tmp_path / "narrow.png", ink_print(master_print("whorl", 5), half_width_mm=5.0))
+    given = ["--out", str(tmp_path / "none"), "--print", str(tmp_path / "narrow.png"), "--rolled"]
+    assert main(["simulate", *given]) == 2
+    assert "rolled print" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -135,24 +133,3 @@ def test_what_cannot_be_decoded_is_refused() -> None:
         stereo.scan([np.zeros((2, 2), np.float32)], [view(0, 0)], np.zeros(3), 1.0)
     with pytest.raises(BadInput, match="nothing of the finger"):
         cloud_of(np.full((3, 3), np.nan), "none")
-
-
-@pytest.mark.external
-def test_stripes_of_a_real_projector_are_told_from_their_inverses(data_dir: Path) -> None:
-    folder = data_dir / "stripe_projector"
-
-    def read(name: str) -> np.ndarray:
-        return np.asarray(cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE), dtype=np.float32)
-
-    names = ("stripes_14", "stripes_16", "rows_34")
-    images = np.stack([read(name) for name in names])
-    lit, contrast = structured_light.bits(images, np.stack([read(f"{name}_inverse") for name in names]))
-    board = read("white") - read("black") > 60
-    for k, upright in enumerate((True, True, False)):
-        assert np.median(contrast[k][board]) > 0.4
-        assert lit[k][board].mean() == pytest.approx(0.5, abs=0.02)
-        edges = [(np.diff(lit[k].astype(int), axis=axis) != 0)[:-1, :-1] for axis in (0, 1)]
-        across, along = (
-            float(one[board[: one.shape[0], : one.shape[1]]].mean()) for one in (edges[upright], edges[not upright])
-        )
-        assert across > 8 * along

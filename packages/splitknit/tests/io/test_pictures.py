@@ -85,6 +85,16 @@ def test_a_gap_between_two_parts_stays_empty() -> None:
     assert np.diff(shown).max() > 18  # of 20, whose edges are smooth
 
 
+def test_holes_of_a_ragged_surface_do_not_stand_out_as_spikes() -> None:
+    """A plane 5 mm below zero, the height that is kept where nothing was measured."""
+    weight = _bump().weight.copy()
+    plane = _fields(np.full(weight.shape, -5.0, np.float32), weight)
+    whole = oblique_view(plane, tilt_deg=60.0)
+    weight[20:100:12, 15:65:12] = 0.0
+    torn = oblique_view(_fields(plane.height_mm * (weight > 0), weight), tilt_deg=60.0)
+    assert abs(torn.shape[0] - whole.shape[0]) <= 2
+
+
 def test_views_show_the_finger_and_the_light() -> None:
     result, _ = finger()
     surface = small_fields(result, upright_frame(result, 240)).exaggerated(2.0)

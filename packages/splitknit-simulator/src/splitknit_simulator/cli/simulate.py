@@ -24,7 +24,7 @@ from splitknit import (
 
 _WORKERS = 2
 _OF_POPULATIONS = ("subjects", "fingers", "sessions", "workers", "prints")
-_OF_CAPTURES = ("pattern", "rig", "print_file", "motion", "condition", "mirrors", "nir")
+_OF_CAPTURES = ("pattern", "rig", "print_file", "rolled", "motion", "condition", "mirrors", "nir")
 _OF_FINGERS = (*_OF_CAPTURES, "impression")
 
 
@@ -47,6 +47,8 @@ class SimulateJob(Job):
     print_file: Annotated[AnyPath | None, Help(
         "a real print of 500 pixels an inch, ridges dark, tip up: the finger that left it, instead of a drawn one",
         "FILE", option="--print")] = None
+    rolled: Annotated[bool, Help(
+        "the print was rolled from nail to nail, down to the first crease: its outline sizes the finger")] = False
     scale: Annotated[Scale | None, Help("size of the images, 1 = 3200 x 2200 pixels (default: the twin's)")] = None
     motion: Annotated[float | None, Help(
         "the finger moves by MM during the capture, as a hand does that is held still (0.5 is much)", "MM")] = None
@@ -125,6 +127,7 @@ class SimulateJob(Job):
             lights=self.lights,
             impression=self.impression,
             print_file=path(self.print_file),
+            rolled=self.rolled,
             changes=changes,
             overwrite=self.overwrite,
             progress=progress,

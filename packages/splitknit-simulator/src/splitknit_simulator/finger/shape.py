@@ -6,13 +6,14 @@ the right as a camera above the pad sees it. The body is where its implicit func
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
-from splitknit import Checked, Limits
+from splitknit import BoolArray, Checked, Limits, require
 from splitknit_simulator.surface import Array
 
 
@@ -179,6 +180,37 @@ class _Sections(NamedTuple):
     drop_slope: Array
     cap: Array
     cap_slope: Array
+
+
+def shape_of_rolled_print(inside: BoolArray, pitch_mm: float, shape: FingerShape) -> FingerShape:
+    """`shape` with the width, thickness, length and tip that the outline of its rolled print gives.
+
+    `inside`: (H, W), True from the first to the last ink of each row, tip up, rolled from nail to nail, and down to the
+    first crease. A row is as long as the half section that it was rolled off, so that it gives the half width (the
+    frontal silhouette) and, by the thickness over the width that `shape` has, the height (the lateral one). Raises
+    BadInput if no finger has that size.
+
+    References
+    ----------
+    The thesis, chapter 2, on Donida Labati et al. [18]: synthetic fingertips from a rolled print's two silhouettes.
+    """
+    ratio = shape.width_mm / shape.thickness_mm
+    row_mm = inside.sum(axis=1)[inside.any(axis=1)] * pitch_mm
+    require(row_mm.size > 2, "the print shows no ridges.")
+    quarter = 0.5 * np.pi * np.polynomial.polynomial.polyval(ratio, _arc_coefficients(shape.squareness)[0])
+    rise = gaussian_filter1d(row_mm, 0.5 / pitch_mm, mode="nearest") / (2.0 * quarter)
+    fall = np.clip(np.gradient(rise, pitch_mm), -1.0, 1.0)
+    from_tip = np.cumsum(np.sqrt(1.0 - fall * fall)) * pitch_mm
+    thickness = 2.0 * float(np.quantile(rise, 0.9))  # torn rows are longer than the finger is round
+    # an elliptic tip has the half width sqrt(3)/2 of the finger's where half of its length is left
+    tip = float(np.clip(2.0 * from_tip[np.argmax(rise > 0.25 * np.sqrt(3.0) * thickness)], 4.0, 14.0))
+    width, length = ratio * thickness, float(from_tip[-1])
+    require(
+        10.0 <= width <= 30.0 and 15.0 <= length <= 40.0,
+        f"the rolled print would be of a finger {width:.1f} mm broad and {length:.1f} mm long; check its resolution "
+        "and that it was rolled from nail to nail.",
+    )
+    return replace(shape, width_mm=width, thickness_mm=thickness, length_mm=length, tip_length_mm=tip)
 
 
 def _softplus(x: Array, width: float) -> tuple[Array, Array]:

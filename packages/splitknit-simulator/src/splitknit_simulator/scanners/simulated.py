@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, Cloud, FloatArray, Led, atomic_file, check_file, default_rig, require
+from splitknit import BoolArray, Camera, Cloud, FloatArray, Led, atomic_file, check_file, require
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
-from splitknit_simulator.finger.finger import PoseRanges, draw_finger, placement_of
+from splitknit_simulator.finger.finger import placement_of
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view, meet_body, rays_of
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.finger.skin_map import SkinMap, skin_map
+from splitknit_simulator.finger.skin_map import skin_map
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
-from splitknit_simulator.light.skin import Medium, SkinOptics, SkinRanges
+from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scanners import focus, laser, stereo, structured_light
 from splitknit_simulator.scanners.views import View
+from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.surface import Array
+from splitknit_simulator.twin import drawn_finger
 
 SCALE = 0.4
 PX_PER_MM = 75.7 * SCALE
@@ -67,35 +68,10 @@ def projector() -> View:
     return view_of(matrix, turned("x", PROJECTOR_DEG))
 
 
-@dataclass
-class Person:
-    """A finger as `simulate_capture` draws it, laid down under other cameras."""
-
-    body: FingerBody
-    skin: SkinMap
-    placement: Placement
-    optics: SkinOptics
-    seed: int
-
-    def placed(self, turn: Array) -> Placement:
-        """Where it lies for a device that was turned about the pivot."""
-        return Placement(turn @ self.placement.rotation, turn @ (self.placement.shift - PIVOT) + PIVOT)
-
-
-def person(seed: int, impression: int = 0) -> Person:
-    """The finger of a seed, as it lies in a capture."""
-    finger, rig = draw_finger(seed), default_rig(SCALE)
-    pose_seed, _ = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
-    pose = PoseRanges().draw(np.random.default_rng(pose_seed), rig.camera)
-    body = FingerBody(finger.shape)
-    optics = SkinRanges().draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
-    return Person(body, skin_map(finger.master(), finger.skin), placement_of(body, pose, rig.camera), optics, seed)
-
-
 class Sight:
     """A finger in one camera."""
 
-    def __init__(self, who: Person, deg: float = 0.0) -> None:
+    def __init__(self, who: Fingers, deg: float = 0.0) -> None:
         """The camera is turned by `deg` about the finger's axis."""
         turn = turned("y", deg)
         self.camera, self.who, self.turn = camera_of(PX_PER_MM), who, turn
@@ -146,16 +122,24 @@ class Sight:
 
 
 class Fingers:
-    """A finger in its cameras, each made once."""
+    """A finger under cameras, each made once."""
 
     def __init__(self, seed: int, impression: int = 0) -> None:
-        """As `simulate_capture` draws it."""
-        self.who, self._sights = person(seed, impression), dict[float, Sight]()
+        """As `simulate_capture` draws it and lays it down."""
+        drawn = drawn_finger(seed, None, TwinSettings(scale=SCALE), impression, None)
+        self.body = FingerBody(drawn.finger.shape)
+        self.skin = skin_map(drawn.finger.master(), drawn.finger.skin)
+        self.placement = placement_of(self.body, drawn.pose, drawn.rig.camera)
+        self.optics, self.seed, self._sights = drawn.skin, seed, dict[float, Sight]()
+
+    def placed(self, turn: Array) -> Placement:
+        """Where it lies for a device that was turned about the pivot."""
+        return Placement(turn @ self.placement.rotation, turn @ (self.placement.shift - PIVOT) + PIVOT)
 
     def at(self, deg: float) -> Sight:
         """The camera `deg` beside the axis."""
         if deg not in self._sights:
-            self._sights[deg] = Sight(self.who, deg)
+            self._sights[deg] = Sight(self, deg)
         return self._sights[deg]
 
 
@@ -242,8 +226,8 @@ def hull(finger: Fingers) -> Scan:
     assert camera.matrix is not None
     for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0):
         turn = turned("y", deg)
-        place, rays = finger.who.placed(turn), rays_of(camera, *(np.arange(n) for n in camera.image_size))
-        _, hit = meet_body(finger.who.body, place, rays, np.full(rays.x.size, above(finger.who.body, place)))
+        place, rays = finger.placed(turn), rays_of(camera, *(np.arange(n) for n in camera.image_size))
+        _, hit = meet_body(finger.body, place, rays, np.full(rays.x.size, above(finger.body, place)))
         masks.append(hit.reshape(camera.image_size))
         views.append(view_of(camera.matrix, turn))
     begun = time.process_time()

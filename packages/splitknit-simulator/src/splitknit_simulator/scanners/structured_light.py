@@ -1,4 +1,4 @@
-"""Structured light: phase shifting at several periods, unwrapped in time, and stripes with their inverses.
+"""Structured light: phase shifting at several periods, unwrapped in time.
 
 References
 ----------
@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Cloud, FloatArray, require
+from splitknit import Cloud, FloatArray, require
 from splitknit_simulator.scanners.views import View, cloud_of, on_planes
 
 _NOISE_PX = 7  # side of the square over which the residuals of the sinusoids are averaged
@@ -89,17 +89,3 @@ def scan(camera: View, projector: View, decoded: Decoded, largest_mm: float = 0.
     sigma = (slope * decoded.sigma).astype(np.float32)
     points[~(sigma <= largest_mm)] = np.nan
     return cloud_of(points, "structured light"), sigma
-
-
-def bits(images: NDArray[np.floating], inverses: NDArray[np.floating]) -> tuple[BoolArray, FloatArray]:
-    """Decode binary stripes photographed with their inverses.
-
-    Returns which pixels (N, H, W) are lit in each image, and the contrast (N, H, W): |image - inverse| / sum, 0 to 1.
-
-    References
-    ----------
-    J. Salvi et al., "Pattern codification strategies in structured light systems", Pattern Recognition 37(4), 2004.
-    """
-    require(images.shape == inverses.shape, "every image of stripes needs its inverse, of the same size.")
-    a, b = images.astype(np.float32), inverses.astype(np.float32)
-    return np.asarray(a > b), np.asarray(np.abs(a - b) / np.maximum(a + b, 1e-6), dtype=np.float32)
