@@ -90,8 +90,8 @@ class CountedMemory(MemoryFileSystem):
         self.moved.update(gets=1, read=len(found))
         return found
 
-    def open(self, path: str, **rest: Any) -> Any:
-        return Ranges(self, path, **rest)
+    def open(self, path: str, mode: str = "rb", **rest: Any) -> Any:
+        return Ranges(self, path, **rest) if mode == "rb" else super().open(path, mode, **rest)
 
     def find(self, path: str, **rest: Any) -> Any:
         found = super().find(path, **rest)
