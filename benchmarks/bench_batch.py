@@ -31,6 +31,7 @@ from typing import Any, ClassVar
 
 import fsspec
 from fsspec.implementations.memory import MemoryFileSystem
+from fsspec.spec import AbstractBufferedFile
 
 from splitknit.io.enrolment import FINGERS
 from splitknit_match.batch.chunks import read_chunk
@@ -68,6 +69,13 @@ class Cost:
     puts: float = 0.0
 
 
+class Ranges(AbstractBufferedFile):
+    """An object that is read in ranges, as in S3."""
+
+    def _fetch_range(self, start: int, end: int) -> bytes:
+        return bytes(self.fs.cat_file(self.path, start=start, end=end))
+
+
 class CountedMemory(MemoryFileSystem):
     """Objects in memory, and what is asked of them."""
 
@@ -81,6 +89,9 @@ class CountedMemory(MemoryFileSystem):
         found: bytes = super().cat_file(path, **rest)
         self.moved.update(gets=1, read=len(found))
         return found
+
+    def open(self, path: str, mode: str = "rb", **rest: Any) -> Any:
+        return Ranges(self, path, **rest) if mode == "rb" else super().open(path, mode, **rest)
 
     def find(self, path: str, **rest: Any) -> Any:
         found = super().find(path, **rest)

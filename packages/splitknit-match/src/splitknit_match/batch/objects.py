@@ -22,7 +22,7 @@ from splitknit import BadInput, atomic_file, inside, open_file, read_bytes, requ
 MEMORY = "memory"
 SCHEMES = ("s3", "gs", "az", MEMORY)  # schemes of URLs that are accepted; nothing else on a network is ever contacted
 _MAX_CAPTURE_BYTES = 20_000_000_000
-_SMALL_BYTES = 1 << 16  # what is read at least at a time; an object that is no longer in one piece
+_AHEAD_BYTES = 1 << 16  # what is read beyond what is asked for: most objects come in one piece
 _UNREAD = frozenset({"truth.npz", "impression.json"})  # files of a simulated capture that nobody reconstructs from
 _NO_METADATA = "AWS_EC2_METADATA_DISABLED"
 
@@ -91,8 +91,8 @@ def stored_bytes(place: Location, max_bytes: int) -> bytes:
 
 @contextlib.contextmanager
 def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
-    """Open a file or an object of at most `max_bytes`; of an object only what is asked for is read. Raises BadInput if
-    it is missing, too large, or cannot be read.
+    """Open a file or an object of at most `max_bytes`; of an object only what is asked for is read, a little ahead.
+    Raises BadInput if it is missing, too large, or cannot be read.
     """
     if isinstance(place, Path):
         with open_file(place, max_bytes) as (stream, _):
@@ -100,46 +100,10 @@ def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
         return
     with _refusing(place, "read"):
         fs, path = _of(place)
-        size = int(fs.info(path)["size"])
-        require(size <= max_bytes, f"'{place}' is too large: {size} bytes, at most {max_bytes} are read.")
-        if size <= _SMALL_BYTES:
-            yield io.BytesIO(_read(place, fs, path, 0, size))
-            return
-        with io.BufferedReader(_Ranges(place, fs, path, size), _SMALL_BYTES) as ranges:
-            yield ranges
-
-
-def _read(place: Objects, fs: Any, path: str, start: int, end: int) -> bytes:
-    with _refusing(place, "read"):
-        data: bytes = fs.cat_file(path, start=start, end=end) if end > start else b""
-    return data
-
-
-class _Ranges(io.RawIOBase):
-    """An object, of which each read asks for its own bytes."""
-
-    def __init__(self, place: Objects, fs: Any, path: str, size: int) -> None:
-        super().__init__()
-        self.place, self.fs, self.path, self.size, self.at = place, fs, path, size, 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self.at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self.at, os.SEEK_END: self.size}[whence]
-        return self.at
-
-    def readinto(self, buffer: Any) -> int:
-        end = min(self.at + len(buffer), self.size)
-        if end <= self.at:
-            return 0
-        data = _read(self.place, self.fs, self.path, self.at, end)
-        buffer[: len(data)] = data
-        self.at += len(data)
-        return len(data)
+        with fs.open(path, block_size=_AHEAD_BYTES) as stream:
+            fits = stream.size <= max_bytes
+            require(fits, f"'{place}' is too large: {stream.size} bytes, at most {max_bytes} are read.")
+            yield stream
 
 
 @contextlib.contextmanager
@@ -219,10 +183,11 @@ def _copy(population: Objects, name: str, root: Path) -> None:
     (target / "truth.npz").touch()
     with _refusing(source, "read"):
         fs, path = _of(source)
-        for file, size in sizes.items():
+        for file in sizes:
             local = inside(target, file, f"'{source}'", "the name of an object")
             local.parent.mkdir(parents=True, exist_ok=True)
-            local.write_bytes(_read(source / file, fs, f"{path}/{file}", 0, size))
+            with _refusing(source / file, "read"):
+                local.write_bytes(fs.cat_file(f"{path}/{file}"))
 
 
 def _of(place: Objects) -> tuple[Any, str]:

@@ -48,13 +48,10 @@ class _Grab:
 class Stream(Protocol):
     """What a camera must do to be used here."""
 
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """Rows, columns."""
-
-    @property
-    def exposures(self) -> ExposureRange:
-        """What :meth:`set` accepts."""
+    image_size: tuple[int, int]
+    """Rows, columns."""
+    exposures: ExposureRange
+    """What :meth:`set` accepts."""
 
     def set(self, exposure_s: float, gain: float) -> None:
         """Set exposure time and gain, within :attr:`exposures`, for frames that come sooner or later."""
@@ -193,15 +190,8 @@ class _Uvc(Stream):
         linear = capture.get(cv2.CAP_PROP_GAMMA) == 100
         table = decode_table(np.dtype(np.uint8), "linear" if linear else "srgb")
         self._table = np.rint(table * 65535).astype(np.uint16)
-        self._size = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        return self._size
-
-    @property
-    def exposures(self) -> ExposureRange:
-        return ExposureRange(1e-4, _LONGEST_S, 1.0, 1.0)
+        rows, columns = capture.get(cv2.CAP_PROP_FRAME_HEIGHT), capture.get(cv2.CAP_PROP_FRAME_WIDTH)
+        self.image_size, self.exposures = (round(rows), round(columns)), ExposureRange(1e-4, _LONGEST_S, 1.0, 1.0)
 
     def set(self, exposure_s: float, gain: float) -> None:
         steps = max(round(exposure_s * 1e4), 1)
@@ -262,17 +252,11 @@ class _GenICam(Stream):
         nodes.TriggerMode.value, nodes.TriggerSource.value = "On", "Software"
         self._order = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(offered[0][5:7], "")
         self._bits = int(re.sub(r"\D", "", offered[0]))
-        acquirer.start()
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        return int(self._nodes.Height.value), int(self._nodes.Width.value)
-
-    @property
-    def exposures(self) -> ExposureRange:
-        times, gains = self._nodes.ExposureTime, self._nodes.Gain
+        self.image_size = int(nodes.Height.value), int(nodes.Width.value)
+        times, gains = nodes.ExposureTime, nodes.Gain
         low, high = (10 ** (decibels / 20) for decibels in (max(gains.min, 0.0), gains.max))
-        return ExposureRange(times.min * 1e-6, min(times.max * 1e-6, _LONGEST_S), low, high)
+        self.exposures = ExposureRange(times.min * 1e-6, min(times.max * 1e-6, _LONGEST_S), low, high)
+        acquirer.start()
 
     def set(self, exposure_s: float, gain: float) -> None:
         self._nodes.ExposureTime.value = exposure_s * 1e6

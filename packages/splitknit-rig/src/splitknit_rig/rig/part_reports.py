@@ -248,18 +248,11 @@ def _slice_mask(corners: Array, z: float, low: Array, shape: tuple[int, int], pi
         other = (alone + step) % 3
         fraction = from_height / (from_height - heights[rows, other])
         ends.append(from_point + fraction[:, None] * (points[rows, other, :2] - from_point))
-    start, end = ((np.asarray(point) - low) / pitch_mm for point in ends)  # in columns and rows
+    (x, y), (to_x, to_y) = (((point - low) / pitch_mm).T for point in ends)  # in columns and rows
+    row, side = np.nonzero((y > (grid := np.arange(shape[0])[:, None])) != (to_y > grid))
+    crossed = x[side] + (row - y[side]) / (to_y - y)[side] * (to_x - x)[side]
     parity = np.zeros((shape[0], shape[1] + 1), dtype=np.int64)
-    # rows first .. last - 1 are crossed
-    first, last = np.ceil(np.sort([start[:, 1], end[:, 1]], axis=0)).astype(np.int64)
-    lengths = np.maximum(last - first, 0)
-    segment = np.repeat(np.arange(len(lengths)), lengths)
-    row = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths) + first[segment]
-    slope = (row - start[segment, 1]) / (end[segment, 1] - start[segment, 1])
-    column = start[segment, 0] + slope * (end[segment, 0] - start[segment, 0])
-    inside = (row >= 0) & (row < shape[0])
-    place = np.clip(np.ceil(column), 0, shape[1]).astype(np.int64)
-    np.add.at(parity, (row[inside], place[inside]), 1)
+    np.add.at(parity, (row, np.clip(np.ceil(crossed), 0, shape[1]).astype(np.int64)), 1)
     return np.asarray(np.cumsum(parity, axis=1)[:, :-1] % 2 == 1)
 
 
