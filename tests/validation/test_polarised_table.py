@@ -43,3 +43,9 @@ def test_both_ways_and_the_table(
         assert (tmp_path / "error.png").stat().st_size > 10_000
         assert table.main([str(tmp_path / "nothing")]) == 2
         assert "give folders" in capsys.readouterr().err
+        monkeypatch.setattr(table, "simulate_capture", lambda seed, settings: (capture, dict(truth)))
+        assert table.main(["--twins", "3", "4"]) == 0
+        lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+        assert [line[0] for line in lines] == ["3", "4", "mean"]
+        assert all(len(line) == 22 for line in lines)
+        assert table.main(["--twins", "4", "3"]) == 2

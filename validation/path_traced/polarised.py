@@ -6,6 +6,8 @@ For each capture that has a parallel and a crossed series: `metric` on it, and o
 photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
 
     python validation/path_traced/polarised.py --picture FILE CAPTURE    # true relief, error without and with films
+    python validation/path_traced/polarised.py --twins FIRST LAST    # fingers of the fast simulator with these seeds,
+        # behind films with seven lights to the side: each, and their means
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import splitknit
 from splitknit.errors import BadInput, require
 from splitknit.io.npz import read_npz
 from splitknit.model import Capture
+from splitknit_simulator import simulate_capture
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -38,6 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given[:1] == ["--picture"]:
             require(len(given) == 3, "give a file and a capture: --picture FILE CAPTURE.")
             picture(Path(given[1]), Path(given[2]))
+            return 0
+        if given[:1] == ["--twins"]:
+            require(len(given) == 3 and all(one.isdigit() for one in given[1:]), "give two seeds: --twins FIRST LAST.")
+            twins(range(int(given[1]), int(given[2]) + 1))
             return 0
         folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
@@ -87,6 +94,23 @@ def picture(file: Path, folder: Path) -> None:
     cv2.imwrite(str(file), cv2.resize(row, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
+def twins(seeds: Sequence[int]) -> None:
+    """Print surface (mm), and correlation, gain, rms (um) and error over stated by slant, with lights to the side."""
+    rows = []
+    for seed in seeds:
+        capture, truth = simulate_capture(seed, settings=TWINS)
+        truth["px_mm"] = np.float64(capture.rig.camera.pitch_mm)
+        figures = _figures(capture, truth)
+        parts = ("ridge_corr", "ridge_gain", "ridge_rms_um", "error_over_stated")
+        names = ["surface_rms_mm", *(f"{part}{each}" for each in (*CLASSES[1:], "") for part in parts)]
+        rows.append([figures.get(name, np.nan) for name in names])
+        print(seed, *(f"{value:.3f}" for value in rows[-1]), flush=True)
+    require(bool(rows), "the last seed is before the first.")
+    print("mean", *(f"{value:.3f}" for value in np.nanmean(rows, axis=0)))
+
+
+TWINS = {"scale": 0.2, "films.kind": "analyser", "side_lights": 7}
+"""The simulator's settings; those of its fingers' skin and pose are drawn."""
 PICTURE_PX = 1260
 """Width of the picture."""
 FULL_MM = 0.04
