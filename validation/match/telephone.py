@@ -2,6 +2,7 @@
 
     python validation/match/telephone.py segment --work FOLDER [--count 40]
     python validation/match/telephone.py scores --work FOLDER [--count 40]
+    python validation/match/telephone.py links --work FOLDER [--count 20]
 
 A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the simulator's master
 prints: one, a second beside it, a hand of four, or one before a fist. Drawn for each photograph: scale, pose (roll and
@@ -17,7 +18,7 @@ import json
 import pickle
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,20 +28,25 @@ import numpy as np
 from composited import NATURAL, TINTS, WANTED, Light, Picture, default_pictures, encoded, interval, linear
 from contactless import SENSORS
 from numpy.typing import NDArray
-from pressed_prints import press
+from pressed_prints import STEP_MM, press
+from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
 
+from splitknit import PEOPLE
 from splitknit.errors import BadInput
 from splitknit_match.matching import methods
 from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import _photo, print_template
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.score import calibrate_scores
+from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
+from splitknit_match.prints.fingerphoto import _PEOPLE_WIDTH, LEAST_QUALITY, _even, source_of_photo
+from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.make import make_print
 from splitknit_match.prints.photo_mask import finger_in_photo
+from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -391,19 +397,87 @@ def scores(count: int, work: Path, write: bool) -> None:
             rows.append({"a": f"{i}.{take}", "b": f"{j}.{other}", "quality": f"{least:.0f}", "score": f"{found:.3f}"})
         print(i, take, f"{quality:.0f}", flush=True)
     write_table("telephone_scores.csv", rows)
-    scored = [float(str(row["score"])) for row in rows]
-    impostors = [one for one, row in zip(scored, rows, strict=True) if np.isfinite(one) and not genuine(row)]
-    table = calibrate_scores(np.array(impostors))
-    if write:
-        what = f"drawn telephone photographs of {count} simulated fingers, against each other and presses"
+    print("highest impostor:", {kind: f"{table.similarity[-1]:.2f}" for kind, table in tables(rows, write).items()})
+    rated(rows)
+
+
+def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
+    """Tables of impostors: of all, of two photographs, of a photograph and a press."""
+    found, fingers = {}, len({str(row["a"])[:-2] for row in rows})
+    for kind, what, sides in (
+        ("", "against each other and presses", (True, False)),
+        ("_alone", "against each other", (False,)),
+        ("_and_prints", "against presses", (True,)),
+    ):
+        chosen = [row for row in rows if ("press" in str(row["b"])) in sides and not genuine(row)]
+        scored = np.array([float(str(row["score"])) for row in chosen])
+        table = found[kind] = calibrate_scores(scored[np.isfinite(scored)])
         kept = {
-            "what": what, "by": "validation/match/telephone.py scores --write", "seed": SEED,
-            "impostors": table.impostors, "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
+            "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
+            "by": "validation/match/telephone.py scores --write", "seed": SEED, "impostors": table.impostors,
+            "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
         }  # fmt: skip
-        place = Path(methods.__file__).with_name("match_fmr_fingerphotos.json")
-        place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    rated(rows, float(table.similarity[-1]))
+        if write:
+            place = Path(methods.__file__).with_name(f"match_fmr_fingerphotos{kind}.json")
+            place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
+    return found
+
+
+def unrolled(one: Telephone, number: int, take: int, light: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A photograph's `light` (H, W) laid where the skin truly lies, (h, w) of 500 ppi, and where it shows."""
+    rng = np.random.default_rng([number, take, 2])
+    rays, eye, _, _ = view(body_of(number), one.hand, rng)
+    hit, point, normal, uv = seen(body_of(number), rays, eye)
+    facing = ((eye - point) * normal).sum(-1) > 0.35 * np.linalg.norm(eye - point, axis=-1)
+    rows, columns = np.nonzero(hit & one.masks[0] & facing & (uv[..., 1] > -2))
+    few = (rows % 3 == 0) & (columns % 3 == 0)
+    rows, columns, step = rows[few], columns[few], 4 * 25.4 / 500
+    u, v = np.arange(-12, 12, step), np.arange(30, -3, -step)
+    skin = uv[rows, columns]
+    of = LinearNDInterpolator(skin, np.stack([columns, rows], axis=1).astype(np.float64), fill_value=-1.0)
+    place = of(np.stack(np.meshgrid(-u, v), axis=-1)).astype(np.float32)
+    shown = np.zeros(place.shape[:2], np.uint8)
+    row, column = np.rint((v[0] - skin[:, 1]) / step).astype(int), np.rint((-skin[:, 0] - u[0]) / step).astype(int)
+    shown[np.clip(row, 0, len(v) - 1), np.clip(column, 0, len(u) - 1)] = 1
+    shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) * (place[..., 0] >= 0)
+    size = 4 * len(u), 4 * len(v)
+    x, y = cv2.split(cv2.resize(place, size))
+    weight = (cv2.resize(shown.astype(np.float32), size) > 0.99).astype(np.float32)
+    return np.asarray(cv2.remap(light.astype(np.float32), x, y, cv2.INTER_LINEAR)), weight
+
+
+def links(count: int, work: Path) -> None:
+    """Scores of photographs and presses of the same fingers, one link at a time replaced by the truth."""
+    usual = USUAL_PERIOD_MM / STEP_MM, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))
+    found: dict[str, list[float]] = {}
+    for number in range(count):
+        of_program = side_of(number, 0, work)[0]
+        if of_program is None:
+            continue
+        one, master = drawn(number, 0, work), draw_finger(SEED + number).master()
+        made = make_print(source_of_photo(one.pixels, mask=one.masks[0]), "photo", "free")
+        rng = np.random.default_rng([number, 0, 2])
+        rays, eye, _, _ = view(body_of(number), one.hand, rng)
+        _, smooth, pitch, u0, v0 = ridges(number)
+        uv = seen(body_of(number), rays, eye)[3]
+        at = np.stack([(v0 - uv[..., 1]) / pitch, (uv[..., 0] - u0) / pitch])
+        photos = {"photograph": of_program}
+        clean = 128 * (1 + 0.25 * map_coordinates(smooth, at, order=1, mode="nearest") / np.abs(smooth).max())
+        for name, light in (("true unrolling", one.pixels[..., 1]), ("true ridges and unrolling", clean)):
+            values, weight = unrolled(one, number, 0, light)
+            image = _even(replace(made, values=values, weight=weight))[0]
+            photos[name] = print_template(image, pressed=pressed_ridges(image, usual))
+        ranges = SENSORS[PRESSES[number % 2]]
+        for name, some in (("press", ranges), ("press without distortion", replace(ranges, stretch_mm=0.0))):
+            other = Prepared(print_template(press(master, number % 2, some)))
+            for photo, template in photos.items():
+                score = fused_photo(Prepared(template), other, (True, False))[0].similarity
+                found.setdefault(f"{photo}, {name}", []).append(score)
+        print(number, {name: f"{all_[-1]:.1f}" for name, all_ in found.items()}, flush=True)
+    for name, all_ in found.items():
+        low = sum(one < 5.06 for one in all_)
+        print(f"{name}: median {np.median(all_):.1f}, mean {np.mean(all_):.1f}, below 5.06: {low} of {len(all_)}")
 
 
 def genuine(row: dict[str, object]) -> bool:
@@ -411,9 +485,9 @@ def genuine(row: dict[str, object]) -> bool:
     return str(row["a"]).split(".")[0] == str(row["b"]).removeprefix("press ").split(".")[0]
 
 
-def rated(rows: list[dict[str, object]], threshold: float) -> None:
-    """Equal error rate and rates at a threshold, by kind and least quality; intervals of 95 % draw fingers."""
-    rng = np.random.default_rng(0)
+def rated(rows: list[dict[str, object]]) -> None:
+    """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 % draw fingers."""
+    rng, found = np.random.default_rng(0), tables(rows, write=False)
     table = np.array(
         [
             (int(str(row["a"]).split(".")[0]), genuine(row), "press" in str(row["b"]), row["quality"], row["score"])
@@ -421,12 +495,13 @@ def rated(rows: list[dict[str, object]], threshold: float) -> None:
         ],
         dtype=np.float64,
     )
-    for press_side, name in ((1, "photograph and press"), (0, "two photographs")):
+    for press_side, name, kind in ((1, "photograph and press", "_and_prints"), (0, "two photographs", "_alone")):
+        threshold = float(found[kind].similarity[-1])
         for least in (0, LEAST_QUALITY, 30, 50):
             part = table[(table[:, 2] == press_side) & (table[:, 3] >= least)]
             fingers = np.unique(part[part[:, 1] == 1, 0])
 
-            def figures(chosen: Array, part: Array = part) -> tuple[float, float, float]:
+            def figures(chosen: Array, part: Array = part, threshold: float = threshold) -> tuple[float, float, float]:
                 some = np.vstack([part[part[:, 0] == finger] for finger in chosen])
                 same, other = some[some[:, 1] == 1, 4], some[some[:, 1] == 0, 4]
                 levels = np.unique(some[np.isfinite(some[:, 4]), 4])
@@ -455,7 +530,7 @@ def write_table(name: str, rows: list[dict[str, object]]) -> None:
 def main() -> int:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["segment", "scores"])
+    parser.add_argument("what", choices=["segment", "scores", "links"])
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--work", type=Path, help="keeps the photographs")
     parser.add_argument("--write", action="store_true", help="write the table of impostor scores of `match`")
@@ -465,6 +540,8 @@ def main() -> int:
         options.work.mkdir(parents=True, exist_ok=True)
     if options.what == "segment":
         segment(options.count, options.work)
+    elif options.what == "links":
+        links(options.count, options.work or Path())
     else:
         scores(options.count, options.work or Path(), options.write)
     return 0

@@ -61,6 +61,10 @@ def test_what_was_compared_decides_what_is_said() -> None:
     assert rate(0.9, scores_of("ridge", (300, 30), None), 30.0).answer == "undecided"
     assert rate(0.9, "ridge", 100.0).answer == "match"
     assert fmr_basis("fusion").smallest < 1e-4  # the usual decision
+    photographs, both = (f"fingerphotos {of}" for of in ("alone", "and prints"))
+    assert sum(fmr_basis(one).impostors for one in (photographs, both)) == fmr_basis("fingerphotos").impostors
+    assert [rate(4.0, one, 100.0).answer for one in (photographs, both)] == ["no match", "match"]
+    assert rate(9.0, scores_of(photographs, (300, 30), None), 30.0).answer == "undecided"
     assert similarity_at(1e-4, "fusion") >= similarity_at(1e-3, "fusion")
     smallest = fmr_basis("windows").smallest
     sure = similarity_at(smallest, "windows") + 1

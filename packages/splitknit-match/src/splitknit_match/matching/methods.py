@@ -19,7 +19,7 @@ from splitknit_match.matching.inputs import Side, held, is_photo, read_side, und
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings, surface_images
 from splitknit_match.matching.template import VERSION, Template
@@ -32,6 +32,8 @@ TABLES = {
     "ridge": "match_fmr.json",
     "fusion": "match_fmr_prints.json",
     "fingerphotos": "match_fmr_fingerphotos.json",
+    "fingerphotos alone": "match_fmr_fingerphotos_alone.json",
+    "fingerphotos and prints": "match_fmr_fingerphotos_and_prints.json",
     "windows": "match_fmr_windows.json",
     "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
@@ -252,7 +254,8 @@ def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:
     found = ridge_match(_template(a), _template(b), settings.ridge)
     return Match(
         method="ridge", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
-        overlap_mm2=found.overlap_mm2, correlation=found.correlation, alignment=_laid(found),
+        overlap_mm2=found.overlap_mm2, correlation=found.correlation,
+        alignment=PlaneAlignment(found.rotation_deg, found.right_mm, found.up_mm),
     )  # fmt: skip
 
 
@@ -280,21 +283,19 @@ def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match
             sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
     else:
         found = fused_match(left, right)
+    laid = PlaneAlignment(found.ridge.rotation_deg, found.ridge.right_mm, found.ridge.up_mm)
     return Match(
         method="fusion", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
         similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae,
-        overlap_mm2=found.ridge.overlap_mm2, correlation=found.ridge.correlation, alignment=_laid(found.ridge),
+        overlap_mm2=found.ridge.overlap_mm2, correlation=found.ridge.correlation, alignment=laid,
     )  # fmt: skip
-
-
-def _laid(found: RidgeMatch) -> PlaneAlignment:
-    return PlaneAlignment(found.rotation_deg, found.right_mm, found.up_mm)
 
 
 def _scores_of(method: str, a: Side, b: Side) -> str:
     """Which table holds the impostor scores of a comparison."""
     if "photo" in (a.kind, b.kind):
-        return "fingerphotos" if method == "fusion" else f"{method} on photographs"
+        of = {"photo": " alone", "print": " and prints"}.get(a.kind if b.kind == "photo" else b.kind, "")
+        return f"fingerphotos{of}" if method == "fusion" else f"{method} on photographs"
     of_surfaces = a.surface is not None and b.surface is not None
     return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
 
@@ -353,7 +354,7 @@ def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | Non
     small = min(areas_mm2) < SMALL_MM2
     if method == "fusion":
         return "windows" if small or minutiae is None else method
-    return f"{method} small" if small and method in ("ridge", "fingerphotos") else method
+    return f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
 
 
 def rate(
@@ -437,7 +438,7 @@ def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     ridges, codes = ("band", "template", "ridge"), ("surface_code", "surface_match")
     names = {"ridge": ridges, "fusion": ridges, "fingerphotos": ridges, "windows": ridges, "surface_code": codes}
     plain = MatchingSettings()
-    asked = names.get(method, (method,) if hasattr(plain, method) else ())
+    asked = names.get(method.split(maxsplit=1)[0], (method,) if hasattr(plain, method) else ())
     return all(getattr(settings, name) == getattr(plain, name) for name in asked)
 
 
@@ -604,8 +605,7 @@ def _limits(method: str) -> tuple[float, float]:
 
 
 def _document(file: str) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(Path(__file__).with_name(file).read_text(encoding="utf-8"))
-    return document
+    return dict(json.loads(Path(__file__).with_name(file).read_text(encoding="utf-8")))
 
 
 @cache
