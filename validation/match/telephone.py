@@ -37,10 +37,9 @@ from splitknit import PEOPLE
 from splitknit.errors import BadInput
 from splitknit_match.matching import methods
 from splitknit_match.matching.fusion import fused_photo
-from splitknit_match.matching.inputs import _photo, print_template
+from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.fingerphoto import _PEOPLE_WIDTH, LEAST_QUALITY, _even, source_of_photo
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
@@ -364,7 +363,7 @@ def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]
         one = drawn(number, take, work)
         try:
             source = source_of_photo(one.pixels, mask=one.masks[0])
-            kept = _photo(Path(f"{number}_{take}"), source, MatchingSettings()).template, source.quality or 0.0
+            kept = print_template(source.flat, pressed=source.pressed), source.quality or 0.0
         except BadInput as error:
             print(number, take, error, flush=True)
             kept = None, 0.0

@@ -34,7 +34,7 @@ from impostors import FOLDER
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.methods import REAL_PRINTS, TABLES, fmr_basis, rate, scores_of, similarity_at
-from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.ridge import Prepared, RidgeMatch
 from splitknit_match.matching.score import calibrate_scores
 
 HERE = Path(__file__).resolve().parent
@@ -203,35 +203,39 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     return np.array([fusion._score(*row) for row in rows[:, 6:].tolist()])
 
 
-def box(image: Image, mm: int) -> NDArray[np.float64]:
-    """(4, 2) corners (column, row) of the middle window."""
-    part = next(one for one in windows([image], 0) if one[1] == mm and one[2] == "middle")[3]
-    found = cv2.matchTemplate(image, part, cv2.TM_SQDIFF)
-    row, column = np.unravel_index(found.argmin(), found.shape)
-    side = np.array(part.shape[::-1])
-    return np.array([column, row]) + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * side
+def pose(laid: RidgeMatch) -> tuple[complex, complex]:
+    """Turn and shift, mm (up times i), that take places of A's template to B's."""
+    return np.exp(1j * np.deg2rad(laid.rotation_deg)), complex(laid.right_mm, laid.up_mm)
+
+
+def square(mm: float, *poses: tuple[complex, complex]) -> NDArray[np.float32]:
+    """(4, 2) corners, mm, of a square about the middle after some poses."""
+    corners = mm / 2 * np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j])
+    for turn, shift in poses:
+        corners = turn * corners + shift
+    return np.stack([corners.real, corners.imag], axis=1).astype(np.float32)
 
 
 def overlaps(job: Job) -> None:
-    """How much of genuine touches overlaps, mm2, where the whole prints' alignment is sure."""
-    px, found = 500 / 25.4, {mm: [] for mm in (4, 5, 6, 8)}
-    for name in SETS:
+    """How much of genuine touches overlaps, mm2: each laid on its own whole print, and the whole prints, where sure."""
+    found: dict[int, list[float]] = {mm: [] for mm in (4, 5, 6, 8)}
+    for number, name in enumerate(SETS):
         images, owner, impression = prints(name, job)
         sides = {n: Prepared(made(images[n], "template", job)) for n in range(len(owner)) if impression[n] < 4}
+        own = {}
+        for n, mm, which, part in windows(images, number):
+            if n in sides and mm in found and which == "middle":
+                laid = fused_match(Prepared(made(part, "template", job)), sides[n])
+                own[n, mm] = pose(laid.ridge) if laid.similarity >= SURE else None
         for i, j in itertools.combinations(sides, 2):
             if owner[i] != owner[j]:
                 continue
             whole = fused_match(sides[i], sides[j])
             if whole.similarity < SURE:
                 continue
-            turn = np.deg2rad(whole.ridge.rotation_deg)
-            turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-            middles = [(np.array(images[n].shape[::-1]) - 1) / 2 for n in (i, j)]
-            moved = middles[1] + np.array([whole.ridge.right_mm, -whole.ridge.up_mm]) * px
             for mm, areas in found.items():
-                a = (box(images[i], mm) - middles[0]) @ turned.T + moved
-                both = cv2.intersectConvexConvex(a.astype(np.float32), box(images[j], mm).astype(np.float32))[0]
-                areas.append(both / px**2)
+                if (a := own[i, mm]) and (b := own[j, mm]):
+                    areas.append(cv2.intersectConvexConvex(square(mm, a, pose(whole.ridge)), square(mm, b))[0])
     for mm, areas in found.items():
         said = ", ".join(f"{100 * np.mean(np.array(areas) < limit):.0f} % below {limit}" for limit in (6, 10, 15))
         print(f"{mm} mm: {len(areas)} genuine pairs overlap by {np.median(areas):.0f} mm2 (median), {said}")

@@ -17,6 +17,7 @@ from splitknit.cli.main import main
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.prints import read_print_png
 from splitknit.model import default_rig
+from splitknit_match import match
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
@@ -232,6 +233,23 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
 def test_an_earlier_result_is_not_overwritten(result: Path, capsys) -> None:
     assert "name another folder" in refusal(capsys, result, "--out", result)
     assert (result / "height.npz").is_file()
+
+
+def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, capsys) -> None:
+    """A finger whose ridges are unusually close keeps the scale that its camera gives it; a print's file does not."""
+    fine = tmp_path / "fine"
+    fine.mkdir()
+    arrays = read_npz(result / "height.npz")
+    write_npz(fine / "height.npz", {**arrays, "pitch_mm": np.float64(0.6) * arrays["pitch_mm"]})
+    finger = ("--person", "Ann", "--finger", "left_index")
+    facts_of(capsys, fine, "--method", "relief", "--out", tmp_path / "relief")
+    assert main(["enroll", str(tmp_path / "people.skg"), str(tmp_path / "relief"), *finger]) == 0
+    assert match(tmp_path / "relief", tmp_path / "relief").answer == "match"
+    capsys.readouterr()
+    facts_of(capsys, tmp_path / "relief" / "print.png", "--out", tmp_path / "file")
+    for doubted in (tmp_path / "file", tmp_path / "relief" / "print.png"):
+        assert main(["enroll", str(tmp_path / "none.skg"), str(doubted), *finger]) == 2
+        assert "check the resolution" in capsys.readouterr().err
 
 
 def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:

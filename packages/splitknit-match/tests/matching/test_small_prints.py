@@ -18,7 +18,7 @@ from splitknit_match import match
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
-from splitknit_match.matching.minutiae_record import no_minutiae
+from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import own_rates_document, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
@@ -148,6 +148,37 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
     own.write_text(json.dumps(own_rates_document(rng.normal(size=200), "", "fusion", 0.0) | {"fmr": [1.0, 2.0]}))
     with pytest.raises(BadInput, match="is not a file of false match rates"):
         read_own_rates(own)
+
+
+def test_own_rates_of_dissimilarities_are_refused(tmp_path: Path, capsys) -> None:
+    lines = ["label,score", *(f"0,{5 + k / 100}" for k in range(300)), *["1,0.5"] * 20]
+    (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
+    words = ["evaluate", "--scores", tmp_path / "scores.csv", "--dissimilarity", "--calibrate", tmp_path / "own.json"]
+    assert main(list(map(str, [*words, "--out", tmp_path / "report", "--replicates", "20"]))) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.endswith("--calibrate takes similarities, as 'splitknit match' gives them.") and "\n" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["scores.csv"]
+
+
+@pytest.mark.parametrize("method", ["ridge", "fusion", "minutiae"])
+def test_own_rates_of_a_gallery_name_what_compared(method: str, tmp_path: Path, capsys) -> None:
+    """112 impostor pairs of eight fingers in two sessions; the name given by ``--method`` is not taken."""
+    gallery, own, rng = tmp_path / "people.skg", tmp_path / "own.json", np.random.default_rng(7)
+    for number in range(8):
+        finger = ridges(number)
+        for session, side in ((1, 60), (2, 64)):
+            part = cut(finger, 20, 20, side)
+            payload = pack(part if method == "fusion" else replace(part, minutiae=None))
+            if method == "minutiae":
+                x, y = rng.integers(20, 180, (2, 20)).astype(np.int32)
+                kind, quality = np.ones(20, np.uint8), np.full(20, 60, np.uint8)
+                payload = pack_minutiae(Minutiae(x, y, rng.uniform(0, 6.2, 20), kind, quality, (200, 200)))
+            write_template(tmp_path / "one.skt", payload, VERSION)
+            words = ["--person", f"S{number}", "--finger", "left_index", "--session", str(session)]
+            assert main(["enroll", str(gallery), str(tmp_path / "one.skt"), *words]) == 0
+    words = ["evaluate", "--gallery", gallery, "--calibrate", own, "--out", tmp_path / "report", "--replicates", "20"]
+    assert main(list(map(str, words))) == 0
+    assert read_own_rates(own).method == method
 
 
 def ridges(seed: int) -> Template:

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from splitknit import (
     BadInput,
     Capture,
+    Fields,
     Progress,
     Reconstruction,
     Surface,
     naming,
     no_progress,
     open_file,
+    read_json,
     require,
     surface_of,
 )
@@ -41,7 +43,6 @@ from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:
     from splitknit_match.prints.pressed import PressedRidges
-    from splitknit_match.prints.sources import Source
 
 TOUCHES = (".png", ".tif", ".tiff", ".bmp", ".wsq", ".skt")
 _MOST_TOUCHES = 40
@@ -191,7 +192,9 @@ def read_side(  # noqa: PLR0911 - one for each kind
     photo = fingerphoto(path)
     if photo is not None:
         source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo)
-        return _photo(path, source, settings)
+        assert source.flat is not None
+        template = print_template(source.flat, settings=settings, pressed=source.pressed)
+        return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
@@ -248,13 +251,6 @@ def undoubted(side: Side) -> Side:
     return side
 
 
-def _photo(path: Path, source: Source, settings: MatchingSettings) -> Side:
-    """A photograph of a finger: its print, unrolled by the mean shape."""
-    assert source.flat is not None
-    template = print_template(source.flat, settings=settings, pressed=source.pressed)
-    return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
-
-
 def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
     """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
     from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder, resolution_doubt
@@ -262,8 +258,11 @@ def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
     picture, view = read_print_folder(folder)
     printed = naming(folder, lambda: print_at_500_ppi(picture))
     template = naming(folder, lambda: print_template(printed.image, settings=settings))
-    minutiae, doubt = None if view is None else minutiae_of(view), resolution_doubt(picture) or None
-    return Side(folder, "print", None, template, printed.image, minutiae, doubt=doubt)
+    report = folder / "report.json"
+    about = Fields(read_json(report)[0] if report.is_file() else {}, str(report))
+    measured = about.text("method", "file") != "file" and not about.has("scale")  # by a calibrated camera
+    minutiae, doubt = None if view is None else minutiae_of(view), None if measured else resolution_doubt(picture)
+    return Side(folder, "print", None, template, printed.image, minutiae, doubt=doubt or None)
 
 
 def is_photo(given: Path | Held) -> bool:
