@@ -125,6 +125,15 @@ def test_failures_have_their_codes(  # noqa: PLR0917
     assert [path.name for path in capture_folder.parent.iterdir()] == ["capture"]
 
 
+def test_a_folder_of_another_user_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    def denied(options: Any) -> None:
+        raise PermissionError(13, "Permission denied", "theirs/x")
+
+    monkeypatch.setattr("splitknit.cli.verb.run_verb", denied)
+    assert main(["profile", "theirs/x", "1,1", "2,2"]) == 2
+    assert capsys.readouterr().err == "splitknit: error: 'theirs/x' cannot be reached: Permission denied.\n"
+
+
 def test_traceback_is_shown_on_request(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
     seen["raise"] = RuntimeError("odd")
     out = capture_folder.parent / "result"

@@ -59,6 +59,7 @@ from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.photometric.shading import Shading, read_shading, write_shading
+from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
@@ -84,8 +85,10 @@ from splitknit_match.gallery.manage import export_gallery, import_gallery
 from splitknit_match.gallery.serve import read_token
 from splitknit_match.gallery.shards import Shards, _seal, write_shards
 from splitknit_match.matching.code import CODE_VERSION, code_of
+from splitknit_match.matching.inputs import Pixels, read_side
 from splitknit_match.matching.inputs import _read_surface as read_matched
-from splitknit_match.matching.inputs import read_side
+from splitknit_match.matching.match_job import make_template as template_of
+from splitknit_match.matching.match_job import match
 from splitknit_match.matching.minutiae_record import (
     Minutiae,
     SpaceMinutiae,
@@ -316,6 +319,17 @@ def _fingerphotos() -> list[Files]:
     return _written("x.jpg", Image.fromarray(np.clip(np.rint(noisy), 0, 255).astype(np.uint8)).save)
 
 
+@cache
+def _pressed() -> bytes:
+    """Template of a print."""
+    return template_of(Pixels(_print(), 500.0)).payload or b""
+
+
+def _matched(folder: Path, files: Files) -> object:
+    """A whole comparison, of a photograph without a scale."""
+    return match(folder / "x.jpg", _pressed(), method="ridge")
+
+
 def _print() -> Any:
     rows, columns = np.mgrid[:120, :100]
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
@@ -406,6 +420,29 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert np.isfinite(lights).all()
     capture_from_photographs(folder / "{light}.png", lights, 10.0, PhotographOptions(encoding="linear"))
     read_photographs(folder)
+
+
+def _balls() -> list[Files]:
+    """Five photographs of a ball of 40 pixels."""
+    y, x = np.mgrid[20:-20:-1, -20:20] / 17.0
+    inside, z = x**2 + y**2 < 1, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
+    lights = np.array([[0.5, 0, 1], [0.2, 0.5, 1], [-0.4, 0.3, 1], [-0.4, -0.3, 1], [0.2, -0.5, 1]])
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    shades = [np.clip(a * x + b * y + c * z, 0, 1) * inside * 240 for a, b, c in lights]
+    names = [f"{k}.jpg" for k in range(5)]
+    pictures = [
+        cv2.imencode(name[1:], np.rint(shade).astype(np.uint8))[1].tobytes()
+        for name, shade in zip(names, shades, strict=True)
+    ]
+    photos = dict(zip(names, pictures, strict=True))
+    rows = "".join(f"{name} {a:.3f} {b:.3f} {c:.3f}\n" for name, (a, b, c) in zip(names, lights, strict=True)).encode()
+    mask = encode_image((255 * inside).astype(np.uint8), ".png")
+    return [{"lights.txt": rows, "mask.png": mask, **photos}, {"lights.txt": rows, **photos}]
+
+
+def _object(folder: Path, files: Files) -> None:
+    result = reconstruct(read_photographs(folder, folder / "lights.txt"), "metric")
+    assert np.isfinite(result.height_mm[result.mask]).all()
 
 
 def _flat_images() -> list[Files]:
@@ -1020,6 +1057,8 @@ TARGETS = (
     Target("plain_images", _plain_images, _plain_capture),
     Target("photograph", _photographs, _photograph),
     Target("fingerphoto", _fingerphotos, _of_files("x.jpg", lambda path: read_fingerphoto(path, 14.0))),
+    Target("match", _fingerphotos, _matched),
+    Target("object", _balls, _object),
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),

@@ -1,7 +1,8 @@
 """What is done to a capture of a simulated finger, whether it is refused, and what the surface is with ``keep``.
 
 ``python validation/damaged/run.py`` (simulator; some minutes) writes ``tables/damaged.csv``: a row for each damage and
-finger. With ``--sound N`` it counts how many of N sound captures are doubted.
+finger. With ``--sound N`` it counts how many of N sound captures are doubted; ``--first`` is the first's seed, and
+``--factor 2`` states twice their scale, which is to be doubted.
 """
 
 from __future__ import annotations
@@ -122,18 +123,20 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
     return row | {key: round(found[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")}
 
 
-def doubted(count: int) -> int:
+def doubted(count: int, first: int, factor: float) -> int:
     """How many of `count` sound captures are refused, or said to be spoilt: skin light and dark, dry, wet, dusty,
-    scarred and glossy; bare lights, films and lights to the side; a tenth of them larger.
+    scarred and glossy; bare lights, films and lights to the side; a tenth of them larger. `factor`: of their scale.
     """
     conditions = (None, "wet", "dry", "dusty", "scarred", "glossy")
     tones, rigs = (0.0003, 0.002, 0.008, 0.03), ({}, {"films.kind": "analyser"}, {"side_lights": 7})
     found = 0
-    for seed in range(1120, 1120 + count):
+    for seed in range(first, first + count):
         tone, condition = tones[seed // 6 % 4], conditions[seed % 6]
         twin = {"scale": 0.2 if seed % 10 == 7 else 0.12, "skin.melanin": (tone, tone)}
         twin |= rigs[seed % 3 if seed % 2 else 0] | ({"condition.kind": condition} if condition else {})
         capture, _ = simulate_capture(seed, settings=twin, impression=seed % 3)
+        camera = replace(capture.rig.camera, px_per_mm=factor * capture.rig.camera.px_per_mm)
+        capture = replace(capture, rig=replace(capture.rig, camera=camera))
         try:
             result = reconstruct(capture, "metric")
         except BadInput as refusal:
@@ -151,9 +154,12 @@ def main() -> None:
     parser.add_argument("--fingers", type=int, nargs="+", default=[3, 8])
     parser.add_argument("--scale", type=float, default=0.12)
     parser.add_argument("--sound", type=int, default=0)
+    parser.add_argument("--first", type=int, default=1120)
+    parser.add_argument("--factor", type=float, default=1.0)
     options = parser.parse_args()
     if options.sound:
-        print(f"{doubted(options.sound)} of {options.sound} sound captures are refused or doubted")
+        found = doubted(options.sound, options.first, options.factor)
+        print(f"{found} of {options.sound} sound captures are refused or doubted")
         return
     rows = []
     for finger in options.fingers:

@@ -15,9 +15,11 @@ import kinds
 from small_capture import copy_of, edit
 from splitknit.accuracy import compare
 from splitknit.errors import BadInput
+from splitknit.finger.ridge_period import _RidgePeriod
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
+from splitknit.methods.scale import doubt_of_size
 from splitknit.model import Band, Capture, Reconstruction, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.steps import Memory
@@ -261,3 +263,17 @@ def test_an_odd_scale_is_noted_by_the_width_or_the_ridges(capture: Capture) -> N
     warned = quick(half, "ea").warnings
     assert [text for text in warned if "mm is usual: check" in text]
     assert not [text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text]
+
+
+@pytest.mark.parametrize(("part", "px_per_mm", "doubts"), [(0.3, 9.0, 0), (0.7, 9.0, 1), (0.3, 20.0, 1)])
+def test_ridges_that_may_be_too_fine_to_be_seen_cast_no_doubt(
+    part: float, px_per_mm: float, doubts: int, capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 9 px/mm usual ridges lie 4 px apart: waves in a third of the places are not those of a finger."""
+    still = kinds.distant(capture)
+    result = quick(still, "ea")
+    camera = replace(still.rig.camera, px_per_mm=px_per_mm)
+    found = _RidgePeriod(0.9 / result.pitch_mm, 0.1, 9, part)
+    monkeypatch.setattr("splitknit.methods.scale.ridge_period", lambda *_, **__: found)
+    notes = doubt_of_size(replace(still, rig=replace(still.rig, camera=camera)), result, metric=False)
+    assert len([note for note in notes if "distance of the ridges" in note]) == doubts

@@ -195,6 +195,9 @@ def test_who_opened_a_gallery_is_put_down_where_that_is_wanted(kept: Path, capsy
     log.symlink_to(kept / "elsewhere")
     assert "the access log" in refusal_of(capsys, "gallery", "list", file)
     assert not (kept / "elsewhere").exists()
+    log.unlink()
+    os.mkfifo(log)  # it held the program
+    assert "the access log" in refusal_of(capsys, "gallery", "list", file)
 
 
 def test_a_name_that_tables_hold_as_text_is_found(kept: Path, capsys) -> None:

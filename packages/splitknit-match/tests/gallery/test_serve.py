@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
+import os
 import random
 import socket
 import subprocess
@@ -172,3 +174,48 @@ def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
         make_app(OpenGallery(tmp_path / "g.skg"), "short")
     with pytest.raises(BadInput, match=r"audit file .* cannot be written"):
         make_app(OpenGallery(tmp_path / "g.skg"), TOKEN, tmp_path / "none" / "audit")
+
+
+def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatch) -> None:
+    """A full disk: the act that met it is said to be in doubt, no other is begun, and its line comes with the room."""
+    good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
+    before = (tmp_path / "audit").read_bytes()
+    write = os.fdopen
+
+    def full(*arguments, **options):
+        stream = write(*arguments, **options)
+        return Crowded(stream) if arguments[1] == "ab" else stream
+
+    class Crowded(contextlib.AbstractContextManager):
+        def __init__(self, stream) -> None:
+            self.stream = stream
+
+        def __getattr__(self, name: str):
+            return getattr(self.stream, name)
+
+        def write(self, data: bytes) -> int:
+            return self.stream.write(data[:7])
+
+        def __exit__(self, *_) -> None:
+            self.stream.close()
+
+    with monkeypatch.context() as change:
+        change.setattr("splitknit.io.atomic.os.fdopen", full)
+        first = service.post("/enroll", json=good)
+        second = service.post("/enroll", json={**good, "person": "Bob"})
+    assert [one.status_code for one in (first, second)] == [503, 503]
+    assert "may have been done" in first.json()["error"] and "nothing is done" in second.json()["error"]
+    assert (tmp_path / "audit").read_bytes() == before
+    assert service.post("/quality", json={"print": good["print"]}).status_code == 200
+    acts = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()]
+    assert [(act["act"], act.get("person")) for act in acts] == [("start", None), ("enroll", "Ann"), ("quality", None)]
+
+
+@pytest.mark.parametrize("reader", [False, True])
+def test_a_pipe_in_place_of_a_log_holds_nobody(tmp_path: Path, reader: bool) -> None:
+    os.mkfifo(tmp_path / "audit")
+    held = os.open(tmp_path / "audit", os.O_RDONLY | os.O_NONBLOCK) if reader else None
+    with pytest.raises(BadInput, match=r"audit file .* cannot be written"):
+        make_app(OpenGallery(tmp_path / "g.skg"), TOKEN, tmp_path / "audit")
+    if held is not None:
+        os.close(held)

@@ -106,6 +106,7 @@ from splitknit.integration.shapelets import REFERENCE_PX_PER_MM as REFERENCE_PX_
 from splitknit.integration.shapelets import ShapeletSettings as ShapeletSettings
 from splitknit.integration.shapelets import shapelets as shapelets
 from splitknit.io.atomic import MANIFEST as MANIFEST
+from splitknit.io.atomic import append_line as append_line
 from splitknit.io.atomic import atomic_file as atomic_file
 from splitknit.io.atomic import atomic_folder as atomic_folder
 from splitknit.io.atomic import hold as hold

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from splitknit import UNFINISHED, VERB, BadInput, atomic_file, open_file, read_bytes, require, shown_path
+from splitknit import UNFINISHED, VERB, BadInput, append_line, atomic_file, open_file, read_bytes, require, shown_path
 from splitknit_match.gallery import LOG
 
 APPLICATION_ID = 0x534B4741
@@ -106,11 +106,7 @@ def _put_down(path: Path) -> None:
     uid = os.getuid() if hasattr(os, "getuid") else None
     line = {"time": now, "user": getpass.getuser(), "uid": uid, "verb": VERB.get(), "gallery": str(path.resolve())}
     try:
-        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0))
-        with os.fdopen(descriptor, "ab", buffering=0) as stream:
-            if hasattr(os, "fchmod") and os.fstat(descriptor).st_mode & 0o077:
-                os.fchmod(descriptor, 0o600)
-            stream.write(json.dumps(line).encode("ascii") + b"\n")
+        append_line(file, line)
     except OSError as error:
         raise BadInput(
             f"the access log '{file}' cannot be written ({error.strerror}), and without it '{path}' is not opened."

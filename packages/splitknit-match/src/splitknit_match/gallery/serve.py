@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import datetime
 import hmac
 import json
@@ -18,7 +19,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from splitknit import BadInput, PrintFile, cores, importing, known_json, read_bytes, refusing, require
+from splitknit import BadInput, PrintFile, append_line, cores, importing, known_json, read_bytes, require
 from splitknit_match.gallery.warm import OpenGallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match_job import make_template
@@ -56,7 +57,13 @@ ACTS: dict[str, tuple[str, dict[str, tuple[type, str]], tuple[str, ...]]] = {
 def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
     """Describe the service as an OpenAPI document."""
     kinds = {str: "string", int: "integer", float: "number"}
-    answers = {"200": "what came out", "400": "a bad request, in one sentence", "401": "no token", "413": "too large"}
+    answers = {
+        "200": "what came out",
+        "400": "a bad request, in one sentence",
+        "401": "no token",
+        "413": "too large",
+        "503": "the audit file cannot be written",
+    }
     json_of = {"content": {"application/json": {"schema": {"type": "object"}}}}
     paths = {}
     for name, (words, fields, needed) in acts.items():
@@ -82,8 +89,8 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
     """
     sound = len(token) >= MIN_TOKEN and token.isascii()
     require(sound, f"the token must have {MIN_TOKEN} ASCII characters or more.")
-    with refusing(f"the audit file '{audit}' cannot be written; name another one."):
-        _put_down(audit, {"act": "start"}, {})
+    log = _Audit(audit)
+    require(log.put_down(_line({"act": "start"}, {})), f"the audit file '{audit}' cannot be written; name another one.")
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
         from anyio import CapacityLimiter, fail_after, to_thread
         from starlette.applications import Starlette
@@ -108,6 +115,8 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
             started = time.perf_counter()
             about: dict[str, Any] = {}
             said: dict[str, Any] = {}
+            if not log.put_down():
+                return JSONResponse({"error": "the audit file cannot be written, so nothing is done"}, 503)
             try:
                 if not hmac.compare_digest(request.headers.get("authorization", "").encode(), expected):
                     code, said = 401, {"error": "give the token: Authorization: Bearer TOKEN"}
@@ -126,7 +135,8 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
             except Exception:
                 code, said = 500, {"error": "internal error"}
             ms = round(1000 * (time.perf_counter() - started))
-            _put_down(audit, {"act": name, "status": code, "ms": ms, "person": about.get("person")}, said)
+            if not log.put_down(_line({"act": name, "status": code, "ms": ms, "person": about.get("person")}, said)):
+                code, said = 503, {"error": "the audit file cannot be written; what was asked may have been done"}
             return JSONResponse(said, code)
 
         return answer
@@ -198,18 +208,32 @@ def _done(name: str, given: Mapping[str, Any], gallery: OpenGallery) -> dict[str
     return dict(known_json(gallery.identify(finger, **options)))
 
 
-def _put_down(file: Path | None, line: dict[str, Any], said: Mapping[str, Any]) -> None:
-    """Add a line to the audit file; what was found is a name, never a score, a picture or a template."""
-    if file is None:
-        return
+class _Audit:
+    """The audit file, and the lines for which the disk had no room."""
+
+    def __init__(self, file: Path | None) -> None:
+        self.file, self.unwritten = file, list[dict[str, Any]]()
+
+    def put_down(self, *lines: dict[str, Any]) -> bool:
+        """Add lines, those that were not written first; whether that could be done."""
+        if self.file is None:
+            return True
+        self.unwritten += lines
+        with contextlib.suppress(OSError):
+            while self.unwritten:
+                append_line(self.file, self.unwritten[0], begin=True)
+                del self.unwritten[0]
+        return not self.unwritten
+
+
+def _line(line: dict[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
+    """A line of the audit file; what was found is a name, never a score, a picture or a template."""
     line = {"time": datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"), **line}
     decision = said.get("decision")
     if decision is not None:
         line["match"] = decision["match"]
         line["found"] = said["candidates"][0]["person"] if decision["match"] else None
-    descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
-    with os.fdopen(descriptor, "ab", buffering=0) as stream:
-        stream.write(json.dumps(line).encode("ascii") + b"\n")
+    return line
 
 
 def read_token(file: Path | None, variable: str = "SPLITKNIT_SERVE_TOKEN") -> str:

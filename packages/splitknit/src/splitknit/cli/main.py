@@ -118,6 +118,9 @@ def _guarded(options: argparse.Namespace) -> int:
             _say(json.dumps(error.facts, indent=1, allow_nan=False) + "\n", BAD_INPUT)
         message = f"splitknit: error: {one_line(error, getattr(options, 'option_of', {}))}"
         return _fail(options, message, BAD_INPUT)
+    except PermissionError as error:
+        message = f"splitknit: error: '{one_line(error.filename)}' cannot be reached: {error.strerror}."
+        return _fail(options, message, BAD_INPUT)
     except KeyboardInterrupt:
         return _fail(options, _INTERRUPTED, INTERRUPTED)
     except MemoryError:

@@ -36,6 +36,8 @@ class _RidgePeriod:
     error_px: float
     """Standard deviation of the median."""
     blocks: int
+    part: float
+    """Of the blocks that were looked at, those with one wave."""
 
 
 def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _RidgePeriod:
@@ -58,7 +60,7 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
     steep = np.maximum(normals[..., 2], np.float32(0.2))
     slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
     fields = np.dstack([np.where(mask[..., None], slopes, np.float32(0.0)), mask.astype(np.float32)])
-    best: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(0))
+    best: tuple[float, NDArray[np.float64], float] = (0.0, np.zeros(0), 0.0)
     for level in range(_LEVELS):
         factor = 2**level
         size = (mask.shape[1] // factor, mask.shape[0] // factor)
@@ -68,14 +70,14 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
         periods, blocks = _periods(np.asarray(small, dtype=np.float32), step)
         area = float(len(periods) * factor**2)
         if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
-            best = area, periods * factor
+            best = area, periods * factor, len(periods) / blocks
     periods = best[1]
     none = "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
     require(len(periods) > 0, f"{none}; give `px_per_mm`.")
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
     apart = max(1.0, len(periods) * (step / _BLOCK) ** 2)
-    return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods))
+    return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods), best[2])
 
 
 def scale_of_ridges(

@@ -18,6 +18,9 @@ USUAL_PERIOD_MM = 0.45
 """Distance of the ridges from which a scale is assumed."""
 _PERIOD_PX_PER_MM = 20.0
 """Scale that is enough to measure it."""
+_SEEN_PX, _COVERED = 5.0, 0.5
+"""Where usual ridges are closer than this, they may not be seen, and films' gloss or dry skin looks like wider ones: a
+doubt needs a wave in so many of the places, as fingers have in 0.6 to 0.8."""
 
 
 def with_scale(
@@ -67,6 +70,8 @@ def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> t
             result.normals[::every, ::every], result.mask[::every, ::every], step=32
         )  # a doubt needs few blocks
     except BadInput:  # too coarse to show any
+        return ()
+    if found.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
         return ()
     period_mm, (low, high) = found.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
     factor = f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g} mm apart"
