@@ -160,7 +160,9 @@ def test_own_rates_of_dissimilarities_are_refused(tmp_path: Path, capsys) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["scores.csv"]
 
 
-@pytest.mark.parametrize("method", ["ridge", "fusion", "minutiae"])
+@pytest.mark.parametrize(
+    "method", ["minutiae", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ridge", "fusion"))]
+)
 def test_own_rates_of_a_gallery_name_what_compared(method: str, tmp_path: Path, capsys) -> None:
     """112 impostor pairs of eight fingers in two sessions; the name given by ``--method`` is not taken."""
     gallery, own, rng = tmp_path / "people.skg", tmp_path / "own.json", np.random.default_rng(7)

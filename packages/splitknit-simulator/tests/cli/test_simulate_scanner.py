@@ -13,6 +13,7 @@ from splitknit.cli.main import main
 Captured = pytest.CaptureFixture[str]
 
 
+@pytest.mark.slow
 def test_silhouettes_become_a_cloud_that_import_reads(tmp_path: Path, capsys: Captured) -> None:
     """The hull is wider than the finger that it holds, and never narrower than a fingertip."""
     cloud, result = tmp_path / "hull.xyz", tmp_path / "result"
