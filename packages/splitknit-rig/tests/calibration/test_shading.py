@@ -131,6 +131,14 @@ def test_no_balls_are_refused(pressed):
         calibrate_shading([np.ones_like(images) * 0.3], np.ones_like(flat) * 0.3, 0.25)
 
 
+def test_balls_with_no_flat_gel_beside_them_are_refused(pressed):
+    """It was an internal error: there was nothing from which to fit the plane."""
+    centres, images, flat = pressed
+    near = [slice(int(at) - 22, int(at) + 23) for at in centres[4][::-1]]
+    with pytest.raises(BadInput, match="lies flat beside the balls"):
+        calibrate_shading([images[:, *near]], flat[:, *near], 0.25, None, [np.array([[22, 22, 25]])])
+
+
 def test_terms_are_all_monomials():
     values = np.random.default_rng(0).random((3, 5)).astype(np.float32) + 1
     terms = shading_terms(values, False, 3)

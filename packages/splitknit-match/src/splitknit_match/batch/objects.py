@@ -183,11 +183,12 @@ def _copy(population: Objects, name: str, root: Path) -> None:
     (target / "truth.npz").touch()
     with _refusing(source, "read"):
         fs, path = _of(source)
-        for file in sizes:
+        for file, size in sizes.items():
             local = inside(target, file, f"'{source}'", "the name of an object")
             local.parent.mkdir(parents=True, exist_ok=True)
             with _refusing(source / file, "read"):
-                local.write_bytes(fs.cat_file(f"{path}/{file}"))
+                got = local.write_bytes(fs.cat_file(f"{path}/{file}"))
+                require(got == size, f"'{source / file}' came with {got} of {size} bytes; run the same again.")
 
 
 def _of(place: Objects) -> tuple[Any, str]:

@@ -340,6 +340,7 @@ class _Data:
                 (values[:, some], (columns[some] + 0.5) * self.block - 0.5, (rows[some] + 0.5) * self.block - 0.5)
             )
         values, columns, rows = (np.concatenate([one[k] for one in parts], axis=-1) for k in range(3))
+        require(len(rows) > 0, "nothing of the gel lies flat beside the balls; photograph them farther apart.")
         if self.between:  # the light between the balls is a smooth one there already
             return np.ones_like(values), columns, rows
         return np.concatenate([values, np.ones_like(values)], axis=1), np.tile(columns, 2), np.tile(rows, 2)
