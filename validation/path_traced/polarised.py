@@ -6,8 +6,8 @@ For each capture that has a parallel and a crossed series: `metric` on it, and o
 photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
 
     python validation/path_traced/polarised.py --picture FILE CAPTURE    # true relief, error without and with films
-    python validation/path_traced/polarised.py --twins FIRST LAST    # fingers of the fast simulator with these seeds,
-        # behind films with seven lights to the side: each, and their means
+    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]    # fingers of the fast simulator with these
+        # seeds, behind films with seven lights to the side: each, and their means
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             picture(Path(given[1]), Path(given[2]))
             return 0
         if given[:1] == ["--twins"]:
-            require(len(given) == 3 and all(one.isdigit() for one in given[1:]), "give two seeds: --twins FIRST LAST.")
-            twins(range(int(given[1]), int(given[2]) + 1))
+            seeds = given[1:3]
+            require(len(seeds) == 2 and all(one.isdigit() for one in seeds), "give two seeds: --twins FIRST LAST.")
+            twins(range(int(seeds[0]), int(seeds[1]) + 1), float(given[3] if len(given) > 3 else 0.2))
             return 0
         folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
@@ -94,11 +95,11 @@ def picture(file: Path, folder: Path) -> None:
     cv2.imwrite(str(file), cv2.resize(row, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
-def twins(seeds: Sequence[int]) -> None:
+def twins(seeds: Sequence[int], scale: float) -> None:
     """Print surface (mm), and correlation, gain, rms (um) and error over stated by slant, with lights to the side."""
     rows = []
     for seed in seeds:
-        capture, truth = simulate_capture(seed, settings=TWINS)
+        capture, truth = simulate_capture(seed, settings={"scale": scale, **TWINS})
         truth["px_mm"] = np.float64(capture.rig.camera.pitch_mm)
         figures = _figures(capture, truth)
         parts = ("ridge_corr", "ridge_gain", "ridge_rms_um", "error_over_stated")
@@ -109,7 +110,7 @@ def twins(seeds: Sequence[int]) -> None:
     print("mean", *(f"{value:.3f}" for value in np.nanmean(rows, axis=0)))
 
 
-TWINS = {"scale": 0.2, "films.kind": "analyser", "side_lights": 7}
+TWINS = {"films.kind": "analyser", "side_lights": 7}
 """The simulator's settings; those of its fingers' skin and pose are drawn."""
 PICTURE_PX = 1260
 """Width of the picture."""
