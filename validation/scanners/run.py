@@ -12,6 +12,7 @@ import itertools
 import json
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -159,14 +160,16 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
     """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity and its decision."""
     path = out / f"rates-{name}.json"
     kept = json.loads(path.read_text()) if path.exists() else {}
+    template = cache(lambda folder: splitknit_match.make_template(folder).payload)
     for a, b in itertools.product(seeds, seeds):
         if f"{a}-{b}" not in kept:
+            sides = out / f"{a}-{name}", out / f"{b}-second"
             try:
-                found = splitknit_match.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
+                found = splitknit_match.match(*map(template, sides), "ridge", fmr=1e-3)
                 kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision.match)
             except splitknit.BadInput:  # too little of it to compare
                 kept[f"{a}-{b}"] = 0.0, False
-            path.write_text(json.dumps(kept))
+    path.write_text(json.dumps(kept))
     return kept
 
 
