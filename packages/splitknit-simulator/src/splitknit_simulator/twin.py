@@ -98,9 +98,10 @@ def simulate_to_folder(
     require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
     if print_file is not None:
         require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
-        finger = replace(draw_finger(seed), pattern="print", printed=master_of_print_file(print_file, seed))
-        shape = shape_of_rolled_print(_inked(print_file), _PRINT_MM, finger.shape) if rolled else finger.shape
-        finger = replace(finger, shape=shape)
+        grey = _grey_print(print_file)
+        finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
+        if rolled:
+            finger = replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_MM, finger.shape))
     check_capture(out, overwrite=overwrite)
     with atomic_folder(out, overwrite=overwrite) as target:
         progress("simulating", 0.0)
@@ -136,9 +137,9 @@ def _grey_print(path: Path) -> NDArray[np.uint8]:
     return np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8)
 
 
-def _inked(path: Path) -> BoolArray:
+def _inked(grey: NDArray[np.uint8]) -> BoolArray:
     """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left out."""
-    dark = cv2.threshold(_grey_print(path), 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    dark = cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
     ink = cv2.copyMakeBorder(dark, 21, 21, 21, 21, cv2.BORDER_CONSTANT)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (21, 21))
     closed = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc)
