@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.io import png
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
 from splitknit.io.png import SIGNATURE, decode_png
 
@@ -125,11 +126,17 @@ def test_every_flipped_byte_is_found(capfd: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(9, 11), (1, 1), (9, 11, 3)])
-def test_files_of_our_own_are_checked_as_others(
-    shape: tuple[int, ...], dtype: type, capfd: pytest.CaptureFixture[str]
+def test_files_of_our_own_are_checked_as_others_and_decoded_alike(
+    shape: tuple[int, ...], dtype: type, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     image = smooth(shape, dtype)
     data = encode_image(image, ".png")
+    header, (_, packed) = png.png_header(data, "x"), png._walk(data, "x")
+    quick = np.empty((*image.shape[:2], header.channels), dtype)
+    assert png._decode_plain(header, packed, quick)
+    more = [memoryview(chunk(b"IDAT", b"".join(one[8:-4] for one in packed) + b"more"))]
+    assert not png._decode_plain(header, more, quick)
+    np.testing.assert_array_equal(quick.reshape(image.shape), image)
     for position in range(len(data)):
         damaged = bytearray(data)
         damaged[position] ^= 0x40
@@ -137,6 +144,7 @@ def test_files_of_our_own_are_checked_as_others(
             decode_image(bytes(damaged), "x")
         with pytest.raises(BadInput):
             decode_image(data[:position], "x")
+    monkeypatch.setattr(png, "_decode_plain", lambda *_: False)
     np.testing.assert_array_equal(decode_image(data, "x").reshape(image.shape), image)
     assert capfd.readouterr().err == ""
 
