@@ -68,6 +68,8 @@ SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
 (standard deviation)."""
 _MOST_SCALED = 0.15
 """Natural logarithm of what is believed of that scale, at most."""
+_ONE_SCALE = 0.06
+"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one finger have 0.03."""
 _LOGS = np.linspace(np.log(1 / 0.9), np.log(1 / 0.28), 41)
 """Logarithms of the ridges that lie in a millimetre."""
 _FEW = 9.0
@@ -189,6 +191,16 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
         found = list(pool.map(fused_match, *((repeat(a), tried) if number else (tried, repeat(b)))))
     best = max(range(len(found)), key=lambda k: found[k].similarity)
     return found[best], scales[best], number
+
+
+def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] | None:
+    """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart, and by how much;
+    None where they do as they are, within 6 %."""
+    finer = _log_frequency(a) - _log_frequency(b)
+    if abs(finer) < _ONE_SCALE:
+        return None
+    scale = math.exp(abs(finer))
+    return (scaled(a, scale), b, scale) if finer > 0 else (a, scaled(b, scale), scale)
 
 
 def _log_frequency(template: Template) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Progress, Surface, naming, no_progress, override, path, require
-from splitknit_match.matching.fusion import SMALL_MM2, can_fuse, fused_match, fused_photo
+from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
@@ -220,6 +220,9 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
         **{name: partial(_by_space_minutiae, name) for name in ("minutiae3d", "tetrahedra")},
     }
     found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
+    if method == "fusion" and "photo" not in (first.kind, second.kind) and found.fmr is not None:
+        doubt = None if found.answer == "match" else scale_doubt(_template(first), _template(second), job.fmr, own)
+        found = found if doubt is None else replace(found, answer="undecided", undecided=doubt, decision=None)
     written = None if template is None else _written(template, first)
     progress("done", 1.0)
     return replace(found, template=written)
@@ -303,6 +306,18 @@ def _scores_of(method: str, a: Side, b: Side) -> str:
 def doubt_of(side: Side | ComparedSide) -> str | None:
     """Why the resolution of a side's print cannot be right, with its path; None where nothing speaks against it."""
     return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
+
+
+def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
+    """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
+    if (sides := at_one_scale(a, b)) is None:
+        return None
+    found = fused_match(*sides[:2])
+    scores = scores_of("fusion", (sides[0].area_mm2, sides[1].area_mm2), found.minutiae)
+    if rate(found.similarity, scores, found.ridge.overlap_mm2, fmr, own).answer != "match":
+        return None
+    apart = 100 * (sides[2] - 1)
+    return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
 
 
 def _rated(
