@@ -175,11 +175,7 @@ def identify_finger(
             similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
         pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else question.search)
         side = side or read_side(
-            probe,
-            question.preset,
-            settings.matching,
-            lambda stage, fraction: progress(stage, 0.5 * fraction),
-            question.input_ppi,
+            probe, question.preset, settings.matching, lambda stage, at: progress(stage, 0.5 * at), question.input_ppi
         )
         made = side_minutiae(side) if of_minutiae else side.template
         if made is None:
@@ -224,21 +220,13 @@ def identify_finger(
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     progress("done", 1.0)
     return Identification(
-        gallery=str(gallery),
+        gallery=str(gallery), mode="identification" if person is None else "verification", person=person, finger=finger,
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
-        mode="identification" if person is None else "verification",
-        person=person,
-        finger=finger,
-        by="minutiae" if of_minutiae else "ridges",
-        searched=facts,
-        merge=question.merge,
-        candidates=tuple(reported),
-        fmr_basis=None if not calibrated else fmr_basis(by) if first is None else first.basis,
-        decision=decision,
+        by="minutiae" if of_minutiae else "ridges", searched=facts, merge=question.merge, candidates=tuple(reported),
+        fmr_basis=None if not calibrated else fmr_basis(by) if first is None else first.basis, decision=decision,
         answer=answer if acquired or doubt else "not acquired",
-        undecided=undecided if acquired or doubt else "failure to acquire",
-        timings_s={"search": seconds},
-    )
+        undecided=undecided if acquired or doubt else "failure to acquire", timings_s={"search": seconds},
+    )  # fmt: skip
 
 
 _Found = tuple[float, float | None, Enrolled, float | None, float | None]

@@ -14,7 +14,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray
+from splitknit import FloatArray
 from splitknit_match.matching.elastic import (
     Affine,
     Agreement,
@@ -26,7 +26,7 @@ from splitknit_match.matching.elastic import (
     rigid,
     shown_in_a,
 )
-from splitknit_match.matching.minutia_pairs import Laid, Places, agreeing, pair_minutiae
+from splitknit_match.matching.minutia_pairs import Laid, Places, agreeing, on_ridges, pair_minutiae
 from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.ridge import (
     Prepared,
@@ -317,12 +317,3 @@ def _pixels(side: Prepared, place: Places) -> NDArray[np.float64]:
     rows, columns = side.template.valid.shape
     pitch = side.template.pitch_mm
     return np.stack([(columns - 1) / 2 + place.real / pitch, (rows - 1) / 2 - place.imag / pitch], axis=1)
-
-
-def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(N,) whether columns and rows lie on a template's ridges."""
-    columns, rows = np.rint(place).astype(np.int64).T
-    inside = (rows >= 0) & (columns >= 0) & (rows < valid.shape[0]) & (columns < valid.shape[1])
-    result = np.zeros(len(place), dtype=np.bool_)
-    result[inside] = valid[rows[inside], columns[inside]]
-    return result

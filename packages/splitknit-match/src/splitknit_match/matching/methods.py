@@ -390,7 +390,7 @@ def rate(
     rated_mm2, excluded_mm2 = _limits(scores) if own is None else (own.least_mm2, 0.0)
     if overlap_mm2 is not None and overlap_mm2 < rated_mm2:
         return unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {rated_mm2:.0f} mm² or more")
-    basis, found = _basis(table), _fmr(table, similarity, scores)
+    basis, found = _basis(table), table(similarity - (0.0 if scores in _WHOLE else _FMR_ROUNDING))
     at = max(DECIDED_AT, basis.smallest) if fmr is None else fmr
     if at < basis.smallest and scores == "windows":
         why = f"on small prints false match rates below {basis.smallest:.2g} were not measured"
@@ -416,20 +416,8 @@ def _basis(table: FmrTable) -> FmrBasis:
     return FmrBasis(table.impostors, table.population, table.smallest)
 
 
-def false_match_rate(similarity: float, method: str = "ridge") -> float:
-    """Rate at which other fingers reach this similarity of a method of :data:`TABLES`.
-
-    Never below one over the number of impostor comparisons that the table was measured on.
-    """
-    return _fmr(_fmr_table(method), similarity, method)
-
-
-def _fmr(table: FmrTable, similarity: float, method: str) -> float:
-    return table(similarity - (0.0 if method in _WHOLE else _FMR_ROUNDING))
-
-
 def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
+    """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or less.
 
     A smaller one than was measured is extrapolated (:meth:`splitknit_match.matching.score.FmrTable.beyond`). Raises
     BadInput if it is less than a hundredth of that.
