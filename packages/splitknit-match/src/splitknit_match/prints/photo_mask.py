@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -22,6 +23,8 @@ _WIDTHS = tuple(0.11 * 1.18**k for k in range(11))
 """Of fingers, in longer sides of the picture."""
 _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
+_LEAST_STEP = 2
+"""Pixels between two places at which one is sought: edges are as broad."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
 _TIP = 0.6
@@ -163,12 +166,18 @@ def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
 
 def _middles_in(corners: Array, shape: tuple[int, ...]) -> BoolArray:
     """(H, W) pixels whose middle lies in a polygon (N, 2): those that its sides cross make a finger a pixel wider."""
+    most = np.array(shape[1::-1])
+    (left, top), (right, bottom) = (
+        np.clip(one.astype(np.intp), 0, most) for one in (np.floor(corners.min(0)), np.ceil(corners.max(0)) + 1)
+    )
     (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
-    row, side = np.nonzero((y > (rows := np.arange(shape[0])[:, None])) != (to_y > rows))
-    crossed = x[side] + (row - y[side]) / (to_y - y)[side] * (to_x - x)[side]
-    sides = np.zeros((shape[0], shape[1] + 1), np.uint8)
-    np.add.at(sides, (row, np.clip(np.ceil(crossed), 0, shape[1]).astype(np.intp)), 1)
-    return np.asarray(np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0)
+    row, side = np.nonzero((y > (rows := np.arange(top, bottom)[:, None])) != (to_y > rows))
+    crossed = x[side] + (row + top - y[side]) / (to_y - y)[side] * (to_x - x)[side]
+    sides = np.zeros((bottom - top, right - left + 1), np.uint8)
+    np.add.at(sides, (row, np.clip(np.ceil(crossed) - left, 0, right - left).astype(np.intp)), 1)
+    mask = np.zeros(shape[:2], np.bool_)
+    mask[top:bottom, left:right] = np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0
+    return mask
 
 
 def _tip_at(turn: Array) -> tuple[Array, Array]:
@@ -229,29 +238,37 @@ def _of_width(
     """The best places (rating, outline) of each turn of a width."""
     shape, side = rough.shape, max(rough.shape)
     px = width * side
-    pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
-    maps = [np.pad(cv2.GaussianBlur(one, (0, 0), blur), pad, constant_values=0.2) for one in oriented]
-    plain = np.pad(0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur), pad, constant_values=-0.25)
-    parts = (_tip_at(np.radians([-75.0, -50, -25, 0, 25, 50, 75])), *_sides_at(np.linspace(_TIP + 0.1, 1.6, 6)))
-    inner = np.array([[x, y] for y in (0.35, 0.65, 0.95, 1.25) for x in (-0.2, 0.2)])
-
-    def at(picture: FloatArray, place: Array) -> FloatArray:
-        x, y = np.rint(place * px).astype(int) + pad
-        return picture[y : y + shape[0] : step, x : x + shape[1] : step]
-
-    for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS:
-        one = Outline(np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), width, np.zeros((0, 2)))
-        means = []
-        for points, normals in parts:
-            across = one.places(normals)
-            bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
-            means.append(_mean([at(maps[b], place) for b, place in zip(bins, one.places(points), strict=True)]))
-        tip, left, right = means
-        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right)
-        value += _mean([at(plain, place) for place in one.places(inner)])
+    pad, step, blur = int(2 * px) + 2, max(_LEAST_STEP, int(0.08 * px)), max(0.06 * px, 0.3)
+    around = (pad, pad, pad, pad, cv2.BORDER_CONSTANT, None)
+    maps = [cv2.copyMakeBorder(cv2.GaussianBlur(one, (0, 0), blur), *around, 0.2) for one in oriented]
+    plain = 0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur)
+    maps.append(cv2.copyMakeBorder(plain, *around, -0.25))
+    for one, bins, places in _sought_places():
+        seen = [
+            maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
+            for b, (x, y) in zip(bins, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
+        ]
+        tip, left, right, inner = (_mean(seen[k : k + n]) for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
+        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
-            yield float(value[i, j]), replace(one, tip=np.array([j * step + 0.5, i * step + 0.5]) / side)
+            tip_at = np.array([j * step + 0.5, i * step + 0.5]) / side
+            yield float(value[i, j]), replace(one, tip=tip_at, width=width)
+
+
+@lru_cache(maxsize=1)
+def _sought_places() -> list[tuple[Outline, list[int], Array]]:
+    """For each turn: an outline, and where its edges and skin are looked up: of which map, and (27, 2) where."""
+    parts = (_tip_at(np.radians([-75.0, -50, -25, 0, 25, 50, 75])), *_sides_at(np.linspace(_TIP + 0.1, 1.6, 6)))
+    inner = np.array([[x, y] for y in (0.35, 0.65, 0.95, 1.25) for x in (-0.2, 0.2)])
+    points, normals = (np.vstack([part[k] for part in parts]) for k in (0, 1))
+    found = []
+    for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS:
+        one = Outline(np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), 1.0, np.zeros((0, 2)))
+        across = one.places(normals)
+        bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
+        found.append((one, [*bins.tolist(), *[_BINS] * len(inner)], one.places(np.vstack([points, inner]))))
+    return found
 
 
 def _mean(pictures: list[FloatArray]) -> FloatArray:

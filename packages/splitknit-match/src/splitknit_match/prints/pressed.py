@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit import BoolArray, FloatArray, blur, fill_holes
-from splitknit_match.prints.ridge_field import overlap_added
+from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8
@@ -173,15 +173,13 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
 
 def _spectra(even: FloatArray) -> NDArray[np.complex64]:
     """(n, m, window, window // 2 + 1) of overlapping windows, of which the first begins before the print."""
-    import scipy.fft  # a comparison of templates needs none of it
-
     side, step = _WINDOW_PX, _STEP_PX
     below, right = ((-size // step + 1) * step + 2 * side for size in (-even.shape[0], -even.shape[1]))
     first = side - step
     padded = cv2.copyMakeBorder(even, first, below - first - step, first, right - first - step, cv2.BORDER_CONSTANT)
     windows = sliding_window_view(padded, (side, side))[::step, ::step]
     n, m = (-(-size // step) + side // step - 1 for size in even.shape)
-    return np.asarray(scipy.fft.rfft2(windows[:n, :m] * _TAPER), dtype=np.complex64)
+    return spectra_of(windows[:n, :m] * _TAPER)
 
 
 @lru_cache(maxsize=1)
@@ -257,8 +255,6 @@ def _filtered(
     spectra: NDArray[np.complex64], direction: FloatArray, frequency: FloatArray, agreement: FloatArray
 ) -> FloatArray:
     """What runs along the ridges and has their period, from windows added up."""
-    import scipy.fft  # a comparison of templates needs none of it
-
     _, _, fans, bands = _bank()
     side, step = _WINDOW_PX, _STEP_PX
     turn = np.rint(direction * (_TURNS / np.pi)).astype(np.intp) % _TURNS
@@ -267,7 +263,7 @@ def _filtered(
     band = np.clip(np.rint((frequency - lowest) / (highest - lowest) * (len(bands) - 1)), 0, len(bands) - 1)
     kept = spectra * fans[fan, turn]
     kept *= bands[band.astype(np.intp)]
-    parts = scipy.fft.irfft2(kept, s=(side, side)) * _TAPER
+    parts = np.fft.irfft2(kept, s=(side, side)) * _TAPER
     return overlap_added(parts, step)[side - step :, side - step :]
 
 
