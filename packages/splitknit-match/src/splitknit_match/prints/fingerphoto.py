@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -128,13 +129,13 @@ def source_of_photo(
     taken, direction_deg = "taken for a photograph of a finger;", None
     if mask is None:
         chosen = finger_in_photo(pixels, box)
-        mask, direction_deg = chosen.mask, chosen.direction_deg
+        mask, direction_deg, width = chosen.mask, chosen.direction_deg, chosen.width_px
         if chosen.others:
             taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
     else:
         mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
         check_borders(mask)
-    width = _width_px(mask, direction_deg)
+        width = _width_px(mask)
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -168,17 +169,17 @@ def source_of_photo(
         scale, note = _usual_scale(field, clear, by_width, upright.width_px)
     else:
         scale = px_per_mm * reduction
-        note = f"by the given scale it is {upright.width_px / scale:.1f} mm wide."
-        note = " ".join([note, *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")])
+        note = " ".join(
+            [
+                f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
+                *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale"),
+            ]
+        )
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
     shown = cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
-    smaller = by_width / scale
-
-    def scaled(values: NDArray[Any], beyond: int) -> NDArray[Any]:
-        return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=smaller, fy=smaller))
-
+    scaled = partial(_scaled, shown, by_width / scale)
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
@@ -189,12 +190,16 @@ def source_of_photo(
     )  # fmt: skip
 
 
-def _width_px(mask: BoolArray, direction_deg: float | None) -> float:
+def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
+    return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor))
+
+
+def _width_px(mask: BoolArray) -> float:
     """Width of a finger (H, W), by a mask of fewer pixels."""
     part = mask[bounding_box(mask, 4)]
     coarse = min(1.0, _COARSE / max(part.shape))
     small = cv2.resize(part.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
-    return float(find_upright(small, direction_deg).width_px / coarse)
+    return float(find_upright(small).width_px / coarse)
 
 
 def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
