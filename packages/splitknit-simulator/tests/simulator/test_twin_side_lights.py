@@ -53,6 +53,9 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
         free = (arriving(patch, led)[3] / towards(led, patch.x, patch.y, patch.z)[3])[inner]
         assert float(free.min()) == least
         assert float(free.mean()) > 0.3
+    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)  # the flank that faces it, as far as the outline
+    facing = (lx * patch.nx + ly * patch.ny + lz * patch.nz)[inner]
+    assert float(np.mean(free[facing > 0.7])) > 0.99
 
 
 @pytest.mark.slow
