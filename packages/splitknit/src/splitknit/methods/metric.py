@@ -106,8 +106,7 @@ class SkinSurface:
     relief_mm: FloatArray
     deviation_mm: FloatArray
     """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and model error."""
-    albedo: FloatArray
-    """Diffuse brightness of the first channel, relative."""
+    albedo: FloatArray  # diffuse brightness of the first channel, relative
     facts: Mapping[str, Any]
 
 
@@ -160,7 +159,7 @@ def metric_specular(
         relief, deviation = 0 * relief, np.full_like(deviation, UNKNOWN_MM)
     if crossed is None:
         red, blue = (grid.smooth(both.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
-        part = np.float32(RED_PART) * blue / np.maximum(red, np.float32(1e-6))
+        part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
         crossed = without_white(both, part)
         side = None if side is None else (side[0], without_white(side[0], part), side[2])
     specular = specular_images(both, crossed, images.parallel, grid, shape)
@@ -183,8 +182,8 @@ def metric_specular(
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
-    """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red: as behind crossed films,
-    but for light of short paths, which is blue."""
+    """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red: about as behind
+    crossed films."""
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 

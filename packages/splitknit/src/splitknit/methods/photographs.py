@@ -112,8 +112,7 @@ class FingerPhotographs:
 
     capture: Capture
     finger: Finger
-    bands: tuple[Band, ...]
-    """The white band, and the near-infrared one if the shape is to come from it."""
+    bands: tuple[Band, ...]  # the white band, and the near-infrared one if the shape is to come from it
     warnings: tuple[str, ...] = ()
     """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
     specular: FloatArray | None = None

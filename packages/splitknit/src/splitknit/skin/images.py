@@ -74,26 +74,19 @@ class SkinImages:
     """Linear images of the finger's window on the working grid."""
 
     grid: Grid
-    bands: tuple[BandImages, ...]
-    """The white band first."""
+    bands: tuple[BandImages, ...]  # the white band first
     crossed: BandImages | None
     """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
     `bands` are as without films."""
-    parallel: Rig
-    """The rig of the white band's own LEDs; those of a crossed series may stand beside them."""
+    parallel: Rig  # the rig of the white band's own LEDs; those of a crossed series may stand beside them
     side: tuple[BandImages, BandImages | None, Rig] | None
     """The same three for the lights to the side of the finger: both series' mean, crossed, rig of the parallel ones.
     Without films only where the networks can read the images."""
-    networks: Networks | None
-    """Relief and shape network, where they can read the images."""
-    binning: float
-    """Pixels a side that make a block of the camera's grid."""
-    finer: bool
-    """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
-    place: Window
-    """Rows and columns of the window that the grid covers: those of the finger."""
-    size: tuple[int, int]
-    """Rows, columns of the window."""
+    networks: Networks | None  # relief and shape network, where they can read the images
+    binning: float  # pixels a side that make a block of the camera's grid
+    finer: bool  # whether the working grid has half the blocks' pitch, so that the networks can read it
+    place: Window  # rows and columns of the window that the grid covers: those of the finger
+    size: tuple[int, int]  # rows, columns of the window
     warnings: tuple[str, ...]
 
     def on_pixels(self, field: FloatArray) -> FloatArray:
