@@ -74,6 +74,13 @@ SIDE_MISFIT = (
     "{} of the white images lit from the side do not fit the others and are left out: check these LEDs' places and "
     "their films, if any, which must let the skin's mirror reflection pass the camera's film."
 )
+NO_WHITE = (
+    "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be told "
+    "from its colour (films show it)."
+)
+WHITE = (0.45, 10.0)
+"""Roughness, and scattered over specular light, up to which white light shows the ridges better than the front lights
+alone: of eight fingers one is worse beyond each."""
 RED_PART = 0.5
 """Part of the red light, in the colour of the skin, that is taken from the blue to leave white light. Between 0.3 and
 0.65 ridges come out alike (``validation/path_traced/polarised.py``)."""
@@ -143,10 +150,10 @@ def metric_specular(
 ) -> SkinSurface:
     """The `metric` method for skin whose specular reflection shows: behind films, or under lights from the side too.
 
-    Of skin behind films, the crossed series shows no specular reflection: it gives the shape. Both series together give
-    a first relief, and from there their difference, the specular image, measures the heights. Without films that image
-    is what is white in the photographs, and the light of short paths in the skin. Where there is hardly any specular
-    reflection (matt or wet skin), the result is that of :func:`metric_skin`.
+    Behind films the crossed series gives the shape, without specular reflection, and both together a first relief; from
+    there their difference, the specular image, measures the heights. Without films that image is what is white in the
+    photographs, and light of short paths in the skin. Where there is hardly any specular reflection (matt or wet skin),
+    the result is that of :func:`metric_skin`.
 
     `images`: whose `bands` are as without films, and whose `crossed` or `side` is not None. `skin`, `p`, `networks`: as
     for :func:`metric_skin`.
@@ -161,16 +168,18 @@ def metric_specular(
         red, blue = (grid.smooth(both.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
         part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
         crossed = without_white(both, part)
-        side = None if side is None else (side[0], without_white(side[0], part), side[2])
     specular = specular_images(both, crossed, images.parallel, grid, shape)
     if side is not None:
-        assert side[1] is not None
-        aside = specular_images(side[0], side[1], side[2], grid, shape)
+        aside = specular_images(side[0], side[1] or without_white(side[0], part), side[2], grid, shape)
         rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
         noise = min(specular.noise, aside.noise)
         specular = replace(specular, stack=np.concatenate([specular.stack, aside.stack]), rig=rig, noise=noise)
     height_mm, error_mm, found = polarised_heights(specular, grid, shape + relief, deviation)
-    if found["specular_over_noise"] < FAINT:
+    faint = found["specular_over_noise"] < FAINT
+    if images.crossed is None:
+        limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
+        faint |= max(limits) > 1 or not found["side_lights"]
+    if faint:
         modelled = first if images.crossed is None else metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
     rest = height_mm - shape
@@ -336,9 +345,9 @@ def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
     """Warnings where the ridges' heights are hardly known, known up to a common factor, or odd."""
     facts = found.facts
     notes = [*images.warnings]
-    if images.crossed is not None and facts["relief_by"] != "polarised":
-        notes.insert(0, NO_SPECULAR)
     lost = 0 if images.side is None else len(images.side[2].leds) - facts.get("specular", {}).get("side_lights", 0)
+    if "specular" in facts and facts["relief_by"] not in {"polarised", "side"}:
+        notes.insert(0, NO_WHITE if images.crossed is None else NO_SPECULAR)
     if lost:
         notes.append(SIDE_MISFIT.format(round(lost)))
     if facts["relief_by"] == "network":
