@@ -129,6 +129,9 @@ LOW = 0.7
 """Sine of the elevation below which a light casts shadows of the finger on itself: those of a ring do so in creases."""
 
 
+_NOTHING_MM = -1e3
+
+
 def arriving(
     patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
@@ -145,9 +148,10 @@ def arriving(
     soft = radius_mm / float(np.linalg.norm(led.position_mm))
     most = (float(patch.z.max()) - float(patch.z[patch.mask].min())) / max(float((lz / flat)[patch.mask].min()), 0.05)
     seen, far = np.ones(patch.z.shape, dtype=np.float32), 1.0
+    solid = np.where(patch.mask, patch.z, np.float32(_NOTHING_MM))  # beside the finger nothing stands in the way
     while far < min(most * patch.px_per_mm, max(patch.z.shape)):
         at = (columns + far * lx / flat).astype(np.float32), (rows - far * ly / flat).astype(np.float32)
-        higher = cv2.remap(patch.z, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e3)
+        higher = cv2.remap(solid, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_NOTHING_MM)
         away_mm = far * patch.pitch_mm
         np.minimum(seen, 0.5 - (higher - patch.z - away_mm * lz / flat) / (2.0 * soft * away_mm), out=seen)
         far += max(1.0, 0.08 * far)
