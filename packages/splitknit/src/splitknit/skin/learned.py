@@ -43,10 +43,8 @@ COUNT = 32
 class Features:
     """Input of the network, and what its output is relative to."""
 
-    fields: FloatArray
-    """(32, h, w), zero outside the mask."""
-    level: FloatArray
-    """(C, h, w) local brightness of each channel, specular reflection included."""
+    fields: FloatArray  # (32, h, w), zero outside the mask
+    level: FloatArray  # (C, h, w) local brightness of each channel, specular reflection included
 
 
 def features(
