@@ -25,7 +25,6 @@ from splitknit.methods.photometry import (
     slopes_of,
 )
 from splitknit.model import FloatArray
-from splitknit.networks.augmentation import UPRIGHT
 from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
@@ -40,6 +39,7 @@ from splitknit.skin.learned import (
     refined_shape,
     relief_by_network,
     relief_network,
+    relief_of_output,
     variance_restored,
 )
 from splitknit.skin.light import slant_of
@@ -49,7 +49,7 @@ from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shap
 from splitknit.steps import step
 
 TURNED = (5, 6)
-"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the last relief estimate."""
+"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the relief estimate."""
 BOTH_DEG = (30.0, 40.0)
 """Slants of the skin between which the relief becomes the mean of two estimates, from both series of a polarised
 capture and from the crossed one: the first is too high there, the second too low."""
@@ -216,36 +216,32 @@ def relief_of_colours(
 def relief_and_shape(
     images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
 ) -> tuple[FloatArray, ReliefEstimate]:
-    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other, in turns.
+    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other.
 
-    The last relief is the mean over three orientations of the finger; the upright one is known from the round before.
-    A minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
-    relief is estimated from the images without films instead, which is another estimate than the one before.
+    The relief network sees the images on the first shape, upright for the shape network, then in two more orientations
+    for the mean that counts; on the refined shape, only what follows from its output changes. A
+    minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
+    relief is estimated from the images without films instead, which is another estimate than the first.
     """
-    grid, last = images.fine, rounds if networks.shape is not None else 1
-    orientations: tuple[int, ...] = (UPRIGHT,)
-    earlier: FloatArray | None = None
-    estimate: ReliefEstimate | None = None
-    for turn in range(1, last + 1):
-        before = estimate
-        if estimate is not None and networks.shape is not None:
-            shape = refined_shape(shape, estimate.relief_mm, images, optics, networks.shape)
-        if turn == last:
-            orientations = TURNED if estimate is not None else (UPRIGHT, *TURNED)
-            if images.white.unpolarised is not None:
-                images = replace(images, white=images.white.unpolarised)
-            elif estimate is not None:
-                earlier = estimate.output
+    grid, network, films = images.fine, networks.relief, images.white.unpolarised
+    refinements = rounds - 1 if networks.shape is not None else 0
+    if films is not None and not refinements:
+        images, films = replace(images, white=films), None
+    smooth = on_fine_grid(shape.height_mm, images)
+    given = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
+    upright, levels = network(given.fields), given.level[:2] * grid.mask
+    output = upright if films is not None else relief_network(network, TURNED, upright)(given.fields)
+    del given
+    first = relief_of_output(upright, levels, grid, smooth)
+    for _ in range(refinements):
+        assert networks.shape is not None
+        shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
         smooth = on_fine_grid(shape.height_mm, images)
-        network = relief_network(networks.relief, orientations, earlier)
-        estimate = relief_by_network(
-            features(images.white, grid, smooth, white_light_on(shape.height_mm, images)), grid, smooth, network
-        )
-    assert estimate is not None  # there is at least one round
-    found = variance_restored(estimate)
-    if before is None or earlier is not None:
-        return smooth, found
-    of_crossed = variance_restored(before).relief_mm - found.relief_mm
+    if films is None:
+        return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
+    given = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
+    found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
+    of_crossed = variance_restored(first).relief_mm - found.relief_mm
     low, high = BOTH_DEG
     part = smooth_step((slant_of(smooth, grid.pitch_mm) - np.float32(low)) / np.float32(high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
@@ -306,7 +302,7 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     """The surface by :func:`metric_skin` or :func:`metric_specular`, on the window's pixels; `lost` is the part of
     the relief's height that the files may have lost."""
     skin, p = settings.skin, settings.metric
-    networks = _reporting(images.networks, p.rounds)
+    networks = _reporting(images.networks)
     if images.crossed is None and images.side is None:
         found = metric_skin(images.bands, images.grid, skin, p, networks)
     else:
@@ -326,11 +322,11 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     )  # fmt: skip
 
 
-def _reporting(networks: Networks | None, rounds: int) -> Networks | None:
+def _reporting(networks: Networks | None) -> Networks | None:
     """The networks; each run of the relief network is reported as progress."""
     if networks is None:
         return None
-    relief, runs, done = networks.relief, max(rounds, len(TURNED)) + 1, 0
+    relief, runs, done = networks.relief, len(TURNED) + 1, 0
 
     def reported(fields: FloatArray) -> FloatArray:
         nonlocal done

@@ -35,7 +35,7 @@ class MetricSettings(Checked):
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
     rounds: Annotated[int, Limits(1)] = 2
-    """Number of relief estimates, each on the shape refined with the previous one."""
+    """Number of relief estimates; networks refine the shape between two of them."""
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Gauss-Newton steps of the shape on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
