@@ -85,8 +85,7 @@ VERBS_RUN = [  # snk runs its network at any size
 NETWORKS = {"demo": ("relief.onnx", "shape.onnx"), "verbs": ("direct.onnx",), "processes": ("direct.onnx",)}
 
 
-SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*|shm/joblib_memmapping_folder_[^/]*)|/proc/self/[^/]*")
-"""Semaphores, and a folder that joblib makes and would put large arrays into, of which we pass none."""
+SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*)|/proc/self/[^/]*")
 
 
 def works(*command: str) -> bool:
@@ -213,7 +212,7 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
         arguments = [[places.get(word, word) for word in verb] for verb in (VERBS_RUN if run == "verbs" else DEMO_RUN)]
         events = watched(VERBS, tmp_path, json.dumps(arguments), strace=STRACE)
     else:
-        pytest.importorskip("joblib")
+        pytest.importorskip("pyarrow")
         events = watched(PROCESSES, tmp_path, str(people), strace=STRACE)
     assert {Path(of).name for _, of in events if of.endswith(".onnx")} == set(NETWORKS[run])
     assert violations(events, tmp_path) == []

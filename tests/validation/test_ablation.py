@@ -121,16 +121,16 @@ def test_glare_that_the_network_draws(script: Script, bench: Any, monkeypatch: p
 
     def in_two_turns(*_: object) -> str:
         for _ in range(2):
-            rows.metric.relief_by_network(SimpleNamespace(rig=None), None, None, None)
+            rows.metric.relief_of_output(None, None, None, None)
         return "surface"
 
     with monkeypatch.context() as patch:
-        patch.setattr(rows.metric, "relief_by_network", drawing)
+        patch.setattr(rows.metric, "relief_of_output", drawing)
         patch.setattr(rows, "glare_of", lambda found, *_: found.glare)
         patch.setattr(rows, "reconstruct", in_two_turns)
         patch.setattr(bench, "finger", replace(bench.finger, window=window))
         surface, glare = type(bench)._by_network.func(bench)
-        assert rows.metric.relief_by_network is drawing
+        assert rows.metric.relief_of_output is drawing
     assert surface == "surface"
     # that of the last turn, two pixels a side for one, and the row that is left over
     expected = np.zeros((7, height, width), dtype=np.float32)

@@ -28,7 +28,7 @@ from splitknit.errors import BadInput
 from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.steps import Memory
-from splitknit_match.matching.methods import false_match_rate
+from splitknit_match.matching.methods import rate
 from splitknit_match.matching.minutiae import nfiq2
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import MatchingSettings, surface_template
@@ -120,7 +120,10 @@ def row_of(
     template = surface_template(surface_of(result), MatchingSettings())
     if other is not None:
         found = ridge_match(template, other)
-        row |= {"similarity": found.similarity, "fmr": false_match_rate(found.similarity) if found.compared else 1.0}
+        row |= {
+            "similarity": found.similarity,
+            "fmr": rate(found.similarity, "ridge", None).fmr if found.compared else 1.0,
+        }
     return row, template
 
 

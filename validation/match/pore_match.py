@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from splitknit import Surface, bounding_box
 from splitknit_match.matching.elastic import bent, bent_by, compare_patches, shown_in_a
-from splitknit_match.matching.fusion import on_ridges
+from splitknit_match.matching.minutia_pairs import on_ridges
 from splitknit_match.matching.ridge import Prepared, lay
 from splitknit_match.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit_match.matching.template import make_template

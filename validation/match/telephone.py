@@ -43,7 +43,6 @@ from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.fingerphoto import _PEOPLE_WIDTH, LEAST_QUALITY, _even, source_of_photo
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
-from splitknit_match.prints.make import make_print
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator.finger.finger import draw_finger
@@ -423,13 +422,9 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
     return found
 
 
-def unrolled(one: Telephone, number: int, take: int, light: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A photograph's `light` (H, W) laid where the skin truly lies, (h, w) of 500 ppi, and where it shows."""
-    rng = np.random.default_rng([number, take, 2])
-    rays, eye, _, _ = view(body_of(number), one.hand, rng)
-    hit, point, normal, uv = seen(body_of(number), rays, eye)
-    facing = ((eye - point) * normal).sum(-1) > 0.35 * np.linalg.norm(eye - point, axis=-1)
-    rows, columns = np.nonzero(hit & one.masks[0] & facing & (uv[..., 1] > -2))
+def unrolled(uv: Array, shows: NDArray[np.bool_], light: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A photograph's `light` (H, W) laid where its skin truly lies (`uv`, where it `shows`), of 500 ppi, and where."""
+    rows, columns = np.nonzero(shows & (uv[..., 1] > -2))
     few = (rows % 3 == 0) & (columns % 3 == 0)
     rows, columns, step = rows[few], columns[few], 4 * 25.4 / 500
     u, v = np.arange(-12, 12, step), np.arange(30, -3, -step)
@@ -455,17 +450,16 @@ def links(count: int, work: Path) -> None:
         if of_program is None:
             continue
         one, master = drawn(number, 0, work), draw_finger(SEED + number).master()
-        made = make_print(source_of_photo(one.pixels, mask=one.masks[0]), "photo", "free")
         rng = np.random.default_rng([number, 0, 2])
         rays, eye, _, _ = view(body_of(number), one.hand, rng)
         _, smooth, pitch, u0, v0 = ridges(number)
-        uv = seen(body_of(number), rays, eye)[3]
+        hit, point, normal, uv = seen(body_of(number), rays, eye)
+        facing = ((eye - point) * normal).sum(-1) > 0.35 * np.linalg.norm(eye - point, axis=-1)
         at = np.stack([(v0 - uv[..., 1]) / pitch, (uv[..., 0] - u0) / pitch])
         photos = {"photograph": of_program}
         clean = 128 * (1 + 0.25 * map_coordinates(smooth, at, order=1, mode="nearest") / np.abs(smooth).max())
         for name, light in (("true unrolling", one.pixels[..., 1]), ("true ridges and unrolling", clean)):
-            values, weight = unrolled(one, number, 0, light)
-            image = _even(replace(made, values=values, weight=weight))[0]
+            image = _even(*unrolled(uv, hit & one.masks[0] & facing, light))[0]
             photos[name] = print_template(image, pressed=pressed_ridges(image, usual))
         ranges = SENSORS[PRESSES[number % 2]]
         for name, some in (("press", ranges), ("press without distortion", replace(ranges, stretch_mm=0.0))):

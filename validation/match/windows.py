@@ -4,7 +4,7 @@
     python validation/match/windows.py                        # fits, rates and tables from what was compared
     python validation/match/windows.py --write                # and writes what the matcher ships
     python validation/match/windows.py --overlap              # of genuine touches, by the alignment of the whole prints
-    python validation/match/windows.py --gallery 300          # windows of others against a gallery; --gallery 0: real
+    python validation/match/windows.py --gallery 1000         # windows of others against a gallery of so many prints
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
 where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
@@ -28,7 +28,7 @@ import numpy as np
 from code_tails import wilson
 from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
 from numpy.typing import NDArray
-from pressed_prints import finger, press
+from pressed_prints import press
 
 from impostors import FOLDER
 from splitknit_match.matching import fusion
@@ -36,6 +36,8 @@ from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.methods import REAL_PRINTS, TABLES, fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.ridge import Prepared, RidgeMatch
 from splitknit_match.matching.score import calibrate_scores
+from splitknit_simulator.finger.finger import FREQUENCIES
+from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "windows.json"
@@ -56,22 +58,32 @@ def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image
     rng = np.random.default_rng([SEED, number])
     found = []
     for n, image in enumerate(images):
-        detail = image.astype(np.float32) - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 6)
-        spread = cv2.GaussianBlur(detail * detail, (0, 0), 12)
-        rows, columns = np.nonzero(spread > 0.25 * np.quantile(spread, 0.95))
+        rows, columns = ridges(image)
         middle = rows.mean(), columns.mean()
         for mm in (*SIZES_MM, 13):
-            side = round(mm * 500 / 25.4)
             for which in ("middle", "drawn"):
                 y, x = middle
                 if which == "drawn":
                     k = rng.integers(len(rows))
                     y, x = y + 0.6 * (rows[k] - y), x + 0.6 * (columns[k] - x)
-                top = int(np.clip(round(y - side / 2), 0, max(0, image.shape[0] - side)))
-                left = int(np.clip(round(x - side / 2), 0, max(0, image.shape[1] - side)))
-                part = np.ascontiguousarray(image[top : top + side, left : left + side])
-                found.append((n, mm, which, part))
+                found.append((n, mm, which, cut(image, y, x, mm)))
     return [one for one in found if one[1] in SIZES_MM]
+
+
+def ridges(image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of pixels that lie on ridges."""
+    detail = image.astype(np.float32) - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 6)
+    spread = cv2.GaussianBlur(detail * detail, (0, 0), 12)
+    rows, columns = np.nonzero(spread > 0.25 * np.quantile(spread, 0.95))
+    return rows, columns
+
+
+def cut(image: Image, y: float, x: float, mm: float) -> Image:
+    """A square window about a place, moved into the print."""
+    side = round(mm * 500 / 25.4)
+    top = int(np.clip(round(y - side / 2), 0, max(0, image.shape[0] - side)))
+    left = int(np.clip(round(x - side / 2), 0, max(0, image.shape[1] - side)))
+    return np.ascontiguousarray(image[top : top + side, left : left + side])
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,30 +253,49 @@ def overlaps(job: Job) -> None:
         print(f"{mm} mm: {len(areas)} genuine pairs overlap by {np.median(areas):.0f} mm2 (median), {said}")
 
 
-def search(job: Job, size: int) -> None:
-    """Wrong candidates of windows of 6 and 8 mm in a gallery of whole prints, each of another finger; writes a table.
+def captures(job: Job, size: int) -> list[tuple[str, Any]]:
+    """Whose, and the template, of so many whole prints: all real ones, their mirror images, then simulated presses.
 
-    `size`: simulated presses, with windows of ten others; 0: all real prints, with windows of the first impressions of
-    a finger of each set. All are compared. *stated*: with a match at the smallest rate that is stated of windows;
-    *above*: by the score alone, whatever overlaps.
+    A mirror image is another finger's print. Simulated fingers give two presses, and the mirror images of both.
+    """
+    sets = [prints(name, job) for name in SETS]
+    real = [(who, one) for images, owner, _ in sets for who, one in zip(owner, images, strict=True)]
+    found = [*real, *((f"{who} mirrored", mirrored(one)) for who, one in real)][:size]
+    small = MasterPrintSettings(half_width_mm=13.0, proximal_mm=4.0)  # as much as a press shows
+    for k in range((size - len(found) + 3) // 4):
+        rng = np.random.default_rng([98_000 + k, 21])
+        kind = str(rng.choice(list(FREQUENCIES), p=np.array(list(FREQUENCIES.values()))))
+        master = master_print(kind, 98_000 + k, small)
+        pressed = [press(master, number) for number in range(2)]
+        found += [(f"simulated {k}", one) for one in (*pressed, *map(mirrored, pressed))]
+    return [(who, made(one, "template", job)) for who, one in found[:size]]
+
+
+def mirrored(image: Image) -> Image:
+    """Its mirror image."""
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def search(job: Job, size: int, sizes_mm: list[int]) -> None:
+    """Wrong candidates of a middle window of each sensor in a gallery of whole prints of others; writes a table.
+
+    Windows are of the first impressions of fingers 103; all are compared. *stated*: with a match at the smallest rate
+    that is stated of windows; *above*: by the score alone, whatever overlaps.
     """
     at = fmr_basis("windows").smallest
     limit = similarity_at(at, "windows")
-    if size:
-        pressed = [made(press(finger(98_000 + k), 0), "template", job) for k in range(size)]
-        gallery = [(str(k), Prepared(one)) for k, one in enumerate(pressed)]
-        probes = [(f"other {k}", 0, press(finger(97_000 + k), 0)) for k in range(10)]
-    else:
-        gallery, probes = [], []
-        for number, name in enumerate(SETS):
-            images, owner, impression = prints(name, job)
-            gallery += [(who, Prepared(made(one, "template", job))) for who, one in zip(owner, images, strict=True)]
-            first_ = [(who, number, one) for who, n, one in zip(owner, impression, images, strict=True) if n == 0]
-            probes += first_[:1]
-    counts: dict[int, list[tuple[int, int, int]]] = {6: [], 8: []}
-    for owner_, number, image in probes:
-        for _, mm, which, part in windows([image], number):
-            if mm not in counts or which != "middle":
+    probes = []
+    for number in (1, 0, *range(2, len(SETS))):
+        images, owner, impression = prints(SETS[number], job)
+        k = next(k for k, who in enumerate(owner) if who.endswith("103") and impression[k] == 0)
+        probes += [(owner[k], mm, part) for _, mm, which, part in windows([images[k]], number) if which == "middle"]
+    gallery = [(who, Prepared(one)) for who, one in captures(job, size)]
+    head = ("mm", "window_of", "compared", "stated_rate", "expected", "stated", "above")
+    with (HERE / "tables" / "windows_gallery.csv").open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(head)
+        for size_mm, (owner_, mm, part) in itertools.product(sizes_mm, probes):
+            if mm != size_mm:
                 continue
             probe, found = Prepared(made(part, "template", job)), []
             for whose, other in gallery:
@@ -275,18 +306,10 @@ def search(job: Job, size: int) -> None:
                 kind, overlap = scores_of("fusion", areas, one.minutiae), one.ridge.overlap_mm2
                 answer = rate(one.similarity, kind, overlap, at).answer
                 found.append((answer == "match", one.similarity >= limit))
-            counts[mm].append((len(found), *np.sum(found, axis=0).tolist()))
-            print(owner_, mm, counts[mm][-1], flush=True)
-    file = HERE / "tables" / f"windows_gallery_{'simulated' if size else 'real'}.csv"
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(("mm", "searches", "compared", "stated_rate", "expected", "stated", "above", "most_in_one"))
-        for mm, searches in counts.items():
-            table = np.array(searches)
-            compared, stated, above = table.sum(axis=0).tolist()
-            row = (mm, len(table), compared, f"{at:.3g}", round(compared * at, 2), stated, above, table[:, 2].max())
-            writer.writerow(row)
-            print(*row)
+            expected, counts = round(len(found) * at, 2), np.sum(found, axis=0).tolist()
+            writer.writerow((mm, owner_, len(found), f"{at:.3g}", expected, *counts))
+            stream.flush()
+            print(mm, owner_, len(found), *counts, flush=True)
 
 
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
@@ -403,11 +426,12 @@ def main() -> None:
     parser.add_argument("--version", default="1", help="of what is made of a print")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--overlap", action="store_true")
-    parser.add_argument("--gallery", type=int, metavar="N", help="search galleries of N simulated prints; 0: real ones")
+    parser.add_argument("--gallery", type=int, metavar="N", help="search a gallery of N prints, 280 of them real")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[6, 8], help="of the windows that are searched, mm")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.gallery is not None:
-        search(Job(options.cache, options.version), options.gallery)
+        search(Job(options.cache, options.version), options.gallery, options.sizes)
         return
     if options.compare is not None:
         compare(Job(options.cache, options.version), options.compare)

@@ -8,6 +8,10 @@ if half or twice of it is stated. *period*: distance of the ridges over 0.46 mm,
 97.5 %, by :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found. *page*: the
 first impressions on a white page of 2000 x 2000: in how many exactly one print is found, and mean minutiae alone and
 on the page.
+
+``--stated`` writes ``tables/stated_resolution.csv`` instead: answers of `match` where one of two prints states 0.8 or
+1.2 times its resolution (the first two impressions of each finger, both ways, and each with the next finger's), as they
+were (*no_match*), and after a comparison at one scale of the ridges (*still_no_match*).
 """
 
 from __future__ import annotations
@@ -19,9 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from splitknit import PrintFile, read_print_png
+from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.methods import rate, scale_doubt, scores_of
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM, _prints_on, _ridge_period_px, print_minutiae
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
+STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
 TABLE = Path(__file__).parent / "tables" / "any_print.csv"
 
 
@@ -62,11 +70,49 @@ def row(folder: Path) -> dict[str, object]:
     }
 
 
+def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
+    """Whether of one finger, the answer, and whether the comparison at one scale leaves it."""
+    ppi, files = PPI.get(folder.name, 500.0), sorted(folder.glob("*_[12].png"))
+    images = [read_print_png(file).image for file in files]
+    right = [print_template(image, ppi) for image in images]
+    found = []
+    for k, image in enumerate(images):
+        item = _prints_on(PrintFile(image, factor * ppi, {}))[0]
+        wrong = print_template(item.image, factor * ppi)
+        for n in (k ^ 1, (k + 2) % len(files)):
+            one = fused_match(wrong, right[n])
+            by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), one.minutiae)
+            answer = rate(one.similarity, by, one.ridge.overlap_mm2).answer
+            answer = "undecided" if item.doubt and answer != "match" else answer
+            found.append((n == k ^ 1, answer, answer == "match" or scale_doubt(wrong, right[n], None) is None))
+    return found
+
+
+def write_stated(folders: list[Path]) -> None:
+    """Count answers of all sets, print and write them."""
+    with STATED.open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("factor", "one_finger", "pairs", "match", "undecided", "no_match", "still_no_match"))
+        for factor in (1.0, 0.8, 1.2):
+            rows = [one for folder in folders for one in stated(folder, factor)]
+            for same in (True, False):
+                part = [(answer, stays) for whose, answer, stays in rows if whose == same]
+                counts = [sum(answer == one for answer, _ in part) for one in ("match", "undecided", "no match")]
+                writer.writerow((factor, same, len(part), *counts, part.count(("no match", True))))
+    print(STATED.read_text())
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    data = parser.parse_args().data
-    rows = [row(folder) for folder in (*sorted((data / "fvc").iterdir()), data / "fvc2002_db1b") if folder.is_dir()]
+    parser.add_argument("--stated", action="store_true")
+    options = parser.parse_args()
+    data = options.data
+    folders = [folder for folder in (*sorted((data / "fvc").iterdir()), data / "fvc2002_db1b") if folder.is_dir()]
+    if options.stated:
+        write_stated(folders)
+        raise SystemExit
+    rows = [row(folder) for folder in folders]
     TABLE.parent.mkdir(exist_ok=True)
     with TABLE.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, rows[0], lineterminator="\n")

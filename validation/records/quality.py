@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import read_print_png
-from splitknit_match.matching.fusion import _of, _pixels, fused_match, on_ridges
+from splitknit_match.matching.fusion import _of, _pixels, fused_match
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.minutia_pairs import pair_minutiae
+from splitknit_match.matching.minutia_pairs import on_ridges, pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.prints import phase_minutiae
 

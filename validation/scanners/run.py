@@ -115,7 +115,12 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         cloud, light, seconds = how(finger)
         np.savetxt(out / f"{seed}-{name}.xyz", cloud.points_mm, "%.4f")
         begun = time.process_time()
-        result = on_grid(cloud, metric.mask.shape, metric.pitch_mm)
+        try:
+            result = on_grid(cloud, metric.mask.shape, metric.pitch_mm)
+        except splitknit.BadInput as refusal:
+            (out / f"{seed}-{name}.json").write_text(json.dumps({"refused": str(refusal)}))
+            print(seed, name, refusal, flush=True)
+            continue
         facts = {"compute_s": seconds + time.process_time() - begun, "light": light}
         facts |= {k: float(v) for k, v in splitknit.compare(result, truth).figures.items() if k in KEEP}
         facts["fused_surface_rms_mm"] = splitknit.compare(fused(result, metric), truth).figures["surface_rms_mm"]
@@ -167,7 +172,7 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
             try:
                 found = splitknit_match.match(*map(template, sides), "ridge", fmr=1e-3)
                 kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision.match)
-            except splitknit.BadInput:  # too little of it to compare
+            except splitknit.BadInput:  # refused as a cloud, or too little of it to compare
                 kept[f"{a}-{b}"] = 0.0, False
     path.write_text(json.dumps(kept))
     return kept
@@ -181,16 +186,18 @@ def interval(hits: int, tried: int) -> str:
 
 
 def tables(out: Path, seeds: list[int]) -> None:
-    """Print the tables, means over the fingers."""
+    """Print the tables: means over the fingers whose cloud is accepted, rates over all."""
     print(f"{len(seeds)} fingers")
     names = {"metric": ("", "`metric`", 17, 306, 2.4)} | SYSTEMS
     for name, (_, title, parts, price, capture) in names.items():
         rows = [json.loads((out / f"{seed}-{name}.json").read_text()) for seed in seeds]
+        rows = [row for row in rows if "refused" not in row]
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         spread = float(np.std([1e3 * row["surface_rms_mm"] for row in rows], ddof=1))
         fusion = f"{1e3 * mean['fused_surface_rms_mm']:.0f}" if "fused_surface_rms_mm" in mean else "-"
         cells = [
-            title, f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}", f"{mean['ridge_correlation']:.2f}",
+            title, str(len(rows)), f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}",
+            f"{mean['ridge_correlation']:.2f}",
             f"{mean['ridge_gain']:.2f}", f"{mean['ridge_rms_um']:.0f}", f"{mean['ridge_area_mm2']:.0f}",
             f"{100 * mean['ridge_good_area']:.0f}", fusion, f"{capture:.2g}", f"{mean['compute_s']:.1f}",
             f"{mean['light']:.1f}", str(parts), str(price),

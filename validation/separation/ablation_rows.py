@@ -229,7 +229,7 @@ class Bench:
         """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
         drawn: list[FloatArray] = []
         lit: list[Any] = []
-        estimate, describe = metric.relief_by_network, metric.features
+        estimate, describe = metric.relief_of_output, metric.features
 
         def describing(white: Any, grid: Any, smooth_mm: Any, light: Any) -> Any:
             lit[:] = white.rig, light
@@ -241,7 +241,7 @@ class Bench:
             return found
 
         capture = self.twin.capture
-        with mock.patch.multiple(metric, relief_by_network=listening, features=describing):
+        with mock.patch.multiple(metric, relief_of_output=listening, features=describing):
             result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
         require(
             len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."

@@ -84,7 +84,7 @@ def test_a_killed_process_ends_the_run_with_one_sentence() -> None:
 
 
 def test_packages_that_are_missing_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, extra in (("joblib", "batch"), ("distributed", "cluster")):
+    for module, extra in (("pyarrow", "batch"), ("distributed", "cluster")):
         monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(BadInput, match=rf"{module}.*splitknit-match\[{extra}\]"):
             load(module, extra)

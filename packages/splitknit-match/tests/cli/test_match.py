@@ -215,14 +215,14 @@ def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) ->
 
 
 def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
-    from splitknit_match.matching.methods import false_match_rate
+    from splitknit_match.matching.methods import rate
 
-    low, high = false_match_rate(0.15), false_match_rate(0.8)
+    low, high = (rate(one, "ridge", None).fmr for one in (0.15, 0.8))
     assert low is not None
     assert high is not None
     assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133
     same = facts_of(capsys, results / "a", results / "again")
-    assert same["fmr"] == false_match_rate(same["similarity"])
+    assert same["fmr"] == rate(same["similarity"], "ridge", None).fmr
     # with other settings scores mean something else
     other = facts_of(capsys, results / "a", results / "again", "--set", "ridge.patches.search_mm=0.5")
     assert other["fmr"] is None

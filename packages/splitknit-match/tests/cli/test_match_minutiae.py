@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import Scores
-from splitknit_match.matching.methods import false_match_rate
+from splitknit_match.matching.methods import rate
 from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.minutiae_record import no_minutiae
 
@@ -54,8 +54,8 @@ def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
 
 def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
     same, other = (facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other"))
-    low, high = false_match_rate(5.0, "minutiae"), false_match_rate(200.0, "minutiae")
-    assert same["fmr"] == false_match_rate(same["similarity"], "minutiae")
+    low, high = (rate(one, "minutiae", None).fmr for one in (5.0, 200.0))
+    assert same["fmr"] == rate(same["similarity"], "minutiae", None).fmr
     assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
     assert high < low
 

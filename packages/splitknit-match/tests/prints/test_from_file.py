@@ -179,6 +179,20 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
     assert not (tmp_path / "scan.skt").exists() and match(sound, sound).answer == "match"
 
 
+def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_path: Path) -> None:
+    """400 for 500 ppi is within what people differ by, but at one scale of their ridges both match."""
+    sound, file, other = (tmp_path / name for name in ("sound.png", "scan.png", "other.png"))
+    sound.write_bytes(saved(spiral_print(), "PNG", 500))
+    file.write_bytes(saved(spiral_print(), "PNG", 400))
+    other.write_bytes(saved(np.ascontiguousarray(spiral_print()[:, ::-1]), "PNG", 400))
+    enroll(tmp_path / "people.skg", sound, person="Ann", finger="left_index")
+    said = r"the ridges of one lie 2\d % farther apart, and at one scale both match"
+    for found in (match(file, sound), match(sound, file), identify(tmp_path / "people.skg", file)):
+        assert (found.answer, found.decision) == ("undecided", None)
+        assert re.match(said, found.undecided)
+    assert match(other, sound).answer == "no match"
+
+
 def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))

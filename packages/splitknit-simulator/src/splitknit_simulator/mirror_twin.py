@@ -78,7 +78,7 @@ def photograph_between_mirrors(
     """
     finger, pose, rig, skin = drawn.finger, drawn.pose, drawn.rig, drawn.skin
     camera, views = rig.camera, settings.mirrors
-    mirrors = as_built(rig.mirrors, views, seed if views.pose_seed is None else views.pose_seed)
+    mirrors = as_built(rig.mirrors, views, seed)
     body, master = FingerBody(finger.shape), finger.master()
     worn = _bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
     placement = placement_of(body, pose, camera)

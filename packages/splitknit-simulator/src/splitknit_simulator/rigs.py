@@ -236,11 +236,9 @@ class MirrorSettings(Checked):
     """Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
     turn_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 1.0
     """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
-    rocks in its seat."""
+    rocks in its seat. Poses are the same in all impressions of a finger."""
     shift_sd_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
     """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to 10."""
-    pose_seed: int | None = None
-    """Seed of the true poses; None: they follow from the finger's seed, and are the same in all its impressions."""
     px_per_mm: Annotated[float, Limits(1.0, 200.0)] = 43.0
     """Scale of the full frame: all views must fit."""
     image_size: Annotated[tuple[int, int], Limits(64)] = (2464, 3280)

@@ -59,7 +59,7 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
 
 
 @pytest.mark.slow
-def test_without_films_they_change_nothing_but_a_note(lit: Capture) -> None:
+def test_without_films_they_change_nothing_but_a_note_in_published_cases_and_coarse_images(lit: Capture) -> None:
     white = _chosen(lit.bands["white"], 7)
     ring = replace(lit, bands={**lit.bands, "white": white})
     for preset in ("ea", "metric"):
@@ -67,6 +67,19 @@ def test_without_films_they_change_nothing_but_a_note(lit: Capture) -> None:
         assert SIDE_UNUSED.format(SIDE) in both[0].warnings
         assert set(both[0].warnings) - {SIDE_UNUSED.format(SIDE)} == set(both[1].warnings)
         np.testing.assert_array_equal(both[0].height_mm, both[1].height_mm)
+
+
+@pytest.mark.slow
+def test_without_films_metric_measures_ridges_better_with_them() -> None:
+    lit, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.25, "side_lights": 7})
+    ring = replace(lit, bands={**lit.bands, "white": _chosen(lit.bands["white"], 7)})
+    both, before = (splitknit.reconstruct(one) for one in (lit, ring))
+    assert both.facts["optics"]["relief_by"] == "side"
+    assert both.facts["optics"]["specular"]["side_lights"] == 7
+    assert both.facts["heights"] == "modelled"
+    assert not any("from the side" in warning or "to the side" in warning for warning in both.warnings)
+    errors = [splitknit.compare(one, truth).figures["ridge_rms_um"] for one in (both, before)]
+    assert errors[0] < 0.95 * errors[1], errors
 
 
 def test_what_is_no_skin_keeps_all_its_lights(lit: Capture) -> None:
@@ -100,3 +113,18 @@ def test_motion_before_the_side_images_is_what_all_share(
     kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
     assert warnings == (steady.SIDE_MOVED,) * moved
     assert (kept is parted) is not moved
+
+
+def test_a_side_image_that_moved_alone_is_left_out(lit: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    parted = without_side_lights(lit)
+    side = parted.bands["white"].side
+    assert side is not None
+    shifts = np.zeros((SIDE, 2)) + 0.001
+    shifts[3] = 0.0, -0.12
+    facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
+    monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
+    kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
+    assert warnings == (steady.SOME_MOVED.format(1),)
+    left = kept.bands["white"].side
+    assert left is not None
+    assert left.leds == (*side.leds[:3], *side.leds[4:])

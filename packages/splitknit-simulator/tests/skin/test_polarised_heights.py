@@ -11,7 +11,7 @@ import pytest
 import splitknit
 import splitknit_simulator
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.methods.metric import NO_SPECULAR
+from splitknit.methods.metric import NO_SPECULAR, without_white
 from splitknit.model import Camera, Capture, FloatArray, Led, Rig
 from splitknit.skin import polarised
 from splitknit.skin.grid import BandImages, Grid
@@ -186,6 +186,16 @@ def test_the_difference_and_its_noise() -> None:
     images = specular_images(*bands, rig, grid, flat)
     assert float(images.stack.mean()) == pytest.approx(0.1, abs=1e-3)
     assert images.noise == pytest.approx(0.003 / np.sqrt(3), rel=0.1)
+
+
+def test_white_light_is_what_colours_leave() -> None:
+    rig, rng, grid = _rig((60, 70)), np.random.default_rng(3), _grid((60, 70))
+    skin, white = rng.uniform(0.2, 0.6, (1, 7, 60, 70)), rng.uniform(0.0, 0.2, (7, 60, 70))
+    colour = np.array([1.0, 0.6, 0.4])[:, None, None, None]
+    both = BandImages(("red", "green", "blue"), (colour * skin + white).astype(np.float32), rig)
+    left = without_white(both, np.full((60, 70), 0.2, dtype=np.float32))
+    found = specular_images(both, left, rig, grid, np.zeros((60, 70), dtype=np.float32)).stack
+    np.testing.assert_allclose(found, 0.8 * white + 0.2 * skin[0], atol=1e-6)  # 0.4 - 0.2 of the skin's light
 
 
 @pytest.fixture(scope="module")

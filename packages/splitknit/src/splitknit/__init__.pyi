@@ -92,6 +92,7 @@ from splitknit.imaging.geometry import normals_from_gradients as normals_from_gr
 from splitknit.imaging.geometry import sampled_at as sampled_at
 from splitknit.imaging.geometry import smoothed as smoothed
 from splitknit.imaging.geometry import warp as warp
+from splitknit.imaging.geometry import wide_blur as wide_blur
 from splitknit.imaging.polarised import aligned as aligned
 from splitknit.imaging.polarised import crossed_place as crossed_place
 from splitknit.imaging.polarised import undone as undone

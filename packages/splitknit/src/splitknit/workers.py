@@ -33,6 +33,7 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
         for job in jobs:
             yield job, work(job)
         return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a second thread of each worker wins no time
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
     rest, work = iter(jobs), with_given_folders(work)

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import os
 import re
-import signal
 import sys
-import threading
-import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splitknit import BadInput, provenance, require, running, use_device, with_given_folders
+from splitknit import BadInput, provenance, require, run_jobs, running, use_device, with_given_folders
 from splitknit_match.batch.chunks import load
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
-_KEPT = "what is finished is kept: run the same again, with fewer jobs if memory was short."
-_KILLED = f"a worker was killed, perhaps for want of memory; {_KEPT}"
 AHEAD = 3  # tasks that the scheduler is given for each thread of the cluster: one under way, two waiting
 PATIENCE_S = 30.0  # how long a cluster is waited for
 
@@ -93,17 +87,9 @@ def run_tasks(
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     if not tasks:
         return iter(())
-    work = with_given_folders(work)
     if client is not None:
-        return _on_cluster(work, tasks, client, device)
+        return _on_cluster(with_given_folders(work), tasks, client, device)
     return _here(work, tasks, device) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs, device)
-
-
-def _in_worker(work: Callable[[Task], Done], task: Task, parent: int, device: str) -> Done:
-    """Do a task in a worker: on one thread, and an end when the run that started it is no more."""
-    _on_one_thread(device)
-    _watch(parent)
-    return work(task)
 
 
 def _on_one_thread(device: str) -> None:
@@ -143,20 +129,13 @@ class TaskDone:
 
 
 def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, device: str) -> Iterator[Done]:
-    joblib = load("joblib", "batch")
-    broken = load("joblib.externals.loky.process_executor", "batch").BrokenProcessPool
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
-        # a worker that has grown is replaced; nothing is lost by that
-        warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
-        shared: Any = {"return_as": "generator_unordered", "batch_size": 1, "pre_dispatch": "2*n_jobs"}
-        pool = joblib.Parallel(n_jobs=min(jobs, len(tasks)), **shared)
-        results = pool(joblib.delayed(_in_worker)(work, task, os.getpid(), device) for task in tasks)
-        try:
-            yield from results
-        except broken as error:
-            raise BadInput(_KILLED) from error
-        finally:
-            results.close()
+    for _, done in run_jobs(partial(_in_worker, work, device), tasks, jobs, "what is finished"):
+        yield done
+
+
+def _in_worker(work: Callable[[Task], Done], device: str, task: Task) -> Done:
+    _on_one_thread(device)
+    return work(task)
 
 
 def _is_loopback(host: str) -> bool:
@@ -239,24 +218,6 @@ def _result(distributed: Any, future: Any) -> Any:
         raise BadInput(f"{fault}; {cure}") from error
     except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
         raise BadInput("the cluster was lost; what is finished is kept: start it and run the same again.") from error
-
-
-_watched: set[int] = set()
-
-
-def _watch(parent: int) -> None:
-    if parent in _watched or os.getppid() != parent:
-        return
-    _watched.add(parent)
-    with contextlib.suppress(ValueError):  # not the main thread
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run that started us, which ends us
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _here(work: Callable[[Task], Done], tasks: Sequence[Task], device: str) -> Iterator[Done]:

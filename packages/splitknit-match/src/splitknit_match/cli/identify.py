@@ -76,7 +76,7 @@ def _verdict(found: Identification) -> str:
     decision = found.decision
     if not found.probe.acquired and not found.probe.doubt:
         lacks = "too few minutiae" if found.by == "minutiae" else "no ridges"
-        return f"No match: {found.probe.path} holds {lacks} (failure to acquire)."
+        return f"Not acquired: {found.probe.path} holds {lacks} (failure to acquire)."
     if found.searched.captures == 0:
         return "No match: there is nothing to compare with."
     if decision is None:

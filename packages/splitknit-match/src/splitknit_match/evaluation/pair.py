@@ -62,8 +62,6 @@ _LEAST_SIMILARITY = 0.4  # least similarity of the ridges of one finger; ridges 
 _EDGE_MM = 0.4
 _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
-_ROLL_STEP_MM, _ROLL_BLOCK_MM, _ROLL_REPLICATES, _ROLL_ERROR_DEG = 0.1, 4.0, 50, 0.9
-"""Pixels, blocks and draws of :func:`roll_between`, and the error of the shape (``validation/thesis/rolls.py``)."""
 _STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
 PROTOCOLS = {
@@ -293,38 +291,6 @@ def _turn_of(one: Array, two: Array, firm: Array) -> tuple[Rotation, Sequence[Ar
         miss = np.linalg.norm(one - centres[0] - turn.apply(two - centres[1]), axis=1)
         weight = firm / (1.0 + (miss / max(float(np.median(miss)), 1e-3)) ** 2)
     return turn, centres
-
-
-def roll_between(a: Reconstruction, b: Reconstruction) -> tuple[float, float]:
-    """Roll of a finger between two captures, from their surfaces: its turn about its own axis.
-
-    The ridges say which points are the same skin; the rotation that lays B's points on A's has the roll as its turn
-    about the finger's axis, after pitch and yaw are taken off. Returns the roll in A less that in B (deg; positive
-    where A's skin has moved to its right) and its standard deviation (deg), of a bootstrap of blocks of 4 mm (skin that
-    shifts, noise), and 0.9 deg for the shape, as measured with `metric` on simulated fingers. A shape by
-    Frankot-Chellappa (`snk`) has lost part of its tilt: the roll comes out 5 to 16 % too small, and is off by 1.5 to
-    1.9 deg (rms). Raises BadInput if a scale is unknown, a result holds no surface, or the ridges are not those of one
-    finger. Source: Kabsch 1976, A solution for the best rotation to relate two sets of vectors; the thesis discards
-    fingers by roll (section 5.1) and does not say how it finds it.
-
-    >>> first, second = (splitknit.reconstruct(folder, "snk") for folder in ("one", "two"))  # doctest: +SKIP
-    >>> roll_deg, deviation_deg = roll_between(first, second)  # doctest: +SKIP
-    """
-    one, two = (_Side(side, max(_ROLL_STEP_MM, a.pitch_mm, b.pitch_mm)) for side in (a, b))
-    first, second, firm = _matched_points(one, two, _ridges_on_each_other(one, two)[1])
-
-    def roll(chosen: NDArray[np.intp]) -> float:
-        turn = _turn_of(first[chosen], second[chosen], firm[chosen])[0].as_matrix()
-        upright = [np.linalg.inv(side.input_from_upright[:2, :2]) for side in (a, b)]
-        frames = [Rotation.from_euler("z", np.arctan2(part[0, 1], part[0, 0])).as_matrix() for part in upright]
-        return float(Rotation.from_matrix(frames[0] @ turn @ frames[1].T).as_euler("ZXY", degrees=True)[2])
-
-    _, block = np.unique(np.floor(second[:, :2] / _ROLL_BLOCK_MM), axis=0, return_inverse=True)
-    members = [np.flatnonzero(block == number) for number in range(int(block.max()) + 1)]
-    rng = np.random.default_rng(0)
-    drawn = [rng.integers(0, len(members), len(members)) for _ in range(_ROLL_REPLICATES)]
-    deviation = float(np.std([roll(np.concatenate([members[number] for number in one_draw])) for one_draw in drawn]))
-    return roll(np.arange(len(firm))), float(np.hypot(deviation, _ROLL_ERROR_DEG))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

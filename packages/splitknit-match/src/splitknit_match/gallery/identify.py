@@ -33,6 +33,7 @@ from splitknit_match.matching.methods import (
     doubt_of,
     fmr_basis,
     rate,
+    scale_doubt,
     scores_of,
     side_minutiae,
     similarity_at,
@@ -174,11 +175,7 @@ def identify_finger(
             similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
         pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else question.search)
         side = side or read_side(
-            probe,
-            question.preset,
-            settings.matching,
-            lambda stage, fraction: progress(stage, 0.5 * fraction),
-            question.input_ppi,
+            probe, question.preset, settings.matching, lambda stage, at: progress(stage, 0.5 * at), question.input_ppi
         )
         made = side_minutiae(side) if of_minutiae else side.template
         if made is None:
@@ -198,8 +195,14 @@ def identify_finger(
             matches=matches, progress=progress,
         )  # fmt: skip
         seconds = time.perf_counter() - started
+        candidates = _merged(found, question.merge)[: question.top]
+        doubt = doubt_of(side)
+        whole = calibrated and facts.compared_by == "fusion" and fusion == "fusion" and facts.compared == facts.captures
+        if whole and doubt is None and isinstance(made, Template) and candidates and not matches(candidates[0]):
+            row = candidates[0][2].row
+            for payload in opened.templates([row]).values():
+                doubt = scale_doubt(made, unpacked(opened.path, row, payload), question.fmr)
     by = {"minutiae": "minutiae_of_prints", "fusion": fusion}.get(facts.compared_by, facts.compared_by)
-    candidates = _merged(found, question.merge)[: question.top]
     rated = [_rated(one, by, area_mm2, question.fmr) if calibrated else None for one in candidates]
     reported = [_candidate(n, one, facts.captures, it) for n, one, it in zip(count(1), candidates, rated, strict=False)]
     first = rated[0] if rated else None
@@ -212,27 +215,18 @@ def identify_finger(
         at = None if first is None else first.decision
         at = at or MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
         decision = SearchDecision(at.match, at.fmr, at.threshold, at.expected_fmr, facts.captures * at.fmr)
-    doubt = doubt_of(side)
     if doubt is not None and not (decision and decision.match and side.kind != "touches"):  # a match confirms a print's
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     progress("done", 1.0)
     return Identification(
-        gallery=str(gallery),
+        gallery=str(gallery), mode="identification" if person is None else "verification", person=person, finger=finger,
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
-        mode="identification" if person is None else "verification",
-        person=person,
-        finger=finger,
-        by="minutiae" if of_minutiae else "ridges",
-        searched=facts,
-        merge=question.merge,
-        candidates=tuple(reported),
-        fmr_basis=None if not calibrated else fmr_basis(by) if first is None else first.basis,
-        decision=decision,
+        by="minutiae" if of_minutiae else "ridges", searched=facts, merge=question.merge, candidates=tuple(reported),
+        fmr_basis=None if not calibrated else fmr_basis(by) if first is None else first.basis, decision=decision,
         answer=answer if acquired or doubt else "not acquired",
-        undecided=undecided if acquired or doubt else "failure to acquire",
-        timings_s={"search": seconds},
-    )
+        undecided=undecided if acquired or doubt else "failure to acquire", timings_s={"search": seconds},
+    )  # fmt: skip
 
 
 _Found = tuple[float, float | None, Enrolled, float | None, float | None]

@@ -14,7 +14,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray
+from splitknit import FloatArray
 from splitknit_match.matching.elastic import (
     Affine,
     Agreement,
@@ -26,7 +26,7 @@ from splitknit_match.matching.elastic import (
     rigid,
     shown_in_a,
 )
-from splitknit_match.matching.minutia_pairs import Laid, Places, agreeing, pair_minutiae
+from splitknit_match.matching.minutia_pairs import Laid, Places, agreeing, on_ridges, pair_minutiae
 from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.ridge import (
     Prepared,
@@ -68,6 +68,8 @@ SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
 (standard deviation)."""
 _MOST_SCALED = 0.15
 """Natural logarithm of what is believed of that scale, at most."""
+_ONE_SCALE = 0.06
+"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one finger have 0.03."""
 _LOGS = np.linspace(np.log(1 / 0.9), np.log(1 / 0.28), 41)
 """Logarithms of the ridges that lie in a millimetre."""
 _FEW = 9.0
@@ -191,6 +193,16 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
     return found[best], scales[best], number
 
 
+def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] | None:
+    """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart, and by how much;
+    None where they do as they are, within 6 %."""
+    finer = _log_frequency(a) - _log_frequency(b)
+    if abs(finer) < _ONE_SCALE:
+        return None
+    scale = math.exp(abs(finer))
+    return (scaled(a, scale), b, scale) if finer > 0 else (a, scaled(b, scale), scale)
+
+
 def _log_frequency(template: Template) -> float:
     """Logarithm of the usual number of ridges in a millimetre, by the power spectrum; 0 of an empty template."""
     if template.empty:
@@ -305,12 +317,3 @@ def _pixels(side: Prepared, place: Places) -> NDArray[np.float64]:
     rows, columns = side.template.valid.shape
     pitch = side.template.pitch_mm
     return np.stack([(columns - 1) / 2 + place.real / pitch, (rows - 1) / 2 - place.imag / pitch], axis=1)
-
-
-def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(N,) whether columns and rows lie on a template's ridges."""
-    columns, rows = np.rint(place).astype(np.int64).T
-    inside = (rows >= 0) & (columns >= 0) & (rows < valid.shape[0]) & (columns < valid.shape[1])
-    result = np.zeros(len(place), dtype=np.bool_)
-    result[inside] = valid[rows[inside], columns[inside]]
-    return result

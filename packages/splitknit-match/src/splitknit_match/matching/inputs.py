@@ -149,12 +149,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         return _held_side(given, preset, settings, progress)
     path = given
     progress(f"reading {path.name}", 0.1)
-    try:
-        found = path.exists()
-    except (OSError, ValueError):
-        found = False
     require(
-        found,
+        os.path.exists(path),  # noqa: PTH110 - false, no error, where no file can have such a name
         f"there is no '{path}'; name a capture folder, a result folder, a template (.skt), a print "
         "or a record of minutiae.",
     )

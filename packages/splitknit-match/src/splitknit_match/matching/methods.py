@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Progress, Surface, naming, no_progress, override, path, require
-from splitknit_match.matching.fusion import SMALL_MM2, can_fuse, fused_match, fused_photo
+from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
@@ -220,6 +220,9 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
         **{name: partial(_by_space_minutiae, name) for name in ("minutiae3d", "tetrahedra")},
     }
     found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
+    if method == "fusion" and "photo" not in (first.kind, second.kind) and found.fmr is not None:
+        doubt = None if found.answer == "match" else scale_doubt(_template(first), _template(second), job.fmr, own)
+        found = found if doubt is None else replace(found, answer="undecided", undecided=doubt, decision=None)
     written = None if template is None else _written(template, first)
     progress("done", 1.0)
     return replace(found, template=written)
@@ -305,6 +308,18 @@ def doubt_of(side: Side | ComparedSide) -> str | None:
     return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
 
 
+def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
+    """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
+    if (sides := at_one_scale(a, b)) is None:
+        return None
+    found = fused_match(*sides[:2])
+    scores = scores_of("fusion", (sides[0].area_mm2, sides[1].area_mm2), found.minutiae)
+    if rate(found.similarity, scores, found.ridge.overlap_mm2, fmr, own).answer != "match":
+        return None
+    apart = 100 * (sides[2] - 1)
+    return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
+
+
 def _rated(
     found: Match, scores: str, settings: MatchingSettings, decide: tuple[float | None, OwnRates | None]
 ) -> Match:
@@ -375,7 +390,7 @@ def rate(
     rated_mm2, excluded_mm2 = _limits(scores) if own is None else (own.least_mm2, 0.0)
     if overlap_mm2 is not None and overlap_mm2 < rated_mm2:
         return unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {rated_mm2:.0f} mm² or more")
-    basis, found = _basis(table), _fmr(table, similarity, scores)
+    basis, found = _basis(table), table(similarity - (0.0 if scores in _WHOLE else _FMR_ROUNDING))
     at = max(DECIDED_AT, basis.smallest) if fmr is None else fmr
     if at < basis.smallest and scores == "windows":
         why = f"on small prints false match rates below {basis.smallest:.2g} were not measured"
@@ -401,20 +416,8 @@ def _basis(table: FmrTable) -> FmrBasis:
     return FmrBasis(table.impostors, table.population, table.smallest)
 
 
-def false_match_rate(similarity: float, method: str = "ridge") -> float:
-    """Rate at which other fingers reach this similarity of a method of :data:`TABLES`.
-
-    Never below one over the number of impostor comparisons that the table was measured on.
-    """
-    return _fmr(_fmr_table(method), similarity, method)
-
-
-def _fmr(table: FmrTable, similarity: float, method: str) -> float:
-    return table(similarity - (0.0 if method in _WHOLE else _FMR_ROUNDING))
-
-
 def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
+    """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or less.
 
     A smaller one than was measured is extrapolated (:meth:`splitknit_match.matching.score.FmrTable.beyond`). Raises
     BadInput if it is less than a hundredth of that.

@@ -111,13 +111,16 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     reach = round(_MARGIN_MM / pitch_mm)
     shown = cv2.dilate(np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8))
     middle = (np.array(shown.shape) - 1) / 2
-    rows = np.rint(middle[0] - at.imag / pitch_mm).astype(np.int64)
-    columns = np.rint(middle[1] + at.real / pitch_mm).astype(np.int64)
-    inside = (rows >= 0) & (columns >= 0) & (rows < shown.shape[0]) & (columns < shown.shape[1])
-    known = np.zeros(at.shape, dtype=np.float32)
-    known[inside] = shown[rows[inside], columns[inside]]
+    pixels = np.stack([middle[1] + at.real / pitch_mm, middle[0] - at.imag / pitch_mm], axis=-1)
+    known = on_ridges(shown > 0, pixels).astype(np.float32)
     value *= known[..., None]
     return Cylinders(place, turn, value.reshape(len(place), -1), np.repeat(known, _LEVELS, axis=1))
+
+
+def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> BoolArray:
+    """(...) whether columns and rows (..., 2) lie on a template's ridges."""
+    rows, columns = (np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1))
+    return np.asarray(np.pad(valid, 1)[rows, columns])
 
 
 def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Laid]:

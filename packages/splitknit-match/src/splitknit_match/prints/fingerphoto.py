@@ -1,14 +1,15 @@
 """Fingerphotos: one photograph of a finger, by a telephone or any camera, as a source of prints.
 
 The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as
-wide as the outline. Its print is then made as that of a capture's photograph is, on the plane or unrolled. The camera
-is taken to look straight at the pad from afar; nothing is known of the relief.
+wide as the outline. Its print is made by unrolling each cross-section, or as that of a capture's photograph is. The
+camera is taken to look straight at the pad from afar; nothing is known of the relief.
 """
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +43,9 @@ from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
-from splitknit_match.prints.make import Print, make_print
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
+from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.prints.sources import Source
 
@@ -54,14 +55,12 @@ USUAL_WIDTH_MM = 17.0
 _PEOPLE_WIDTH = 0.12
 """Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
 Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
-_THICKNESS = 0.8
-"""Depth over breadth of a fingertip."""
+_THICKNESS, _SLANT_DEG = 0.8, 70.0
+"""Depth over breadth of a fingertip; skin steeper than this is left out of its print."""
 _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
 _NARROWEST, _WIDEST = 130, 700
 """Widths of the finger in pixels: at least, and in the picture that is kept."""
-_COARSE = 1000
-"""Longer side of the mask that shows how wide the finger is."""
 _RIM_PX, _SHADING_PX = 8, 9.0
 """At 500 ppi: the rim of a print that is left out; sigma over which shading is taken out of it."""
 LEAST_QUALITY, _GOOD = 10, 50
@@ -128,13 +127,13 @@ def source_of_photo(
     taken, direction_deg = "taken for a photograph of a finger;", None
     if mask is None:
         chosen = finger_in_photo(pixels, box)
-        mask, direction_deg = chosen.mask, chosen.direction_deg
+        mask, direction_deg, width = chosen.mask, chosen.direction_deg, chosen.width_px
         if chosen.others:
             taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
     else:
         mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
         check_borders(mask)
-    width = _width_px(mask, direction_deg)
+        width = find_upright(mask).width_px
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -146,19 +145,17 @@ def source_of_photo(
     row, column = (np.arange(side, dtype=np.float32) for side in inside.shape)
     to = upright.upright_from_input[1]
     inside &= to[0] * column + (to[1] * row + to[2])[:, None] < upright.tip_row + _LENGTH * upright.width_px
-    shape, scale = _mean_shape(inside, upright), _NEARER * upright.width_px / USUAL_WIDTH_MM
-    found = Source(
-        "photo", inside, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape / np.float32(scale),
-        photo=light,
-    )  # fmt: skip
-    made = make_print(found, "photo", "free")
-    image, finger_px = _even(made)
+    sections = _cross_sections(inside, upright)
+    scale = by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
+    unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
+    values, weight = resample(light, inside, 1.0 / by_width, unrolled)
+    image, finger_px = _even(values, weight)
     ridges = pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
     field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
-    amplitude = np.abs(node_amplitudes(made.values, field, 0.75))
+    amplitude = np.abs(node_amplitudes(values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
-    clear &= amplitude > _FAINT * _at_nodes(made.values, field)
-    finger = _at_nodes(made.weight > 0.5, field)
+    clear &= amplitude > _FAINT * _at_nodes(values, field)
+    finger = _at_nodes(weight > 0.5, field)
     quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
     brightness = light[inside] / np.float32(np.iinfo(pixels.dtype).max)
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
@@ -167,44 +164,42 @@ def source_of_photo(
         f"the photograph's quality is {quality:.0f} of 100, below {LEAST_QUALITY}; {change}, and photograph it again.",
     )
     if px_per_mm is None:
-        scale, note = _usual_scale(field, clear, scale, upright.width_px)
+        scale, note = _usual_scale(field, clear, by_width, upright.width_px)
     else:
         scale = px_per_mm * reduction
-        note = f"by the given scale it is {upright.width_px / scale:.1f} mm wide."
-        note = " ".join([note, *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")])
+        note = " ".join(
+            [
+                f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
+                *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale"),
+            ]
+        )
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
-    shown = cv2.remap(phalange.view(np.uint8), made.map.columns, made.map.rows, cv2.INTER_NEAREST) > 0
-    smaller = 1.0 / (found.pitch_mm * scale)
-
-    def scaled(values: NDArray[Any], beyond: int) -> NDArray[Any]:
-        return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=smaller, fy=smaller))
-
+    shown = cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
+    scaled = partial(_scaled, shown, by_width / scale)
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
-    return replace(
-        found, mask=phalange, pitch_mm=1.0 / scale, shape_mm=shape / np.float32(scale), scale=f"{taken} {note}",
-        quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
+    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale)
+    return Source(
+        "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
+        scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
     )  # fmt: skip
 
 
-def _width_px(mask: BoolArray, direction_deg: float | None) -> float:
-    """Width of a finger (H, W), by a mask of fewer pixels."""
-    coarse = min(1.0, _COARSE / max(mask.shape))
-    small = cv2.resize(mask.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
-    return float(find_upright(small, direction_deg).width_px / coarse)
+def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
+    return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor))
 
 
-def _even(made: Print) -> tuple[NDArray[np.uint8], BoolArray]:
+def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere, so that blocks of
     JPEG that lost their ridges stay flat.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1, 2 * _RIM_PX + 1))
-    whole = cv2.erode((made.weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     known = whole.astype(np.float32)
-    detail, _ = without_shading(np.log(np.maximum(made.values, np.float32(1.0))) * known, known, _SHADING_PX)
+    detail, _ = without_shading(np.log(np.maximum(values, np.float32(1.0))) * known, known, _SHADING_PX)
     usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0
     grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * float(usual), 1e-6), -1.0, 1.0)
     return np.round(grey).astype(np.uint8), whole > 0
@@ -240,19 +235,47 @@ def _at_nodes(image: NDArray[Any], field: RidgeField) -> NDArray[Any]:
     return padded[step // 2 :: step, step // 2 :: step]
 
 
-def _mean_shape(inside: BoolArray, upright: Upright) -> FloatArray:
-    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
+def _cross_sections(inside: BoolArray, upright: Upright) -> tuple[slice, FloatArray, FloatArray]:
+    """Rows of the upright frame that hold the finger; and (rows,) middle and half width of its smoothed outline, px."""
     rows, columns = upright.size
-    turned = cv2.warpAffine(inside.astype(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
+    turned = cv2.warpAffine(inside.view(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
     known, every = np.flatnonzero(turned.any(axis=1)), np.arange(rows)
     ends = turned[known].argmax(axis=1), columns - 1 - turned[known, ::-1].argmax(axis=1)
     lines = np.stack([np.interp(every, known, side) for side in ends])
     size, sigma = (2 * round(0.12 * upright.width_px) + 1, 1), 0.03 * upright.width_px
-    left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)[..., None].astype(np.float32)
-    half = np.maximum(0.5 * (right - left), np.float32(1.0))
-    aside = (np.arange(columns, dtype=np.float32) - 0.5 * (left + right)) / half
+    left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)
+    return slice(known[0], known[-1] + 1), 0.5 * (left + right), np.maximum(0.5 * (right - left), 1.0)
+
+
+def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright: Upright) -> FloatArray:
+    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
+    middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
+    aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
     height = np.float32(_THICKNESS) * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
     return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), np.float32(0.0))
+
+
+def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Upright, step: float) -> PrintMap:
+    """Where each pixel of the unrolled print lies: along the top line, then along the elliptic cross-section.
+
+    `held`, `middle`, `half`: from :func:`_cross_sections`; `step`: pixels of the photograph in one of the print.
+    """
+    middle, half = middle[held], half[held]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, _THICKNESS * np.diff(half)))])
+    turn = np.linspace(0.0, 0.5 * np.pi, 200)  # of an ellipse: aside = sin(turn)
+    slope = np.hypot(np.cos(turn), _THICKNESS * np.sin(turn))
+    arc = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(turn))])
+    steepest = np.arctan(np.tan(np.radians(_SLANT_DEG)) / _THICKNESS)
+    size = int(along[-1] / step) + 1, 2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1
+    row = np.interp(np.arange(size[0]) * step, along, np.arange(len(along)))[:, None]
+    centre, radius = (np.interp(row, np.arange(len(along)), part) for part in (middle, half))
+    aside = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
+    at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
+    places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
+    columns, rows = cv2.split(cv2.transform(places, upright.input_from_upright[:2]))
+    seen = np.abs(at) < steepest
+    columns, rows = (np.where(seen, part, np.float32(NOWHERE)) for part in (columns, rows))
+    return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 
 
 def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px: float) -> tuple[float, str]:

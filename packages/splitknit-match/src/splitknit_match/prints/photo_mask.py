@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -22,6 +23,8 @@ _WIDTHS = tuple(0.11 * 1.18**k for k in range(11))
 """Of fingers, in longer sides of the picture."""
 _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
+_LEAST_STEP = 2
+"""Pixels between two places at which one is sought: edges are as broad."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
 _TIP = 0.6
@@ -38,11 +41,12 @@ _BLOCK, _BLOCKS, _WIDTH_PX = 48, 40, 400
 """Side and number of the windows in which ridges are sought, and width of the finger at most, pixels."""
 _RIDGES = (23.5, 61.0)
 """Of a finger's width: it is some 38 ridges wide."""
-_MOST = 0.6
-"""Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2."""
-MIN_LIKENESS, _IN_BOX = 0.12, 0.01
-"""Drawn fingers have 0.2 to 1, pictures without one less than 0.15 (validation/match/telephone.py); and where somebody
-says that there is one."""
+_MOST, _NO_RIDGES = 0.6, 0.2
+"""Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2; and what is
+left of the likeness without ridges."""
+_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.12, 0.01
+"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.2 to 1, pictures without
+a finger less than 0.15 (validation/match/telephone.py); and where somebody says that there is one."""
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Array = NDArray[np.float64]
 
@@ -86,6 +90,7 @@ class FingerFound:
     """(H, W)."""
     direction_deg: float
     """Of its tip: 0 = up, counter-clockwise."""
+    width_px: float
     others: int
     """Further fingers in the picture."""
 
@@ -110,12 +115,17 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     fine, side = _colours(part, _FINE), max(part.shape[:2])
     lab = _reduced(fine, _FITTED)
     bins = _bins(lab)
-    rated: list[tuple[float, Outline]] = []
+    shaped: list[tuple[float, Outline]] = []
     for one in _sought(_reduced(fine, _SOUGHT)):
         for reach in (0.3, 0.2):
             one = _fitted(one, lab, bins, _LENGTH, reach)  # noqa: PLW2901
         if ((one.middle * side >= low) & (one.middle * side <= low + most)).all():
-            rated.append((_likeness(one, lab, part), one))
+            shaped.append((_likeness(one, lab), one))
+    shaped.sort(key=lambda item: -item[0])
+    rated: list[tuple[float, Outline]] = []
+    for value, one in shaped:
+        if value > max(_LEAST, 0.5 * max((of for of, _ in rated), default=0.0)):  # ridges only lower it
+            rated.append((value * _by_ridges(part, one), one))
     rated.sort(key=lambda item: -item[0])
     require(
         bool(rated) and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
@@ -140,7 +150,8 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     mask = np.zeros((height, width), np.bool_)
     inside = _middles_in(best.corners(part.shape), part.shape)
     mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = inside
-    return FingerFound(mask, float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1]))), len(others))
+    direction_deg = float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1])))
+    return FingerFound(mask, direction_deg, best.width * side, len(others))
 
 
 def _colours(pixels: Pixels, side: int) -> FloatArray:
@@ -150,6 +161,8 @@ def _colours(pixels: Pixels, side: int) -> FloatArray:
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
+    while max(picture.shape[:2]) > 4 * side:  # halves are quick
+        picture = cv2.resize(picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA)
     factor = min(1.0, side / max(picture.shape[:2]))
     return np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
 
@@ -163,12 +176,18 @@ def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
 
 def _middles_in(corners: Array, shape: tuple[int, ...]) -> BoolArray:
     """(H, W) pixels whose middle lies in a polygon (N, 2): those that its sides cross make a finger a pixel wider."""
+    most = np.array(shape[1::-1])
+    (left, top), (right, bottom) = (
+        np.clip(one.astype(np.intp), 0, most) for one in (np.floor(corners.min(0)), np.ceil(corners.max(0)) + 1)
+    )
     (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
-    row, side = np.nonzero((y > (rows := np.arange(shape[0])[:, None])) != (to_y > rows))
-    crossed = x[side] + (row - y[side]) / (to_y - y)[side] * (to_x - x)[side]
-    sides = np.zeros((shape[0], shape[1] + 1), np.uint8)
-    np.add.at(sides, (row, np.clip(np.ceil(crossed), 0, shape[1]).astype(np.intp)), 1)
-    return np.asarray(np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0)
+    row, side = np.nonzero((y > (rows := np.arange(top, bottom)[:, None])) != (to_y > rows))
+    crossed = x[side] + (row + top - y[side]) / (to_y - y)[side] * (to_x - x)[side]
+    sides = np.zeros((bottom - top, right - left + 1), np.uint8)
+    np.add.at(sides, (row, np.clip(np.ceil(crossed) - left, 0, right - left).astype(np.intp)), 1)
+    mask = np.zeros(shape[:2], np.bool_)
+    mask[top:bottom, left:right] = np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0
+    return mask
 
 
 def _tip_at(turn: Array) -> tuple[Array, Array]:
@@ -204,13 +223,14 @@ def _sought(lab: FloatArray) -> list[Outline]:
     pairs = ((right, right), (right, down), (down, down))
     xx, xy, yy = (cv2.GaussianBlur((one * two).sum(-1), (0, 0), 1.0) for one, two in pairs)
     level = xx + yy + np.float32(1.0)
-    turned = [(np.cos(t), np.sin(t)) for t in np.pi * np.arange(_BINS) / _BINS]
-    oriented = [(c * c * xx + 2 * c * s * xy + s * s * yy) / level for c, s in turned]
-    found: list[tuple[float, Outline]] = []
+    bins = [(np.cos(t), np.sin(t)) for t in np.pi * np.arange(_BINS) / _BINS]
+    oriented = [(c * c * xx + 2 * c * s * xy + s * s * yy) / level for c, s in bins]
+    rough, skin, found = (xx + yy) / level, _skin(smooth), []
     for width in _WIDTHS:
-        found += _of_width(width, oriented, (xx + yy) / level, _skin(smooth))
+        found += _of_width(width, oriented, rough, skin)
     kept: list[Outline] = []
-    for _, one in sorted(found, key=lambda item: -item[0]):
+    for _, turned, tip, width in sorted(found, key=lambda item: -item[0]):
+        one = replace(turned, tip=tip, width=width)
         if not any(_alike(one, two) for two in kept):
             kept.append(one)
         if len(kept) == _TRIED:
@@ -225,33 +245,40 @@ def _alike(one: Outline, two: Outline) -> bool:
 
 def _of_width(
     width: float, oriented: list[FloatArray], rough: FloatArray, skin: FloatArray
-) -> Iterator[tuple[float, Outline]]:
-    """The best places (rating, outline) of each turn of a width."""
+) -> Iterator[tuple[float, Outline, Array, float]]:
+    """The best places of each turn of a width: rating, an outline of that turn, its tip and width."""
     shape, side = rough.shape, max(rough.shape)
     px = width * side
-    pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
-    maps = [np.pad(cv2.GaussianBlur(one, (0, 0), blur), pad, constant_values=0.2) for one in oriented]
-    plain = np.pad(0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur), pad, constant_values=-0.25)
-    parts = (_tip_at(np.radians([-75.0, -50, -25, 0, 25, 50, 75])), *_sides_at(np.linspace(_TIP + 0.1, 1.6, 6)))
-    inner = np.array([[x, y] for y in (0.35, 0.65, 0.95, 1.25) for x in (-0.2, 0.2)])
-
-    def at(picture: FloatArray, place: Array) -> FloatArray:
-        x, y = np.rint(place * px).astype(int) + pad
-        return picture[y : y + shape[0] : step, x : x + shape[1] : step]
-
-    for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS:
-        one = Outline(np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), width, np.zeros((0, 2)))
-        means = []
-        for points, normals in parts:
-            across = one.places(normals)
-            bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
-            means.append(_mean([at(maps[b], place) for b, place in zip(bins, one.places(points), strict=True)]))
-        tip, left, right = means
-        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right)
-        value += _mean([at(plain, place) for place in one.places(inner)])
+    pad, step, blur = int(2 * px) + 2, max(_LEAST_STEP, int(0.08 * px)), max(0.06 * px, 0.3)
+    around = (pad, pad, pad, pad, cv2.BORDER_CONSTANT, None)
+    maps = [cv2.copyMakeBorder(cv2.GaussianBlur(one, (0, 0), blur), *around, 0.2) for one in oriented]
+    plain = 0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur)
+    maps.append(cv2.copyMakeBorder(plain, *around, -0.25))
+    for one, bins, places in _sought_places():
+        seen = [
+            maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
+            for b, (x, y) in zip(bins, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
+        ]
+        tip, left, right, inner = (_mean(seen[k : k + n]) for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
+        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
-            yield float(value[i, j]), replace(one, tip=np.array([j * step + 0.5, i * step + 0.5]) / side)
+            yield float(value[i, j]), one, np.array([j * step + 0.5, i * step + 0.5]) / side, width
+
+
+@lru_cache(maxsize=1)
+def _sought_places() -> list[tuple[Outline, list[int], Array]]:
+    """For each turn: an outline, and where its edges and skin are looked up: of which map, and (27, 2) where."""
+    parts = (_tip_at(np.radians([-75.0, -50, -25, 0, 25, 50, 75])), *_sides_at(np.linspace(_TIP + 0.1, 1.6, 6)))
+    inner = np.array([[x, y] for y in (0.35, 0.65, 0.95, 1.25) for x in (-0.2, 0.2)])
+    points, normals = (np.vstack([part[k] for part in parts]) for k in (0, 1))
+    found = []
+    for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS:
+        one = Outline(np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), 1.0, np.zeros((0, 2)))
+        across = one.places(normals)
+        bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
+        found.append((one, [*bins.tolist(), *[_BINS] * len(inner)], one.places(np.vstack([points, inner]))))
+    return found
 
 
 def _mean(pictures: list[FloatArray]) -> FloatArray:
@@ -353,8 +380,8 @@ def _smoothed(histogram: NDArray[Any]) -> FloatArray:
     return np.asarray(cube)
 
 
-def _likeness(one: Outline, lab: FloatArray, pixels: Pixels) -> float:
-    """How much an outline and what is in it are like a finger, 0 to 1."""
+def _likeness(one: Outline, lab: FloatArray) -> float:
+    """How much an outline and the colours in it are like a finger's, 0 to 1."""
     side, inside = max(lab.shape[:2]), _filled(one.corners(lab.shape, 1.4, 0.85), lab.shape)
     if inside.sum() < 30:
         return 0.0
@@ -366,15 +393,12 @@ def _likeness(one: Outline, lab: FloatArray, pixels: Pixels) -> float:
     contrast = float(np.clip(np.linalg.norm(within - ahead, axis=1) / 12.0, 0, 1).mean())
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))
     value = np.clip((one.edges - 0.4) / 0.45, 0, 1) * contrast**2 * np.exp(-((spread / 8.0) ** 2))
-    value *= float(_skin(lab[inside]).mean())
-    ridges = ridges_in(pixels, one) if value > 0.01 else None
-    return 0.0 if ridges is None else float(value * np.clip(ridges / 0.3, 0.2, 1))
+    return float(value * _skin(lab[inside]).mean())
 
 
-def ridges_in(pixels: Pixels, one: Outline) -> float | None:
-    """How much of the fine detail in an outline is one wave as far apart as ridges, running on from window to window.
-
-    0 to 1, mean of the better half of the windows; None where they vary more than skin does.
+def _by_ridges(pixels: Pixels, one: Outline) -> float:
+    """Part of an outline's likeness that its ridges leave: how much of the fine detail is one wave as far apart as
+    ridges, running on from window to window, in the better half of the windows; 0 where they vary more than skin does.
     """
     size = max(pixels.shape[:2])
     scale = min(1.0, _WIDTH_PX / (one.width * size))
@@ -388,7 +412,7 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
     places = np.argwhere(whole[: max(len(light) - _BLOCK, 0) : 24, : max(light.shape[1] - _BLOCK, 0) : 24]) * 24
     if not len(places):
-        return 0.0
+        return _NO_RIDGES
     places = places[np.linspace(0, len(places) - 1, min(len(places), _BLOCKS)).astype(np.intp)]
     blocks = np.stack([light[i : i + _BLOCK, j : j + _BLOCK] for i, j in places])
     blocks -= blocks.mean(axis=(1, 2), keepdims=True)
@@ -396,7 +420,7 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     for slope in (ramp[:, None], ramp):  # shading is not detail
         blocks -= (blocks * slope).sum(axis=(1, 2), keepdims=True) / (_BLOCK * (ramp**2).sum()) * slope
     if np.median(blocks.std(axis=(1, 2))) > _MOST:
-        return None
+        return 0.0
     power = np.abs(np.fft.rfft2(blocks * np.hanning(_BLOCK)[:, None] * np.hanning(_BLOCK))) ** 2
     along, across = np.fft.fftfreq(_BLOCK)[:, None], np.fft.rfftfreq(_BLOCK)[None, :]
     frequency = np.hypot(along, across)
@@ -411,4 +435,4 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
     beside = part * ((apart > 0) & (apart < 1.5 * 24))
     part *= (agree * beside).sum(axis=1) / np.maximum(beside.sum(axis=1), 1e-9)
-    return float(np.mean(np.sort(part)[len(part) // 2 :]))
+    return float(np.clip(np.mean(np.sort(part)[len(part) // 2 :]) / 0.3, _NO_RIDGES, 1))

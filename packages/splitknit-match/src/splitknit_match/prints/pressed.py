@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, blur, fill_holes
-from splitknit_match.prints.ridge_field import overlap_added
+from splitknit import BoolArray, FloatArray, blur, fill_holes, wide_blur
+from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8
@@ -108,7 +108,7 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
-    wave /= np.sqrt(blur(wave * wave, 0.7 * reach)) + np.float32(0.02)
+    wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + np.float32(0.02)
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
     sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence: FloatArray = np.asarray(
@@ -123,13 +123,18 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     return PressedRidges(np.round(255.0 * grey).astype(np.uint8), inside, np.where(inside, confidence, np.float32(0)))
 
 
+def _mean(image: FloatArray, reach: float) -> FloatArray:
+    """(H, W) mean in a Gaussian window of sigma `reach`, px; wide ones, of photographs, on a smaller copy."""
+    return blur(image, reach) if reach < 1.1 * _CONTRAST_PX else wide_blur(image, reach)
+
+
 def without_shading(values: FloatArray, known: FloatArray, reach: float) -> tuple[FloatArray, FloatArray]:
     """(H, W) values less their mean in a Gaussian window of sigma `reach` (px) where `known` is 1, else 0; and the
     window's weight, above 0.
     """
-    weight = np.maximum(blur(known, reach), np.float32(1e-3))
+    weight = np.maximum(_mean(known, reach), np.float32(1e-3))
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the edge
-        values = np.asarray((values - blur(values * known, reach) / weight) * known, dtype=np.float32)
+        values = np.asarray((values - _mean(values * known, reach) / weight) * known, dtype=np.float32)
     return values, weight
 
 
@@ -139,7 +144,7 @@ def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatAr
     grey = image.astype(np.float32)
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
     centred, weight = without_shading(grey, known, reach)
-    contrast = np.sqrt(blur(centred * centred, reach) / weight)
+    contrast = np.sqrt(_mean(centred * centred, reach) / weight)
     level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
@@ -173,15 +178,16 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
 
 def _spectra(even: FloatArray) -> NDArray[np.complex64]:
     """(n, m, window, window // 2 + 1) of overlapping windows, of which the first begins before the print."""
-    import scipy.fft  # a comparison of templates needs none of it
-
     side, step = _WINDOW_PX, _STEP_PX
     below, right = ((-size // step + 1) * step + 2 * side for size in (-even.shape[0], -even.shape[1]))
     first = side - step
     padded = cv2.copyMakeBorder(even, first, below - first - step, first, right - first - step, cv2.BORDER_CONSTANT)
     windows = sliding_window_view(padded, (side, side))[::step, ::step]
     n, m = (-(-size // step) + side // step - 1 for size in even.shape)
-    return np.asarray(scipy.fft.rfft2(windows[:n, :m] * _TAPER), dtype=np.complex64)
+    spectra = np.empty((n, m, side, side // 2 + 1), dtype=np.complex64)
+    for k in range(n):  # one line after the other: they stay in the cache
+        spectra[k] = spectra_of(windows[k, :m] * _TAPER)
+    return spectra
 
 
 @lru_cache(maxsize=1)
@@ -257,17 +263,19 @@ def _filtered(
     spectra: NDArray[np.complex64], direction: FloatArray, frequency: FloatArray, agreement: FloatArray
 ) -> FloatArray:
     """What runs along the ridges and has their period, from windows added up."""
-    import scipy.fft  # a comparison of templates needs none of it
-
     _, _, fans, bands = _bank()
     side, step = _WINDOW_PX, _STEP_PX
     turn = np.rint(direction * (_TURNS / np.pi)).astype(np.intp) % _TURNS
     fan = np.clip((0.95 - agreement) / 0.6 * len(_FANS_DEG), 0, len(_FANS_DEG) - 1).astype(np.intp)
     lowest, highest = np.log([1 / _LONGEST_PX, 1 / _SHORTEST_PX])
-    band = np.clip(np.rint((frequency - lowest) / (highest - lowest) * (len(bands) - 1)), 0, len(bands) - 1)
-    kept = spectra * fans[fan, turn]
-    kept *= bands[band.astype(np.intp)]
-    parts = scipy.fft.irfft2(kept, s=(side, side)) * _TAPER
+    band = np.clip(np.rint((frequency - lowest) / (highest - lowest) * (len(bands) - 1)), 0, len(bands) - 1).astype(
+        np.intp
+    )
+    parts = np.empty((*spectra.shape[:2], side, side), dtype=np.float32)
+    for k, line in enumerate(spectra):
+        kept = line * fans[fan[k], turn[k]]
+        kept *= bands[band[k]]
+        parts[k] = np.fft.irfft2(kept, s=(side, side)) * _TAPER
     return overlap_added(parts, step)[side - step :, side - step :]
 
 

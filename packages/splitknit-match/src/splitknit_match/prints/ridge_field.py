@@ -11,7 +11,6 @@ from itertools import product
 
 import cv2
 import numpy as np
-import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
@@ -108,6 +107,13 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
 
+def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
+    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps single precision."""
+    spectra = np.fft.rfft2(tiles, norm="forward")
+    spectra *= np.float32(tiles.shape[-1] * tiles.shape[-2])
+    return np.asarray(spectra, dtype=np.complex64)
+
+
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     """Sum of tiles (n, m, side, side) that lie `step` pixels apart, as far as whole steps go."""
     (n, m), times = tiles.shape[:2], tiles.shape[2] // step
@@ -147,7 +153,8 @@ def _frequencies(
     within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
     """
     nodes = mask.shape
-    side = scipy.fft.next_fast_len(max(16, round(_WINDOW_MM * px)), real=True)
+    least = max(16, round(_WINDOW_MM * px))
+    side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)  # of small prime factors: quick to transform
     pad = side // 2
     wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
     windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
@@ -156,13 +163,13 @@ def _frequencies(
     wanted = np.asarray(padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3)))
     patches = windows[: count[0], : count[1]][wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
-    spectrum = scipy.fft.rfft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
+    spectrum = spectra_of((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
     power = spectrum.real**2 + spectrum.imag**2
     total = power.sum(axis=(1, 2))
     # columns -3 to the end: a wave near column 0 has half of its peak on the other side
     mirrored = np.roll(power[:, ::-1], 1, axis=1)[:, :, 3:0:-1]
     power = np.concatenate([mirrored, power], axis=2).reshape(len(patches), -1)
-    ky, kx = np.meshgrid(scipy.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
+    ky, kx = np.meshgrid(np.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
     radius = np.hypot(kx, ky).ravel()
     reach = 2.5 / side
     band = (radius > 1.0 / (_LONGEST_MM * px) - reach) & (radius < 1.0 / (_SHORTEST_MM * px) + reach)

@@ -222,6 +222,14 @@ class CardModel:
                 rows += [by_u, by_v]
         return np.array(places, dtype=np.intp), np.stack(rows)
 
+    def jacobian(self, answer: Answer, order: Order) -> Array:
+        """(L, N, P) derivatives of :meth:`logarithm`."""
+        found = np.zeros((*self.known.shape, self.size(order)))
+        for k in range(self.count):
+            places, rows = self.slopes(answer, order, k)
+            found[k][:, places] = rows.T
+        return found
+
     def exponents(self, values: Array, order: Order) -> Array:
         """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent; NaN where nothing."""
         own = values[list(self._places(order)[2])]

@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from splitknit import Array, BoolArray, Camera, Led, require
 from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
 
-# Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
+# Robust least squares for the model of a white card, by scipy with weights of the card's places.
 #
 # Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is not dust but that LED,
 # and must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
 
-_STEPS, _STAGES = 30, 10
+_STAGES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,64 +38,27 @@ class _CardFit:
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
     """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
     vector, weight = model.project(model.vector(start, order), order), np.ones(logarithm.shape[1])
+    middle, inverse = model.prior(order)
+
+    def residuals(vector: Array, root: Array) -> Array:
+        apart = (model.logarithm(model.answer(vector, order)) - logarithm) * root
+        return np.concatenate([apart.ravel(), (vector - middle) * inverse])
+
+    def slopes(vector: Array, root: Array) -> Array:
+        rows = model.jacobian(model.answer(vector, order), order) * root[:, None]
+        return np.concatenate([rows.reshape(-1, len(vector)), np.diag(inverse)])
+
     for _ in range(_STAGES):
-        problem = _Problem(model, order, logarithm, weight, scale)
-        vector = _descend(problem, vector)
+        root = np.sqrt(weight) / scale
+        fitted = least_squares(residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7)
+        vector = model.project(fitted.x, order)
         common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
         width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
         last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
         if float(np.abs(weight - last).max()) < 0.01:
             break
-    return _CardFit(order, model.answer(vector, order), problem.equations(vector)[0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """Weighted least squares with the model's priors."""
-
-    model: CardModel
-    order: Order
-    logarithm: Array
-    weight: Array  # (N,)
-    scale: float
-
-    def cost(self, vector: Array) -> float:
-        middle, inverse = self.model.prior(self.order)
-        residual = (self.model.logarithm(self.model.answer(vector, self.order)) - self.logarithm) / self.scale
-        return float((residual * residual @ self.weight).sum() + (((vector - middle) * inverse) ** 2).sum())
-
-    def equations(self, vector: Array) -> tuple[Array, Array]:
-        """Normal matrix (P, P) and gradient (P,)."""
-        model, order = self.model, self.order
-        answer = model.answer(vector, order)
-        residual = (model.logarithm(answer) - self.logarithm) / self.scale
-        middle, inverse = model.prior(order)
-        normal, slope = np.diag(inverse**2), (vector - middle) * inverse**2
-        for k in range(model.count):
-            places, rows = model.slopes(answer, order, k)
-            weighted = rows * (self.weight / self.scale)
-            normal[np.ix_(places, places)] += weighted @ rows.T / self.scale
-            slope[places] += weighted @ residual[k]
-        return normal, slope
-
-
-def _descend(problem: _Problem, vector: Array) -> Array:
-    damping, least = 1e-4, problem.cost(vector)
-    for _ in range(_STEPS):
-        normal, slope = problem.equations(vector)
-        for _ in range(12):
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
-            moved = problem.model.project(vector + step, problem.order)
-            value = problem.cost(moved)
-            if value <= least:
-                break
-            damping *= 8.0
-        else:
-            break
-        gain, vector, least, damping = least - value, moved, value, max(damping / 8.0, 1e-12)
-        if gain < 1e-7 * least + 1e-9:
-            break
-    return vector
+    found = slopes(vector, root)
+    return _CardFit(order, model.answer(vector, order), found.T @ found)
 
 
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
@@ -121,24 +85,16 @@ def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: A
     spot, in its errors, is returned.
     """
     used = np.isfinite(rest)
-    left, size = np.where(used, rest, 0.0), model.size(fit.order)
-    normal, slope, across = np.zeros((size, size)), np.zeros(size), np.zeros((len(WIDTHS_DEG), size))
-    spots = [np.exp(-0.5 * (half_angles_deg / width) ** 2) * used for width in WIDTHS_DEG]
-    for k in range(model.count):
-        places, rows = model.slopes(fit.answer, fit.order, k)
-        rows = rows * used[k]
-        normal[np.ix_(places, places)] += rows @ rows.T
-        slope[places] += rows @ left[k]
-        for number, spot in enumerate(spots):
-            across[number, places] += rows @ spot[k]
-    inverse = np.linalg.pinv(normal, rcond=1e-12)
-    noise = float(np.sqrt(np.mean(left[used] ** 2)))
+    left, rows = rest[used], model.jacobian(fit.answer, fit.order)[used]
+    inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
+    noise = float(np.sqrt(np.mean(left**2)))
     found = (0.0, np.inf)
-    for spot, shared in zip(spots, across, strict=True):
-        whole = float((spot * spot).sum())
+    for width in WIDTHS_DEG:
+        spot = np.exp(-0.5 * (half_angles_deg[used] / width) ** 2)
+        shared, whole = rows.T @ spot, float(spot @ spot)
         own = whole - float(shared @ inverse @ shared)
         if own >= 1e-6 * whole + 1e-9:
-            value = float(((spot * left).sum() - shared @ inverse @ slope) / own)
+            value = float((spot @ left - shared @ inverse @ slope) / own)
             found = max(found, (value, float(noise / np.sqrt(own))), key=lambda one: one[0] / one[1])
     return found
 

@@ -52,8 +52,7 @@ class MotionSettings(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShotMotion:
-    shift_mm: NDArray[np.float64]
-    """(L, 2): x right, y up."""
+    shift_mm: NDArray[np.float64]  # (L, 2): x right, y up
     reliability: NDArray[np.float64]
     """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 

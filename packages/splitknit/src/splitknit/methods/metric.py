@@ -13,7 +13,7 @@ from splitknit.errors import Note, require
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
-from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
+from splitknit.methods.photographs import SIDE_UNUSED, FingerBand, FingerPhotographs, FingerSurface
 from splitknit.methods.photometry import (
     OPAQUE,
     Slopes,
@@ -25,7 +25,6 @@ from splitknit.methods.photometry import (
     slopes_of,
 )
 from splitknit.model import FloatArray
-from splitknit.networks.augmentation import UPRIGHT
 from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
@@ -40,6 +39,7 @@ from splitknit.skin.learned import (
     refined_shape,
     relief_by_network,
     relief_network,
+    relief_of_output,
     variance_restored,
 )
 from splitknit.skin.light import slant_of
@@ -49,7 +49,7 @@ from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shap
 from splitknit.steps import step
 
 TURNED = (5, 6)
-"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the last relief estimate."""
+"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the relief estimate."""
 BOTH_DEG = (30.0, 40.0)
 """Slants of the skin between which the relief becomes the mean of two estimates, from both series of a polarised
 capture and from the crossed one: the first is too high there, the second too low."""
@@ -72,8 +72,23 @@ NO_SPECULAR = (
 )
 SIDE_MISFIT = (
     "{} of the white images lit from the side do not fit the others and are left out: check these LEDs' places and "
-    "their films, which must let the skin's mirror reflection pass the camera's film."
+    "their films, if any, which must let the skin's mirror reflection pass the camera's film."
 )
+NO_WHITE = (
+    "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be told "
+    "from its colour (films show it)."
+)
+WHITE = (0.45, 10.0)
+"""Roughness, and scattered over specular light, up to which white light shows the ridges better than the front lights
+alone: of eight fingers one is worse beyond each."""
+RED_PART = 0.5
+"""Part of the red light, in the colour of the skin, that is taken from the blue to leave white light. Between 0.3 and
+0.65 ridges come out alike (``validation/path_traced/polarised.py``)."""
+SHAPE_MM = 2.0
+"""Standard deviation of the Gaussian mean of the heights that white light does not show: it follows from how much of
+the light is scattered, which colours show only roughly."""
+COLOUR_MM = 1.0
+"""Standard deviation of the Gaussian mean whose colour is that of the skin."""
 
 
 def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
@@ -98,8 +113,7 @@ class SkinSurface:
     relief_mm: FloatArray
     deviation_mm: FloatArray
     """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and model error."""
-    albedo: FloatArray
-    """Diffuse brightness of the first channel, relative."""
+    albedo: FloatArray  # diffuse brightness of the first channel, relative
     facts: Mapping[str, Any]
 
 
@@ -131,38 +145,55 @@ def metric_skin(
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
-def metric_polarised(
+def metric_specular(
     images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
 ) -> SkinSurface:
-    """The `metric` method for skin photographed behind films, parallel and crossed.
+    """The `metric` method for skin whose specular reflection shows: behind films, or under lights from the side too.
 
-    The crossed series shows no specular reflection: it gives the shape. Both series together give a first relief, and
-    from there their difference, the specular image, measures the heights. Where films show hardly any specular
-    reflection (matt or wet skin), the result is that of :func:`metric_skin`.
+    Behind films the crossed series gives the shape, without specular reflection, and both together a first relief; from
+    there their difference, the specular image, measures the heights. Without films that image is what is white in the
+    photographs, and light of short paths in the skin. Where there is hardly any specular reflection (matt or wet skin),
+    the result is that of :func:`metric_skin`.
 
-    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
-    :func:`metric_skin`.
+    `images`: whose `bands` are as without films, and whose `crossed` or `side` is not None. `skin`, `p`, `networks`: as
+    for :func:`metric_skin`.
     """
-    grid, both, crossed = images.grid, images.bands[0], images.crossed
-    assert crossed is not None
-    first = metric_skin((replace(crossed, unpolarised=both), *images.bands[1:]), grid, skin, p, networks)
+    grid, both, crossed, side = images.grid, images.bands[0], images.crossed, images.side
+    white = both if crossed is None else replace(crossed, unpolarised=both)
+    first = metric_skin((white, *images.bands[1:]), grid, skin, p, networks)
     shape, relief, deviation = first.shape_mm, first.relief_mm, first.deviation_mm
     if networks is None:  # a relief by colour alone would lead astray
         relief, deviation = 0 * relief, np.full_like(deviation, UNKNOWN_MM)
+    if crossed is None:
+        red, blue = (grid.smooth(both.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
+        part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
+        crossed = without_white(both, part)
     specular = specular_images(both, crossed, images.parallel, grid, shape)
-    if images.side is not None:
-        aside = specular_images(*images.side, grid, shape)
+    if side is not None:
+        aside = specular_images(side[0], side[1] or without_white(side[0], part), side[2], grid, shape)
         rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
         noise = min(specular.noise, aside.noise)
         specular = replace(specular, stack=np.concatenate([specular.stack, aside.stack]), rig=rig, noise=noise)
     height_mm, error_mm, found = polarised_heights(specular, grid, shape + relief, deviation)
-    if found["specular_over_noise"] < FAINT:
-        modelled = metric_skin(images.bands, grid, skin, p, networks)
+    faint = found["specular_over_noise"] < FAINT
+    if images.crossed is None:
+        limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
+        faint |= max(limits) > 1 or not found["side_lights"]
+    if faint:
+        modelled = first if images.crossed is None else metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
     rest = height_mm - shape
+    if images.crossed is None:
+        rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
     slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    facts = {**first.facts, "relief_by": "polarised", "specular": found}
+    facts = {**first.facts, "relief_by": "side" if images.crossed is None else "polarised", "specular": found}
     return SkinSurface(shape + slow, rest - slow, error_mm, first.albedo, facts)
+
+
+def without_white(band: BandImages, part: FloatArray) -> BandImages:
+    """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red: about as behind
+    crossed films."""
+    return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 
 def relief_of_colours(
@@ -185,36 +216,32 @@ def relief_of_colours(
 def relief_and_shape(
     images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
 ) -> tuple[FloatArray, ReliefEstimate]:
-    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other, in turns.
+    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other.
 
-    The last relief is the mean over three orientations of the finger; the upright one is known from the round before.
-    A minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
-    relief is estimated from the images without films instead, which is another estimate than the one before.
+    The relief network sees the images on the first shape, upright for the shape network, then in two more orientations
+    for the mean that counts; on the refined shape, only what follows from its output changes. A
+    minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
+    relief is estimated from the images without films instead, which is another estimate than the first.
     """
-    grid, last = images.fine, rounds if networks.shape is not None else 1
-    orientations: tuple[int, ...] = (UPRIGHT,)
-    earlier: FloatArray | None = None
-    estimate: ReliefEstimate | None = None
-    for turn in range(1, last + 1):
-        before = estimate
-        if estimate is not None and networks.shape is not None:
-            shape = refined_shape(shape, estimate.relief_mm, images, optics, networks.shape)
-        if turn == last:
-            orientations = TURNED if estimate is not None else (UPRIGHT, *TURNED)
-            if images.white.unpolarised is not None:
-                images = replace(images, white=images.white.unpolarised)
-            elif estimate is not None:
-                earlier = estimate.output
+    grid, network, films = images.fine, networks.relief, images.white.unpolarised
+    refinements = rounds - 1 if networks.shape is not None else 0
+    if films is not None and not refinements:
+        images, films = replace(images, white=films), None
+    smooth = on_fine_grid(shape.height_mm, images)
+    given = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
+    upright, levels = network(given.fields), given.level[:2] * grid.mask
+    output = upright if films is not None else relief_network(network, TURNED, upright)(given.fields)
+    del given
+    first = relief_of_output(upright, levels, grid, smooth)
+    for _ in range(refinements):
+        assert networks.shape is not None
+        shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
         smooth = on_fine_grid(shape.height_mm, images)
-        network = relief_network(networks.relief, orientations, earlier)
-        estimate = relief_by_network(
-            features(images.white, grid, smooth, white_light_on(shape.height_mm, images)), grid, smooth, network
-        )
-    assert estimate is not None  # there is at least one round
-    found = variance_restored(estimate)
-    if before is None or earlier is not None:
-        return smooth, found
-    of_crossed = variance_restored(before).relief_mm - found.relief_mm
+    if films is None:
+        return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
+    given = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
+    found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
+    of_crossed = variance_restored(first).relief_mm - found.relief_mm
     low, high = BOTH_DEG
     part = smooth_step((slant_of(smooth, grid.pitch_mm) - np.float32(low)) / np.float32(high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
@@ -249,10 +276,13 @@ def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> 
     """The surface of skin; the photographs are released as soon as they lie on the working grid."""
     require(not photographs.bands[0].colours, COLOURED)
     images = _working_images(photographs, settings.metric)
+    aside = photographs.bands[0].side
+    unused = () if aside is None or images.side is not None else (SIDE_UNUSED.format(len(aside.leds)),)
     coarse = photographs.capture.rig.camera.px_per_mm < _JPEG_COARSE
     lost = (JPEG_LOSS_COARSE if coarse else JPEG_LOSS) if "jpeg" in photographs.finger.facts else 0.0
     photographs.release()
-    return _on_pixels(images, settings, lost)
+    surface = _on_pixels(images, settings, lost)
+    return replace(surface, warnings=(*unused, *surface.warnings)) if unused else surface
 
 
 def undoes_blur(material: str, skin: SkinSettings) -> bool:
@@ -269,14 +299,14 @@ def _working_images(photographs: FingerPhotographs, p: MetricSettings) -> SkinIm
 
 @step("surface")
 def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> FingerSurface:
-    """The surface by :func:`metric_skin` or :func:`metric_polarised`, on the window's pixels; `lost` is the part of
+    """The surface by :func:`metric_skin` or :func:`metric_specular`, on the window's pixels; `lost` is the part of
     the relief's height that the files may have lost."""
     skin, p = settings.skin, settings.metric
-    networks = _reporting(images.networks, p.rounds)
-    if images.crossed is None:
+    networks = _reporting(images.networks)
+    if images.crossed is None and images.side is None:
         found = metric_skin(images.bands, images.grid, skin, p, networks)
     else:
-        found = metric_polarised(images, skin, p, networks)
+        found = metric_specular(images, skin, p, networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
     deviation_um = np.hypot(images.on_pixels(found.deviation_mm), np.float32(lost) * ridge_mm) * np.float32(1000.0)
     relief_by = found.facts["relief_by"]
@@ -292,11 +322,11 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     )  # fmt: skip
 
 
-def _reporting(networks: Networks | None, rounds: int) -> Networks | None:
+def _reporting(networks: Networks | None) -> Networks | None:
     """The networks; each run of the relief network is reported as progress."""
     if networks is None:
         return None
-    relief, runs, done = networks.relief, max(rounds, len(TURNED)) + 1, 0
+    relief, runs, done = networks.relief, len(TURNED) + 1, 0
 
     def reported(fields: FloatArray) -> FloatArray:
         nonlocal done
@@ -311,9 +341,9 @@ def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
     """Warnings where the ridges' heights are hardly known, known up to a common factor, or odd."""
     facts = found.facts
     notes = [*images.warnings]
-    if images.crossed is not None and facts["relief_by"] != "polarised":
-        notes.insert(0, NO_SPECULAR)
     lost = 0 if images.side is None else len(images.side[2].leds) - facts.get("specular", {}).get("side_lights", 0)
+    if "specular" in facts and facts["relief_by"] not in {"polarised", "side"}:
+        notes.insert(0, NO_WHITE if images.crossed is None else NO_SPECULAR)
     if lost:
         notes.append(SIDE_MISFIT.format(round(lost)))
     if facts["relief_by"] == "network":

@@ -58,8 +58,8 @@ TILTED = (
     "the ridges, but leaves open by some degrees how the finger is tilted."
 )
 SIDE_UNUSED = (
-    "the {} white images lit from more than 45 degrees to the side are not used: without films, and by the published "
-    "cases, the shadows in them would be taken for the skin's shape."
+    "the {} white images lit from more than 45 degrees to the side are not used: by the published cases, and where no "
+    "network estimates the ridges, the shadows in them would be taken for the skin's shape."
 )
 FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
@@ -112,8 +112,7 @@ class FingerPhotographs:
 
     capture: Capture
     finger: Finger
-    bands: tuple[Band, ...]
-    """The white band, and the near-infrared one if the shape is to come from it."""
+    bands: tuple[Band, ...]  # the white band, and the near-infrared one if the shape is to come from it
     warnings: tuple[str, ...] = ()
     """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
     specular: FloatArray | None = None
@@ -140,7 +139,7 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
     capture, finger = locate_finger(_with_promised_light(capture), settings.finding())
     bands, warnings = [capture.bands["white"]], finger.warnings
     side = bands[0].side
-    if side is not None and (settings.method == "thesis" or bands[0].crossed is None):
+    if side is not None and settings.method == "thesis":
         warnings = (*warnings, SIDE_UNUSED.format(len(side.leds)))
     if settings.shape.source == "nir" and not settings.visible_alone:
         if "nir" in capture.bands:

@@ -320,7 +320,7 @@ def fit_body(
     if any(mirror.from_tip for mirror in outlines.mirrors.values()):
         return _with_ends(start, outlines, settings, slopes)
     estimate, names, ends = start, outlines.names, outlines.ends
-    parameters = _global_names(names, slopes is not None, settings.section == "oval")
+    parameters = _global_names(names, slopes is not None)
     count = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = {
@@ -398,8 +398,8 @@ def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSetting
     first = fit_body(Estimate(start.body, {name: poses[name] for name in beside}), sides, settings, slopes)
     estimate = Estimate(first.body, {**first.poses, **{name: poses[name] for name in outlines.mirrors if name in ends}})
     places = [(f"{kind} {name}", 1e-4) for name in ends for kind in ("turn_rad", "lean_rad", "shift_mm")]
-    form = ["squareness"] * (settings.section == "oval") + ["shear"]
-    estimate = _fitted_ends(estimate, outlines, ends, [*((name, 1e-4) for name in form), *places], settings)
+    form = [("squareness", 1e-4), ("shear", 1e-4)]
+    estimate = _fitted_ends(estimate, outlines, ends, [*form, *places], settings)
     again = replace(settings, squareness=estimate.body.squareness, squareness_spread=1e-3)
     poses = {name: estimate.poses[name] for name in beside}
     last = fit_body(Estimate(estimate.body, poses), sides, again, sure_from=0)
@@ -411,11 +411,9 @@ def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSetting
     return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
-def _global_names(names: list[str], with_slopes: bool, free_section: bool) -> _Parameters:
+def _global_names(names: list[str], with_slopes: bool) -> _Parameters:
     """Parameters that all sections share, each with the step of its difference quotient."""
-    found = [("tip_mm", 1e-3)]
-    if free_section:
-        found.append(("squareness", 1e-4))
+    found = [("tip_mm", 1e-3), ("squareness", 1e-4)]
     if with_slopes:
         found += [("shear", 1e-4), ("shear_slope", 1e-4)]
     for name in names:
@@ -504,7 +502,7 @@ def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> 
     return {
         "method": "outlines",
         "mirrors": sorted(fit.poses),
-        "section": settings.section,
+        "section": "oval",
         "section_seen_by": "slopes" if slopes is not None else "expectation",
         "squareness": body.squareness,
         "shear": body.shear,

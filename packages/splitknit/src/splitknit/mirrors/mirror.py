@@ -103,8 +103,7 @@ def first_body(
     width = 0.5 * float(np.nanquantile(front.width_mm, 0.8))
     coefficients = np.zeros((4, _KNOTS + 3))
     coefficients[1], coefficients[2], coefficients[3] = z, width, rise
-    squareness = 0.0 if settings.section == "ellipse" else settings.squareness
-    return replace(body, coefficients=coefficients, squareness=squareness)
+    return replace(body, coefficients=coefficients, squareness=settings.squareness)
 
 
 # The thesis's method: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at exactly 45 deg.

@@ -20,10 +20,8 @@ class MirrorShapeSettings(Checked):
     _group = "shape.mirror"
     method: Literal["outlines", "thesis"] = "outlines"
     """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
-    section: Literal["oval", "ellipse"] = "oval"
-    """``oval``: ellipses with a flatter pad, as flat as is found; or ``ellipse``."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
-    """Flatness of the pad that is expected: 0 is an ellipse."""
+    """Flatness of the pad that is expected; the fit finds its own. 0 is an ellipse."""
     squareness_spread: Annotated[float, Limits(0, above=True)] = 0.08
     """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip are stronger evidence."""
     rounds: Annotated[int, Limits(1, 50)] = 9

@@ -335,7 +335,8 @@ EXPLAINED = {
     "likeness_after": "The same afterwards.",
     "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
     "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone; "
-    "polarised: ridges from what the surface reflects, parallel less crossed images.",
+    "polarised: ridges from what the surface reflects, parallel less crossed images; side: from what is white in "
+    "images lit from the front and the side.",
     "heights": "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was simulated.",
     "roughness": "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry.",
     "specular_over_noise": "What the surface reflects, by the brightest light, over the noise. Good: above 10.",

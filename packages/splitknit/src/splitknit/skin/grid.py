@@ -24,15 +24,11 @@ Slopes = tuple[FloatArray, FloatArray]
 class Grid:
     """A window of the image at some pitch, and which of its sides cut the finger."""
 
-    mask: BoolArray
-    """(h, w)."""
-    x_mm: NDArray[np.float64]
-    """(w,) or (h, w) on the finger plane."""
-    y_mm: NDArray[np.float64]
-    """(h,) or (h, w)."""
+    mask: BoolArray  # (h, w)
+    x_mm: NDArray[np.float64]  # (w,) or (h, w) on the finger plane
+    y_mm: NDArray[np.float64]  # (h,) or (h, w)
     pitch_mm: float
-    cut: tuple[bool, bool, bool, bool]
-    """Whether the finger goes on beyond the top, bottom, left and right side."""
+    cut: tuple[bool, bool, bool, bool]  # whether the finger goes on beyond the top, bottom, left and right side
     apex_mm: float | None = None
     """Height of a perspective camera: heights are then those along its rays, see :mod:`splitknit.imaging.view`."""
 
@@ -166,11 +162,8 @@ def smooth_step(values: FloatArray) -> FloatArray:
 class BandImages:
     """Linear images of one band on one grid."""
 
-    channels: tuple[str, ...]
-    """Names of the channels: red, green, blue, nir."""
-    stack: FloatArray
-    """(C, L, h, w)."""
-    rig: Rig
-    """`rig.leds[k]` lights image k."""
+    channels: tuple[str, ...]  # names of the channels: red, green, blue, nir
+    stack: FloatArray  # (C, L, h, w)
+    rig: Rig  # `rig.leds[k]` lights image k
     unpolarised: BandImages | None = None
     """Beside a crossed series: the images without films."""

@@ -35,7 +35,7 @@ class MetricSettings(Checked):
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
     rounds: Annotated[int, Limits(1)] = 2
-    """Number of relief estimates, each on the shape refined with the previous one."""
+    """Number of relief estimates; networks refine the shape between two of them."""
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Gauss-Newton steps of the shape on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
@@ -65,6 +65,7 @@ SEPARATED_BY = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
     "colour": "glare by colour, scattering by its transfer function (modelled)",
     "polarised": "specular reflection by crossed films, ridges from its image (measured)",
+    "side": "specular reflection by its colour, ridges from its image and a network (modelled)",
 }
 
 
@@ -73,25 +74,19 @@ class SkinImages:
     """Linear images of the finger's window on the working grid."""
 
     grid: Grid
-    bands: tuple[BandImages, ...]
-    """The white band first."""
+    bands: tuple[BandImages, ...]  # the white band first
     crossed: BandImages | None
     """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
     `bands` are as without films."""
-    parallel: Rig
-    """The rig of the white band's own LEDs; those of a crossed series may stand beside them."""
-    side: tuple[BandImages, BandImages, Rig] | None
-    """The same three for the lights to the side of the finger: both series' mean, crossed, rig of the parallel ones."""
-    networks: Networks | None
-    """Relief and shape network, where they can read the images."""
-    binning: float
-    """Pixels a side that make a block of the camera's grid."""
-    finer: bool
-    """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
-    place: Window
-    """Rows and columns of the window that the grid covers: those of the finger."""
-    size: tuple[int, int]
-    """Rows, columns of the window."""
+    parallel: Rig  # the rig of the white band's own LEDs; those of a crossed series may stand beside them
+    side: tuple[BandImages, BandImages | None, Rig] | None
+    """The same three for the lights to the side of the finger: both series' mean, crossed, rig of the parallel ones.
+    Without films only where the networks can read the images."""
+    networks: Networks | None  # relief and shape network, where they can read the images
+    binning: float  # pixels a side that make a block of the camera's grid
+    finer: bool  # whether the working grid has half the blocks' pitch, so that the networks can read it
+    place: Window  # rows and columns of the window that the grid covers: those of the finger
+    size: tuple[int, int]  # rows, columns of the window
     warnings: tuple[str, ...]
 
     def on_pixels(self, field: FloatArray) -> FloatArray:
@@ -119,20 +114,19 @@ def working_images(
     seen = _within(window[0], rows), _within(window[1], columns)
     grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns], settings.working_pitch_mm)
     crossed = _crossed(capture, bands[0], images[0], seen, binning)
-    side = None
-    if crossed is not None and bands[0].side is not None:
-        light = linear_channels(bands[0].side, capture.encoding, _names(bands[0]), seen, binning)
-        both = BandImages(images[0].channels, light, capture.rig.select(bands[0].side.lights))
-        from_side = _crossed(capture, bands[0].side, both, seen, binning)
-        assert from_side is not None
-        side = both, from_side, capture.rig.select(bands[0].side.leds)
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)
     finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
+    side = None
+    if bands[0].side is not None and (crossed is not None or (wanted and (able or finer))):
+        light = linear_channels(bands[0].side, capture.encoding, _names(bands[0]), seen, binning)
+        both = BandImages(images[0].channels, light, capture.rig.select(bands[0].side.lights))
+        side = both, _crossed(capture, bands[0].side, both, seen, binning), capture.rig.select(bands[0].side.leds)
     if finer:
         grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
         crossed = None if crossed is None else finer_images(crossed)
-        side = None if side is None else (finer_images(side[0]), finer_images(side[1]), side[2])
+        if side is not None:
+            side = finer_images(side[0]), None if side[1] is None else finer_images(side[1]), side[2]
     networks = shipped_networks(settings) if able else None
     warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
     size = inside.shape[0], inside.shape[1]

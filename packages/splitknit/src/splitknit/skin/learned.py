@@ -43,10 +43,8 @@ COUNT = 32
 class Features:
     """Input of the network, and what its output is relative to."""
 
-    fields: FloatArray
-    """(32, h, w), zero outside the mask."""
-    level: FloatArray
-    """(C, h, w) local brightness of each channel, specular reflection included."""
+    fields: FloatArray  # (32, h, w), zero outside the mask
+    level: FloatArray  # (C, h, w) local brightness of each channel, specular reflection included
 
 
 def features(
@@ -209,8 +207,11 @@ def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, networ
     """Relief as the network estimates it on the fine grid; :func:`glare_of` has the glare estimated with it. `given`:
     of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
     """
-    output, levels = network(given.fields), given.level
-    del given
+    return relief_of_output(network(given.fields), given.level[:2] * grid.mask, grid, smooth_mm)
+
+
+def relief_of_output(output: FloatArray, levels: Any, grid: Grid, smooth_mm: FloatArray) -> ReliefEstimate:
+    """Relief on a smooth shape (h, w) from the network's `output` and the features' first two levels, masked."""
     slant = slant_of(smooth_mm, grid.pitch_mm)
     trust = trust_of(slant, grid)
     relief = output[0] * RELIEF_MM
@@ -228,8 +229,8 @@ def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, networ
         relief_mm=relief.astype(np.float32),
         deviation_mm=deviation.astype(np.float32),
         trust=trust,
-        albedo=levels[0] * grid.mask,
-        level=levels[1] * grid.mask,
+        albedo=levels[0],
+        level=levels[1],
         output=output,
         facts={
             "relief_by": "network",

@@ -75,12 +75,9 @@ def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
 class GlareFit:
     """Glare that best explains what no matt surface explains."""
 
-    roughness: float
-    """GGX alpha."""
-    strength: float
-    """Factor on :class:`MicrofacetGlare`, in the images' units; never negative."""
-    explained: float
-    """Part of the squared residual that it explains."""
+    roughness: float  # GGX alpha
+    strength: float  # factor on :class:`MicrofacetGlare`, in the images' units; never negative
+    explained: float  # part of the squared residual that it explains
 
 
 ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
@@ -131,12 +128,9 @@ def _project_out(values: FloatArray, basis: list[FloatArray]) -> FloatArray:
 class Lighting:
     """Lights of one band on the current surface, on the coarse or on the fine grid."""
 
-    vectors: FloatArray
-    """(L, 3, h, w) direction towards the light times its irradiance."""
-    entering: FloatArray
-    """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
-    trust: FloatArray
-    """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
+    vectors: FloatArray  # (L, 3, h, w) direction towards the light times its irradiance
+    entering: FloatArray  # (L, h, w) light that enters the skin, over normal incidence (Fresnel)
+    trust: FloatArray  # (L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it
 
 
 def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:

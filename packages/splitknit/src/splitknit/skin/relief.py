@@ -215,26 +215,19 @@ class Measured:
     """The white band's photometric stereo on the fine grid."""
 
     channels: tuple[str, ...]
-    pseudo_normals: FloatArray
-    """(C, h, w, 3) brightness times normal, blurred by the skin, with specular reflection."""
-    transfer: FloatArray
-    """(C, rows, columns) of the skin on the grid's frequencies."""
-    brightness: FloatArray
-    """(C,) diffuse brightness over the prediction for an albedo of one."""
-    trust: FloatArray
-    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
-    region: FloatArray
-    """(h, w) smooth window on the part that faces the camera, for spectra."""
+    pseudo_normals: FloatArray  # (C, h, w, 3) brightness times normal, blurred by the skin, with specular reflection
+    transfer: FloatArray  # (C, rows, columns) of the skin on the grid's frequencies
+    brightness: FloatArray  # (C,) diffuse brightness over the prediction for an albedo of one
+    trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline
+    region: FloatArray  # (h, w) smooth window on the part that faces the camera, for spectra
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unmixing:
     """How the channels' slopes are summed."""
 
-    weights: list[FloatArray]
-    """One for each channel, on the grid's frequencies."""
-    noise: NDArray[np.float64]
-    """(C,) power of the noise in each channel's slopes."""
+    weights: list[FloatArray]  # one for each channel, on the grid's frequencies
+    noise: NDArray[np.float64]  # (C,) power of the noise in each channel's slopes
 
 
 def measure(  # noqa: PLR0917
@@ -419,14 +412,10 @@ def _scattering_sensitivity(
 class ReliefEstimate:
     """Ridges on the fine grid, beside a smooth shape."""
 
-    relief_mm: FloatArray
-    """(h, w) along the line of sight, free of its local mean, zero outside the mask."""
-    deviation_mm: FloatArray
-    """(h, w) its standard deviation."""
-    trust: FloatArray
-    """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
-    albedo: FloatArray
-    """(h, w) diffuse brightness of the first channel, relative."""
+    relief_mm: FloatArray  # (h, w) along the line of sight, free of its local mean, zero outside the mask
+    deviation_mm: FloatArray  # (h, w) its standard deviation
+    trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline
+    albedo: FloatArray  # (h, w) diffuse brightness of the first channel, relative
     level: FloatArray | None = None
     """(h, w) brightness of the second channel, specular reflection included, where a network estimated the relief."""
     output: FloatArray | None = None

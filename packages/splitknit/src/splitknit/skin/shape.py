@@ -44,13 +44,10 @@ class CoarseImages:
 
     bands: tuple[BandImages, ...]
     grid: Grid
-    white: BandImages
-    """On the fine grid."""
+    white: BandImages  # on the fine grid
     fine: Grid
-    factor: int
-    """Pixels of the fine grid on a side of a coarse one."""
-    plane_mm: float
-    """Assumed mean height of the skin above the finger plane."""
+    factor: int  # pixels of the fine grid on a side of a coarse one
+    plane_mm: float  # assumed mean height of the skin above the finger plane
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -62,12 +59,9 @@ class CoarseImages:
 class Shape:
     """A shape on the coarse grid, and what its images gave beside it."""
 
-    height_mm: FloatArray
-    """(h, w) along the line of sight; its mean is undefined."""
-    facing: FloatArray
-    """(h, w) z component of the normals: weights of the integration."""
-    brightness: Mapping[str, float]
-    """Diffuse brightness of each channel over the prediction for an albedo of one."""
+    height_mm: FloatArray  # (h, w) along the line of sight; its mean is undefined
+    facing: FloatArray  # (h, w) z component of the normals: weights of the integration
+    brightness: Mapping[str, float]  # diffuse brightness of each channel over the prediction for an albedo of one
     glare: Mapping[str, tuple[float, float]]
     """Roughness and strength of the specular reflection by the last channel of each band."""
 
@@ -154,12 +148,10 @@ def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: Flo
 class Residual:
     """Slopes that the images have beyond the prediction."""
 
-    slopes: Mapping[str, Slopes]
-    """By channel, behind the skin's blur."""
+    slopes: Mapping[str, Slopes]  # by channel, behind the skin's blur
     brightness: Mapping[str, float]
     glare: Mapping[str, tuple[float, float]]
-    bands: tuple[tuple[str, ...], ...]
-    """Channels of each band."""
+    bands: tuple[tuple[str, ...], ...]  # channels of each band
 
 
 def residual_of(
