@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm``.
+    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm`` or ``pitch_mm``.
 
     Ridges are scored where the truth's ``pattern_weight``, or its relief, says that there are some.
     """
@@ -58,7 +58,8 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
         np.asarray(one, dtype=np.float64) for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
     )
     require(height.shape == true.shape, f"the result has {height.shape} pixels, but the truth has {true.shape}.")
-    pitch_mm, finger = float(known["px_mm"]), np.asarray(known["mask"], dtype=np.bool_)
+    pitch_mm = float(known["px_mm" if "px_mm" in known else "pitch_mm"])
+    finger = np.asarray(known["mask"], dtype=np.bool_)
     both = np.asarray(found["mask"], dtype=np.bool_) & finger & np.isfinite(height)
     inner = ndimage.binary_erosion(both, iterations=max(int(BORDER_MM / pitch_mm), 1))
     rows, columns = np.gradient(np.where(finger, shape, np.nan), pitch_mm)

@@ -79,7 +79,7 @@ def test_without_films_metric_measures_ridges_better_with_them() -> None:
     assert both.facts["heights"] == "modelled"
     assert not any("from the side" in warning or "to the side" in warning for warning in both.warnings)
     errors = [splitknit.compare(one, truth).figures["ridge_rms_um"] for one in (both, before)]
-    assert errors[0] < 0.9 * errors[1], errors
+    assert errors[0] < 0.95 * errors[1], errors
 
 
 def test_what_is_no_skin_keeps_all_its_lights(lit: Capture) -> None:
@@ -113,3 +113,18 @@ def test_motion_before_the_side_images_is_what_all_share(
     kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
     assert warnings == (steady.SIDE_MOVED,) * moved
     assert (kept is parted) is not moved
+
+
+def test_a_side_image_that_moved_alone_is_left_out(lit: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    parted = without_side_lights(lit)
+    side = parted.bands["white"].side
+    assert side is not None
+    shifts = np.zeros((SIDE, 2)) + 0.001
+    shifts[3] = 0.0, -0.12
+    facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
+    monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
+    kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
+    assert warnings == (steady.SOME_MOVED.format(1),)
+    left = kept.bands["white"].side
+    assert left is not None
+    assert left.leds == (*side.leds[:3], *side.leds[4:])

@@ -200,9 +200,9 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
 
 def without_moved_side(capture: Capture, finger: Finger, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
     """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
-    where the finger lay elsewhere than a matt surface like the others shows, and a warning then.
+    where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
     """
-    measured = []
+    measured, numbers = [], []
     for band in capture.bands.values():
         if band.side is not None:
             pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
@@ -210,7 +210,8 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
             shifts = np.array(found.facts["motion_white_crossed"]["shift_mm"])
             towards = capture.rig.select(band.side.leds).light_vectors()[:, :2]
             towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-            measured.append(np.stack([shifts, towards])[:, shifts.any(axis=1)])  # a shot that went astray has none
+            numbers += np.flatnonzero(shifts.any(axis=1)).tolist()  # a shot that went astray has none
+            measured.append(np.stack([shifts, towards])[:, shifts.any(axis=1)])
     shifts, towards = np.concatenate(measured, axis=1) if measured else np.zeros((2, 0, 2))
     if len(shifts) < _MEASURED:
         return capture, ()
@@ -218,16 +219,31 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
     along = (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9)
     apart = shifts - along * towards
     known = _SURE * float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart))
-    if np.hypot(*apart.mean(axis=0)) < max(CORRECT_MM, known):
+    if np.hypot(*apart.mean(axis=0)) >= max(CORRECT_MM, known):
+        bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
+        return replace(capture, bands=bands), (SIDE_MOVED,)
+    alone = np.hypot(*(apart - np.median(apart, axis=0)).T) > _ALONE_MM
+    if not alone.any():
         return capture, ()
-    bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
-    return replace(capture, bands=bands), (SIDE_MOVED,)
+    out = {number for number, moved in zip(numbers, alone, strict=True) if moved}
+    bands = dict(capture.bands)
+    for name, band in bands.items():
+        if band.side is not None:
+            kept = [k for k in range(len(band.side.leds)) if k not in out]
+            bands[name] = replace(band, side=band.side.of_images(kept))
+    return replace(capture, bands=bands), (SOME_MOVED.format(len(out)),)
 
 
 _MEASURED = 3
 """Side images whose shift is known: with fewer, one that all share is not told from one along each light."""
 _SURE = 3.0
 """Standard errors of the shift of all side images above which they moved: gloss shifts each by up to 60 um."""
+_ALONE_MM = 0.08
+"""Shift of one of them against the others beyond which it moved."""
+SOME_MOVED = (
+    "the finger moved before or after {} of the images lit from the side, left out; rest it on its support and capture "
+    "again."
+)
 SIDE_MOVED = (
     "the finger moved between the images lit from the front and from the side, and those from the side are left out; "
     "rest it on its support and capture again."

@@ -57,16 +57,9 @@ def without_side_lights(capture: Capture) -> Capture:
     if front.all() or front.sum() < IN_FRONT:
         return capture
     both = {name: band for name, band in capture.bands.items() if name in {"white", "white_crossed"}}
-    parts = {name: replace(_chosen(band, front), side=_chosen(band, ~front)) for name, band in both.items()}
+    rows, others = np.flatnonzero(front).tolist(), np.flatnonzero(~front).tolist()
+    parts = {name: replace(band.of_images(rows), side=band.of_images(others)) for name, band in both.items()}
     return replace(capture, bands={**capture.bands, **parts})
-
-
-def _chosen(band: Band, which: NDArray[np.bool_]) -> Band:
-    names = "pixels", "exposure", "black_level", "flat", "promised", "transmission"
-    arrays: dict[str, Any] = {name: None if (one := getattr(band, name)) is None else one[which] for name in names}
-    numbers = np.flatnonzero(which)
-    leds, files = tuple(band.leds[k] for k in numbers), tuple(band.files[k] for k in numbers if band.files)
-    return replace(band, leds=leds, files=files, **arrays)
 
 
 def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
