@@ -4,8 +4,8 @@
 
 Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised_heights`). What films leave is drawn:
 GGX facets finer than a pixel, cast shadows under lights from the side, films, once-scattered light, the lens's blur,
-noise. The step's start, a network's in the program, is drawn from the truth, with errors like a network's. Constants of
-the stated error were chosen on a to h, so that these are not a test of it; i to m were drawn afterwards.
+noise. The step's start, a network's in the program, is drawn from the truth, with errors like a network's, and up to
+3 mm too low or high. Constants of the stated error were chosen on a to h; i to m were drawn afterwards.
 """
 
 from __future__ import annotations
@@ -195,7 +195,8 @@ def _start(
     gain = np.interp(slant, (0, 30, 60, 75), (0.92, 0.85, 0.9, 0.8))
     bend = blurred(rng.standard_normal(mask.shape), 1.5)
     ridges = gain * blurred(relief, 0.025) + part * rms * noise
-    start = np.where(mask, shape + ridges + 0.05 * bend / bend[mask].std(), np.nan)
+    lower = rng.uniform(-3, 3)  # a photograph does not show how high the finger lies
+    start = np.where(mask, shape + ridges + 0.05 * bend / bend[mask].std() - lower, np.nan)
     deviation = np.maximum(np.hypot(part * rms, (1 - gain) * rms), 1e-3)
     return nearest_known(np.nan_to_num(start).astype(np.float32), mask).astype(np.float32), deviation.astype(np.float32)
 

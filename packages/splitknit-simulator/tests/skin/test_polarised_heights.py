@@ -136,8 +136,12 @@ def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> N
     stack += np.random.default_rng(1).normal(0, NOISE, stack.shape).astype(np.float32)
     images = SpecularImages(stack, NOISE, rig)
     unknown = np.full(grid.shape, 0.006, dtype=np.float32)
-    height_mm, _, facts = polarised_heights(images, grid, dome + np.float32(0.85) * ridges, unknown)
+    start = dome + np.float32(0.85) * ridges
+    lower = polarised_heights(images, grid, start - np.float32(2.5), unknown)[2]
+    height_mm, _, facts = polarised_heights(images, grid, start, unknown)
     assert facts["side_lights"] == 4
+    assert lower["lift_mm"] - facts["lift_mm"] == pytest.approx(2.5, abs=0.4)
+    assert abs(facts["lift_mm"]) < 1.5
     inner = grid.depth_mm > 0.3
     rest = height_mm - dome
     relief = (rest - grid.smooth(rest, grid.mask, 0.32))[inner]

@@ -61,8 +61,6 @@ _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
 _NARROWEST, _WIDEST = 130, 700
 """Widths of the finger in pixels: at least, and in the picture that is kept."""
-_COARSE = 400
-"""Longer side of the mask that shows how wide the finger is."""
 _RIM_PX, _SHADING_PX = 8, 9.0
 """At 500 ppi: the rim of a print that is left out; sigma over which shading is taken out of it."""
 LEAST_QUALITY, _GOOD = 10, 50
@@ -135,7 +133,7 @@ def source_of_photo(
     else:
         mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
         check_borders(mask)
-        width = _width_px(mask)
+        width = find_upright(mask).width_px
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -192,14 +190,6 @@ def source_of_photo(
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor))
-
-
-def _width_px(mask: BoolArray) -> float:
-    """Width of a finger (H, W), by a mask of fewer pixels."""
-    part = mask[bounding_box(mask, 4)]
-    coarse = min(1.0, _COARSE / max(part.shape))
-    small = cv2.resize(part.view(np.uint8), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_AREA) > 0
-    return float(find_upright(small).width_px / coarse)
 
 
 def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:

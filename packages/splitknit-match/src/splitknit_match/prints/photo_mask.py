@@ -41,8 +41,9 @@ _BLOCK, _BLOCKS, _WIDTH_PX = 48, 40, 400
 """Side and number of the windows in which ridges are sought, and width of the finger at most, pixels."""
 _RIDGES = (23.5, 61.0)
 """Of a finger's width: it is some 38 ridges wide."""
-_MOST = 0.6
-"""Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2."""
+_MOST, _NO_RIDGES = 0.6, 0.2
+"""Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2; and what is
+left of the likeness without ridges."""
 _LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.12, 0.01
 """Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.2 to 1, pictures without
 a finger less than 0.15 (validation/match/telephone.py); and where somebody says that there is one."""
@@ -124,7 +125,7 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     rated: list[tuple[float, Outline]] = []
     for value, one in shaped:
         if value > max(_LEAST, 0.5 * max((of for of, _ in rated), default=0.0)):  # ridges only lower it
-            rated.append((value * _with_ridges(part, one), one))
+            rated.append((value * _by_ridges(part, one), one))
     rated.sort(key=lambda item: -item[0])
     require(
         bool(rated) and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
@@ -395,16 +396,9 @@ def _likeness(one: Outline, lab: FloatArray) -> float:
     return float(value * _skin(lab[inside]).mean())
 
 
-def _with_ridges(pixels: Pixels, one: Outline) -> float:
-    """Part of an outline's likeness that its ridges leave."""
-    ridges = ridges_in(pixels, one)
-    return 0.0 if ridges is None else float(np.clip(ridges / 0.3, 0.2, 1))
-
-
-def ridges_in(pixels: Pixels, one: Outline) -> float | None:
-    """How much of the fine detail in an outline is one wave as far apart as ridges, running on from window to window.
-
-    0 to 1, mean of the better half of the windows; None where they vary more than skin does.
+def _by_ridges(pixels: Pixels, one: Outline) -> float:
+    """Part of an outline's likeness that its ridges leave: how much of the fine detail is one wave as far apart as
+    ridges, running on from window to window, in the better half of the windows; 0 where they vary more than skin does.
     """
     size = max(pixels.shape[:2])
     scale = min(1.0, _WIDTH_PX / (one.width * size))
@@ -418,7 +412,7 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
     places = np.argwhere(whole[: max(len(light) - _BLOCK, 0) : 24, : max(light.shape[1] - _BLOCK, 0) : 24]) * 24
     if not len(places):
-        return 0.0
+        return _NO_RIDGES
     places = places[np.linspace(0, len(places) - 1, min(len(places), _BLOCKS)).astype(np.intp)]
     blocks = np.stack([light[i : i + _BLOCK, j : j + _BLOCK] for i, j in places])
     blocks -= blocks.mean(axis=(1, 2), keepdims=True)
@@ -426,7 +420,7 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     for slope in (ramp[:, None], ramp):  # shading is not detail
         blocks -= (blocks * slope).sum(axis=(1, 2), keepdims=True) / (_BLOCK * (ramp**2).sum()) * slope
     if np.median(blocks.std(axis=(1, 2))) > _MOST:
-        return None
+        return 0.0
     power = np.abs(np.fft.rfft2(blocks * np.hanning(_BLOCK)[:, None] * np.hanning(_BLOCK))) ** 2
     along, across = np.fft.fftfreq(_BLOCK)[:, None], np.fft.rfftfreq(_BLOCK)[None, :]
     frequency = np.hypot(along, across)
@@ -441,4 +435,4 @@ def ridges_in(pixels: Pixels, one: Outline) -> float | None:
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
     beside = part * ((apart > 0) & (apart < 1.5 * 24))
     part *= (agree * beside).sum(axis=1) / np.maximum(beside.sum(axis=1), 1e-9)
-    return float(np.mean(np.sort(part)[len(part) // 2 :]))
+    return float(np.clip(np.mean(np.sort(part)[len(part) // 2 :]) / 0.3, _NO_RIDGES, 1))

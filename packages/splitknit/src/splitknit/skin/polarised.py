@@ -60,8 +60,8 @@ STEEP = 1.0
 """Strength, roughness, path and blur are fitted where the start is less steep than this."""
 START = (0.25, 2.0, 0.8)
 """Roughness, path and blur."""
-BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
-"""Bounds of strength, roughness, path and blur."""
+BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5), (-8.0, 8.0))
+"""Bounds of strength, roughness, path, blur and lift."""
 ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.25, 0.5, 1.0), 0.04
 """Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges, and in mm
 over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
@@ -88,10 +88,13 @@ class Specular:
     """Standard deviation of the blur by the paths of scattered light that is still polarised, in pixels."""
     blur_px: float
     """Standard deviation of the blur of lens and pixels."""
+    lift_mm: float = 0.0
+    """By how much the finger lies higher than the start."""
 
-    def changed(self, logarithms: NDArray[np.float64]) -> Specular:
-        """With the logarithms of the four changed, within their bounds."""
-        values = np.exp(logarithms) * (self.strength, self.roughness, self.path_px, self.blur_px)
+    def changed(self, by: NDArray[np.float64]) -> Specular:
+        """With the logarithms of the first four and, where given, the lift in mm changed, within their bounds."""
+        factors = np.exp(by[:4])
+        values = *(factors * (self.strength, self.roughness, self.path_px, self.blur_px)), self.lift_mm + by[4:].sum()
         return Specular(*(float(np.clip(value, *limits)) for value, limits in zip(values, BOUNDS, strict=True)))
 
 
@@ -142,7 +145,7 @@ def polarised_heights(
     """
     difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
-    lights = _Lights.of(images.rig, grid, start_mm)
+    gains = np.ones((2, len(difference)), dtype=np.float32)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
@@ -158,6 +161,9 @@ def polarised_heights(
         weight *= reached
     fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
     for count in range(TURNS):
+        lights, higher = (
+            _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains) for by in (0, RAISED_MM)
+        )
         for k in side[fit]:
             if count % SHADOWS_EVERY == 1 or not reached[k].any():
                 reached[k] = lights.reached(int(k), _shifted(nodes, -0.5, -1), grid)
@@ -168,15 +174,30 @@ def polarised_heights(
         off = slopes[0] - before[0], slopes[1] - before[1]
         beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        turn = _Turn(images, grid, mask, lights, slopes, specular, sharp, soft, rho, error, reached)
+        turn = _Turn(
+            images,
+            grid,
+            mask,
+            lights,
+            higher if fit.any() else None,
+            slopes,
+            specular,
+            sharp,
+            soft,
+            rho,
+            error,
+            reached,
+        )
         change = _change(turn, beside)
         tensor, force = _system(turn, beside, change, weight)
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
         specular = specular.changed(step * change)
         for n, k in enumerate(side):
-            parts = np.float32(turn.specular.strength) * sharp[k], rho * soft[k]
-            fit[n] = lights.fitted(int(k), difference[k], error, parts, MISFIT[count > TURNS // 2])
+            parts = rho * soft[k], np.float32(turn.specular.strength) * sharp[k]
+            found = _brightness(difference[k], error, parts, MISFIT[count > TURNS // 2])
+            fit[n] = found is not None
+            gains[:, k] *= found or (1, 1)
             reached[k] *= fit[n]
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
@@ -193,6 +214,7 @@ def polarised_heights(
         "strength": specular.strength,
         "path_mm": specular.path_px * grid.pitch_mm,
         "blur_mm": blur_mm,
+        "lift_mm": specular.lift_mm,
         "scattered_over_specular": ratio,
         "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
         "residual_over_noise": float(np.sqrt(np.median(left**2) / 0.455) / noise),
@@ -259,7 +281,7 @@ class _Lights:
     """(h, n) weights of the rows."""
 
     @classmethod
-    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray) -> _Lights:
+    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray | None = None) -> _Lights:
         some = slice(None, None, EVERY)
         vectors = np.moveaxis(
             grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm[some], some)), some), 1, 0
@@ -269,6 +291,8 @@ class _Lights:
         half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
         length = np.maximum(np.sqrt((half * half).sum(axis=0)), np.float32(1e-6))
         fields = np.stack([*towards, irradiance, *(half / length), irradiance * fresnel_reflectance(length / 2)])
+        if gains is not None:
+            fields[3::4] *= gains[..., None, None]
         rows, count = np.arange(grid.shape[0]), fields.shape[2]
         between = np.zeros((len(rows), count), dtype=np.float32)
         low = np.minimum(rows // EVERY, max(count - 2, 0))
@@ -292,35 +316,32 @@ class _Lights:
             np.minimum(found, 0.5 - above / np.float32(2 * PENUMBRA * far * grid.pitch_mm), out=found)
         return np.clip(found, 0, 1, out=found)
 
-    def fitted(
-        self, k: int, measured: FloatArray, error: float, parts: tuple[FloatArray, FloatArray], misfit: float
-    ) -> bool:
-        """Fit the brightness of light `k` to what is `measured` (h, w) of it, of what is reflected and of what is
-        scattered, from both `parts` as predicted: films change both at grazing light (Fresnel's two reflectances).
-        `error`: of the prediction, over the image. Returns whether the light leaves less than `misfit`.
-        """
-        left = measured - parts[0] - parts[1]
-        lit = parts[0] > 0
-        if not lit.any():
-            return False
-        usual = np.median(np.abs(left[lit]))
-        weight = 1 / ((np.float32(error) * measured) ** 2 + (2 * usual) ** 2 + left * left + np.float32(1e-12))
-        columns = [weight * part for part in parts]
-        normal = np.array([[float((a * b).sum(dtype=np.float64)) for b in parts] for a in columns])
-        force = np.array([float((a * measured).sum(dtype=np.float64)) for a in columns])
-        prior = np.diag(PRIOR_GAIN * np.diag(normal)) + 1e-9 * np.eye(2)
-        gains = np.clip(np.linalg.solve(normal + prior, force + prior.sum(axis=1)), *GAINS)
-        left = measured - np.float32(gains[0]) * parts[0] - np.float32(gains[1]) * parts[1]
-        if left[lit].std() > misfit * measured[lit].std():
-            return False
-        self.fields[7, k] *= np.float32(gains[0])
-        self.fields[3, k] *= np.float32(gains[1])
-        return True
-
     def on(self, rows: slice) -> FloatArray:
         """(8, L, rows, w)."""
         part = slice(max(min(rows.start // EVERY, self.between.shape[1] - 2), 0), (rows.stop - 1) // EVERY + 2)
         return np.asarray(np.matmul(self.between[rows, part], self.fields[:, :, part]))
+
+
+def _brightness(
+    measured: FloatArray, error: float, parts: tuple[FloatArray, FloatArray], misfit: float
+) -> tuple[float, float] | None:
+    """Brightness of a light, over the present one, by what is `measured` (h, w) of it: of what is scattered and of what
+    is reflected, whose predictions are `parts` in turn: films change both at grazing light (Fresnel's two
+    reflectances). `error`: of the prediction, over the image. None if the light leaves more than `misfit`.
+    """
+    left = measured - parts[0] - parts[1]
+    lit = parts[1] > 0
+    if not lit.any():
+        return None
+    usual = np.median(np.abs(left[lit]))
+    weight = 1 / ((np.float32(error) * measured) ** 2 + (2 * usual) ** 2 + left * left + np.float32(1e-12))
+    columns = [weight * part for part in parts]
+    normal = np.array([[float((a * b).sum(dtype=np.float64)) for b in parts] for a in columns])
+    force = np.array([float((a * measured).sum(dtype=np.float64)) for a in columns])
+    prior = np.diag(PRIOR_GAIN * np.diag(normal)) + 1e-9 * np.eye(2)
+    gains = np.clip(np.linalg.solve(normal + prior, force + prior.sum(axis=1)), *GAINS)
+    left = measured - np.float32(gains[0]) * parts[0] - np.float32(gains[1]) * parts[1]
+    return None if left[lit].std() > misfit * measured[lit].std() else (float(gains[0]), float(gains[1]))
 
 
 SHADOWS_EVERY, PENUMBRA = 4, 0.05
@@ -439,6 +460,8 @@ class _Turn:
     grid: Grid
     mask: BoolArray
     lights: _Lights
+    higher: _Lights | None
+    """The same on a finger that lies `RAISED_MM` higher, where lights to the side show how high it lies."""
     slopes: Slopes
     specular: Specular
     sharp: FloatArray
@@ -452,10 +475,10 @@ class _Turn:
     reached: FloatArray
     """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light; (1,) where all reach it."""
 
-    def columns(self, rows: slice) -> tuple[list[FloatArray], FloatArray]:
+    def columns(self, rows: slice, lift: bool = False) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of some rows by both slopes and rho, their residual, derivatives by the logarithms of strength,
-        roughness, path and blur; and weights: (L, rows, w) each. Derivatives by slopes and roughness leave out the
-        blur, an effect of second order.
+        roughness, path and blur, and by the `lift`; and weights: (L, rows, w) each. Derivatives by slopes, roughness
+        and lift leave out the blur, an effect of second order.
         """
         p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
         facets = _facets(self.lights.on(rows), slopes, self.specular.roughness, derivatives=True)
@@ -473,7 +496,11 @@ class _Turn:
         x, y = (strength * facets[2 + n] + damped * facets[4 + n] for n in range(2))
         wider = np.float32(self.specular.path_px**2) * rho * _laplacian(self.soft, rows)  # heat equation
         blurrier = np.float32(self.specular.blur_px**2) * strength * _laplacian(self.sharp, rows)
-        return [x, y, soft, residual, shown, strength * facets[6], wider, blurrier], weight * gate
+        columns = [x, y, soft, residual, shown, strength * facets[6], wider, blurrier]
+        if lift and self.higher is not None:
+            image, matt = _facets(self.higher.on(rows), slopes, self.specular.roughness)
+            columns.append((strength * (image - facets[0]) + rho * (matt - facets[1])) / np.float32(RAISED_MM))
+        return columns, weight * gate
 
 
 def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
@@ -503,37 +530,41 @@ class _Prior:
     """(h, w) pixels that give the four numbers."""
 
 
-PRIOR_WEIGHTS = (1e-6, 1e-6, 1.0, 1.0)
-"""Weights of the priors on the logarithms of the finger's four numbers, relative to the images."""
+PRIOR_WEIGHTS, MOST = (1e-6, 1e-6, 1.0, 1.0, 0.1), (0.25, 0.25, 0.25, 0.25, 1.5)
+"""Weights of the priors on the change of the finger's numbers, relative to the images, and its most in one step."""
+RAISED_MM = 1.0
+"""Step of the derivative by the finger's lift."""
 STRIPES = 12
 """Chunks of rows that give them, about."""
 
 
 def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
-    """(4,) of the logarithms of strength, roughness, path and blur, with whatever slopes suit them best."""
+    """Of the logarithms of strength, roughness, path and blur, and of the lift in mm where lights to the side show it,
+    with whatever slopes suit them best."""
     sums: dict[int, NDArray[np.float64]] = {}
 
     def work(rows: slice) -> None:
         height = rows.stop - rows.start
         if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
             return
-        columns, weight = turn.columns(rows)
-        gram = _gram(columns, weight, 8, prior, rows)
+        columns, weight = turn.columns(rows, lift=True)
+        gram = _gram(columns, weight, len(columns), prior, rows)
+        count = len(columns) - 4
         xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
         below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
-        total = np.empty((4, 5))
-        for n in range(4):
+        total = np.empty((count, count + 1))
+        for n in range(count):
             fx, fy = gram[0, 4 + n], gram[1, 4 + n]
             x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
-            for m in range(5):
+            for m in range(count + 1):
                 rest = gram[min(3 + m, 4 + n), max(3 + m, 4 + n)] - x * gram[0, 3 + m] - y * gram[1, 3 + m]
                 total[n, m] = rest[prior.known[rows]].sum(dtype=np.float64)
         sums[rows.start] = total
 
     for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
-    own = total[:, 1:] + np.diag(PRIOR_WEIGHTS)
-    return np.asarray(np.clip(np.linalg.solve(own, total[:, 0]), -0.25, 0.25))
+    own, most = total[:, 1:] + np.diag(PRIOR_WEIGHTS[: len(total)]), MOST[: len(total)]
+    return np.clip(np.linalg.solve(own, total[:, 0]), np.negative(most), most)
 
 
 def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -543,7 +574,7 @@ def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: Float
 
     def work(rows: slice) -> None:
         columns, weight = turn.columns(rows)
-        for by, column in zip(change.astype(np.float32), columns[4:], strict=True):
+        for by, column in zip(change.astype(np.float32), columns[4:], strict=False):  # the lift's comes in the next one
             columns[3] -= by * column
         gram = _gram(columns, weight, 4, prior, rows)
         tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
