@@ -272,9 +272,8 @@ def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Uprigh
     aside = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
-    columns, rows = cv2.split(cv2.transform(places, upright.input_from_upright[:2]))
-    seen = np.abs(at) < steepest
-    columns, rows = (np.where(seen, part, np.float32(NOWHERE)) for part in (columns, rows))
+    there = np.asarray(cv2.transform(places, upright.input_from_upright[:2]), np.float32)
+    columns, rows = (np.where(np.abs(at) < steepest, there[..., k], np.float32(NOWHERE)) for k in (0, 1))
     return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 
 

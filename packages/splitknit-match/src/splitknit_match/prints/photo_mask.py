@@ -23,8 +23,6 @@ _WIDTHS = tuple(0.11 * 1.18**k for k in range(11))
 """Of fingers, in longer sides of the picture."""
 _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
-_LEAST_STEP = 2
-"""Pixels between two places at which one is sought: edges are as broad."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
 _TIP = 0.6
@@ -225,7 +223,8 @@ def _sought(lab: FloatArray) -> list[Outline]:
     level = xx + yy + np.float32(1.0)
     bins = [(np.cos(t), np.sin(t)) for t in np.pi * np.arange(_BINS) / _BINS]
     oriented = [(c * c * xx + 2 * c * s * xy + s * s * yy) / level for c, s in bins]
-    rough, skin, found = (xx + yy) / level, _skin(smooth), []
+    rough, skin = (xx + yy) / level, _skin(smooth)
+    found: list[tuple[float, Outline, Array, float]] = []
     for width in _WIDTHS:
         found += _of_width(width, oriented, rough, skin)
     kept: list[Outline] = []
@@ -249,11 +248,11 @@ def _of_width(
     """The best places of each turn of a width: rating, an outline of that turn, its tip and width."""
     shape, side = rough.shape, max(rough.shape)
     px = width * side
-    pad, step, blur = int(2 * px) + 2, max(_LEAST_STEP, int(0.08 * px)), max(0.06 * px, 0.3)
+    pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
     around = (pad, pad, pad, pad, cv2.BORDER_CONSTANT, None)
-    maps = [cv2.copyMakeBorder(cv2.GaussianBlur(one, (0, 0), blur), *around, 0.2) for one in oriented]
     plain = 0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur)
-    maps.append(cv2.copyMakeBorder(plain, *around, -0.25))
+    beyond = [(cv2.GaussianBlur(one, (0, 0), blur), 0.2) for one in oriented] + [(plain, -0.25)]
+    maps = [np.asarray(cv2.copyMakeBorder(part, *around, value), np.float32) for part, value in beyond]
     for one, bins, places in _sought_places():
         seen = [
             maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
