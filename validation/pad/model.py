@@ -161,7 +161,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
         f"live unknown: {words(own['unknown'], own['tried'])}",
         f"unknown of all: {words(own['unknown'] + open_, own['tried'] + passed + caught + open_)}",
     ]
-    for start in ("live, never trained", "live, JPEG", "path-traced"):
+    for start in ("live, never trained", "live, drawn anew", "live, JPEG", "path-traced"):
         some = [one for group, one in found.items() if group.startswith(start)]
         if some:
             tried = sum(one["tried"] for one in some)

@@ -2,9 +2,10 @@
 
 Captures are simulated, reconstructed and measured one by one; each is written to --out and not made twice. Optics of
 the skin, rig and camera are drawn for 7 of 10. Then `--jpeg 20` measures live fingers that are not part of the fit as
-JPEG, `--foreign ../shared/data` the path-traced fingers in five versions each, `--gather` puts all into
-``tables/captures.json``, `--score` writes ``tables/answers.csv`` from there, leaving out one species or fold at a
-time, and `--write` fits the shipped model, packages/splitknit/src/splitknit/pad_model.json (extra `pad`).
+JPEG, `--fresh 60` others as they are, `--foreign ../shared/data` the path-traced fingers in five versions each,
+`--gather` puts all into ``tables/captures.json``, `--score` writes ``tables/answers.csv`` from there, leaving out one
+species or fold at a time, and `--write` fits the shipped model, packages/splitknit/src/splitknit/pad_model.json (extra
+`pad`).
 """
 
 from __future__ import annotations
@@ -166,6 +167,7 @@ if __name__ == "__main__":
     parser.add_argument("--live", type=int, default=60)
     parser.add_argument("--each", type=int, default=5, help="instruments of each species")
     parser.add_argument("--jpeg", type=int, help="number of live fingers to measure as JPEG")
+    parser.add_argument("--fresh", type=int, help="number of live fingers to measure that are not part of the fit")
     parser.add_argument("--foreign", type=Path, help="folder with path_traced")
     parser.add_argument("--gather", action="store_true", help="put what is in --out into tables/captures.json")
     parser.add_argument("--score", action="store_true", help="write tables/answers.csv")
@@ -192,6 +194,9 @@ if __name__ == "__main__":
     elif options.jpeg:
         for seed in range(7000, 7000 + options.jpeg):
             measured("live, JPEG 95, 4:2:0", seed, options.out, as_jpeg)
+    elif options.fresh:
+        for seed in range(8000, 8000 + options.fresh):
+            measured("live, drawn anew", seed, options.out)
     elif options.foreign:
         foreign(options.out, options.foreign)
     else:

@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Score a result's ``height.npz`` against a truth with ``height_mm``, ``shape_mm``, ``mask`` and ``px_mm`` or ``pitch_mm``.
+    """Score a result's ``height.npz`` against a truth: ``height_mm``, ``shape_mm``, ``mask``, ``px_mm`` (``pitch_mm``).
 
     Ridges are scored where the truth's ``pattern_weight``, or its relief, says that there are some.
     """
