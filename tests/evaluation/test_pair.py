@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.model import Reconstruction
-from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results, roll_between
+from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results
 from splitknit_rig.rig.phantom import HEIGHTS_UM, PITCH_MM, phantom, phantom_mesh
 
 RADIUS_MM, PITCH = 8.0, 0.06
@@ -83,6 +84,8 @@ def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
 
 
 def test_the_roll_between_two_captures_is_found_and_changes_sign_with_their_order() -> None:
+    with scripts_of(VALIDATION / "thesis") as script:
+        roll_between = script("rolls").roll_between
     a, b = laid_down(), laid_down(**POSE)
     roll, deviation = roll_between(b, a)
     assert roll == pytest.approx(np.rad2deg(POSE["roll"]), abs=0.3)

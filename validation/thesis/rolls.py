@@ -1,8 +1,8 @@
 """Roll between two captures, estimated from their surfaces, beside the simulated truth (section 5.1).
 
 The thesis discards fingers whose roll differs between sessions and does not say how it finds that. Here the difference
-is estimated from the surfaces (:func:`roll_between`); what the rules then keep stands
-beside what they keep by the truth.
+is estimated from the surfaces (:func:`roll_between`); what the rules then keep stands beside what they keep by the
+truth.
 """
 
 from __future__ import annotations

@@ -114,6 +114,8 @@ def scaled(template: Template, scale: float) -> Template:
     if found is None:
         return larger
     sizes = print_size(larger)
+    if not found.count:  # and a size of none, where it was read from a file
+        return replace(larger, minutiae=no_minutiae(sizes))
     x, y = (
         np.minimum(np.rint((one + 0.5) * (new / old) - 0.5).astype(np.int32), new - 1)
         for one, new, old in zip((found.x_px, found.y_px), sizes[::-1], found.size[::-1], strict=True)

@@ -146,6 +146,7 @@ def polarised_heights(
     difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
     gains = np.ones((2, len(difference)), dtype=np.float32)
+    lights = higher = _Lights.of(images.rig, grid, start_mm, gains)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
@@ -161,9 +162,11 @@ def polarised_heights(
         weight *= reached
     fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
     for count in range(TURNS):
-        lights, higher = (
-            _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains) for by in (0, RAISED_MM)
-        )
+        if side.size:  # from there both the lights' brightness and the finger's height are fitted
+            lights, higher = (
+                _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains)
+                for by in (0, RAISED_MM)
+            )
         for k in side[fit]:
             if count % SHADOWS_EVERY == 1 or not reached[k].any():
                 reached[k] = lights.reached(int(k), _shifted(nodes, -0.5, -1), grid)
@@ -174,20 +177,8 @@ def polarised_heights(
         off = slopes[0] - before[0], slopes[1] - before[1]
         beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        turn = _Turn(
-            images,
-            grid,
-            mask,
-            lights,
-            higher if fit.any() else None,
-            slopes,
-            specular,
-            sharp,
-            soft,
-            rho,
-            error,
-            reached,
-        )
+        raised = higher if fit.any() else None
+        turn = _Turn(images, grid, mask, lights, raised, slopes, specular, sharp, soft, rho, error, reached)
         change = _change(turn, beside)
         tensor, force = _system(turn, beside, change, weight)
         step, added = solver.solve(tensor, force, nodes)
