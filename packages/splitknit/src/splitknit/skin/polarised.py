@@ -161,8 +161,9 @@ def polarised_heights(
         reached[side] = 0
         weight *= reached
     fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
+    some = slice(None, None, 3)  # rows, plenty for the brightness of a light
     for count in range(TURNS):
-        if side.size:  # from there both the lights' brightness and the finger's height are fitted
+        if fit.any():  # from there on the lights' brightness and the finger's height are fitted
             lights, higher = (
                 _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains)
                 for by in (0, RAISED_MM)
@@ -185,8 +186,8 @@ def polarised_heights(
         nodes = nodes + added
         specular = specular.changed(step * change)
         for n, k in enumerate(side):
-            parts = rho * soft[k], np.float32(turn.specular.strength) * sharp[k]
-            found = _brightness(difference[k], error, parts, MISFIT[count > TURNS // 2])
+            parts = rho[some] * soft[k, some], np.float32(turn.specular.strength) * sharp[k, some]
+            found = _brightness(difference[k, some], error, parts, MISFIT[count > TURNS // 2])
             fit[n] = found is not None
             gains[:, k] *= found or (1, 1)
             reached[k] *= fit[n]
