@@ -146,7 +146,7 @@ def polarised_heights(
     difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
     gains = np.ones((2, len(difference)), dtype=np.float32)
-    lights = higher = _Lights.of(images.rig, grid, start_mm, gains)
+    lights = _Lights.of(images.rig, grid, start_mm, gains)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
@@ -161,8 +161,8 @@ def polarised_heights(
         reached[side] = 0
         weight *= reached
     fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
-    some = slice(None, None, 3)  # rows, plenty for the brightness of a light
     for count in range(TURNS):
+        higher = None
         if fit.any():  # from there on the lights' brightness and the finger's height are fitted
             lights, higher = (
                 _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains)
@@ -178,19 +178,13 @@ def polarised_heights(
         off = slopes[0] - before[0], slopes[1] - before[1]
         beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        raised = higher if fit.any() else None
-        turn = _Turn(images, grid, mask, lights, raised, slopes, specular, sharp, soft, rho, error, reached)
+        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached)
         change = _change(turn, beside)
         tensor, force = _system(turn, beside, change, weight)
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
         specular = specular.changed(step * change)
-        for n, k in enumerate(side):
-            parts = rho[some] * soft[k, some], np.float32(turn.specular.strength) * sharp[k, some]
-            found = _brightness(difference[k, some], error, parts, MISFIT[count > TURNS // 2])
-            fit[n] = found is not None
-            gains[:, k] *= found or (1, 1)
-            reached[k] *= fit[n]
+        fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
     shown = np.maximum(np.float32(turn.specular.strength) * sharp, np.float32(1e-9))
@@ -312,6 +306,18 @@ class _Lights:
         """(8, L, rows, w)."""
         part = slice(max(min(rows.start // EVERY, self.between.shape[1] - 2), 0), (rows.stop - 1) // EVERY + 2)
         return np.asarray(np.matmul(self.between[rows, part], self.fields[:, :, part]))
+
+
+def _fitted(turn: _Turn, side: NDArray[np.intp], gains: FloatArray, misfit: float) -> BoolArray:
+    """Fit the brightness of the lights `side`, in `gains` (2, L). Returns which fit; the others are left out."""
+    some, fit = slice(None, None, 3), np.zeros(side.size, dtype=np.bool_)
+    for n, k in enumerate(side):
+        parts = turn.rho[some] * turn.soft[k, some], np.float32(turn.specular.strength) * turn.sharp[k, some]
+        found = _brightness(turn.images.stack[k, some], turn.error, parts, misfit)
+        fit[n] = found is not None
+        gains[:, k] *= found or (1, 1)
+        turn.reached[k] *= fit[n]
+    return fit
 
 
 def _brightness(
