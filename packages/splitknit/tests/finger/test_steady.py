@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from splitknit.finger.steady import _Registered, _worth_undoing
+from splitknit.finger.steady import _apart_from_lights, _Registered, _worth_undoing
 
 
 def registered(most_mm: float, before: float, after: float) -> _Registered:
@@ -30,3 +33,18 @@ def registered(most_mm: float, before: float, after: float) -> _Registered:
 )
 def test_what_is_undone(most_mm: float, before: float, after: float, seen_mm: float, undone: bool) -> None:
     assert _worth_undoing(registered(most_mm, before, after), seen_mm) is undone
+
+
+def test_ridges_that_seem_to_follow_the_lights_did_not_move() -> None:
+    """A shift of 0.044 mm against each light is shading; a steady drift, with it or alone, is motion."""
+    angle = 2 * np.pi * np.arange(7) / 7
+    towards = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    drift = np.outer(np.arange(7) - 3, (0.02, -0.01))
+    shaded = -0.044 * towards + (0.04, -0.03)
+    assert _apart_from_lights(shaded, towards) == pytest.approx(np.broadcast_to((0.04, -0.03), (7, 2)))
+    assert np.ptp(_apart_from_lights(shaded + drift, towards), axis=0)[0] > 0.08
+    moved = registered(0.10, 0.31, 0.28)
+    assert _worth_undoing(moved, 0.09)
+    for shifts, undone in ((shaded, False), (drift, True), (shaded + drift, True)):
+        left = _apart_from_lights(shifts, towards).var(axis=0).sum() / shifts.var(axis=0).sum()
+        assert _worth_undoing(replace(moved, apart=float(left)), 0.09) is undone

@@ -10,6 +10,7 @@ crossed one is brought back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -208,16 +209,13 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
             pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
             found = register(replace(capture, bands=pair), finger, settings, still_white=True)
             shifts = np.array(found.facts["motion_white_crossed"]["shift_mm"])
-            towards = capture.rig.select(band.side.leds).light_vectors()[:, :2]
-            towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+            towards = _towards(capture, band.side.leds)
             numbers += np.flatnonzero(shifts.any(axis=1)).tolist()  # a shot that went astray has none
             measured.append(np.stack([shifts, towards])[:, shifts.any(axis=1)])
     shifts, towards = np.concatenate(measured, axis=1) if measured else np.zeros((2, 0, 2))
     if len(shifts) < _MEASURED:
         return capture, ()
-    centred = towards - towards.mean(axis=0)  # ridges seem shifted along the light: not by all lights alike
-    along = (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9)
-    apart = shifts - along * towards
+    apart = _apart_from_lights(shifts, towards)
     known = _SURE * float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart))
     if np.hypot(*apart.mean(axis=0)) >= max(CORRECT_MM, known):
         bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
@@ -232,6 +230,18 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
             kept = [k for k in range(len(band.side.leds)) if k not in out]
             bands[name] = replace(band, side=band.side.of_images(kept))
     return replace(capture, bands=bands), (SOME_MOVED.format(len(out)),)
+
+
+def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> NDArray[np.float64]:
+    """(L, 2) directions of lights in the plane of the images, x right and y up; of length one."""
+    towards = capture.rig.select(leds).light_vectors()[:, :2]
+    return np.asarray(towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9))
+
+
+def _apart_from_lights(shifts: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, 2) shifts of images less what they have in common along their lights: shading seems to shift ridges so."""
+    centred = towards - towards.mean(axis=0)
+    return np.asarray(shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards)
 
 
 _MEASURED = 3
@@ -260,6 +270,8 @@ class _Registered:
     after: float
     """The same with the motion undone."""
     facts: dict[str, Any]
+    apart: float = 1.0
+    """Variance of the white shots' shifts that is left without shifts along their lights, over all of it."""
 
 
 def seen_motion_mm(finger: Finger) -> float:
@@ -289,7 +301,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
     first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
     flows: dict[str, Flow] = {}
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
-    before, after = np.zeros(1), np.zeros(1)
+    before, after, left = np.zeros(1), np.zeros(1), 1.0
     flow = still(len(white.pixels), (mask.shape[0], mask.shape[1]), px)
     if not still_white:
         found = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
@@ -297,6 +309,10 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
         flows["white"] = replace(flow, origin_mm=first)
         reported = _motion_facts(flows["white"], mask, px)
         facts["motion_white"] = reported | {"unexplained_before": _plain(before), "unexplained_after": _plain(after)}
+        shifts = np.array(reported["shift_mm"])
+        if not white.colours:  # one light a shot
+            apart = _apart_from_lights(shifts, _towards(capture, white.lights))
+            left = float(apart.var(axis=0).sum() / max(shifts.var(axis=0).sum(), 1e-30))
     for name, band in capture.bands.items():
         crossed = name == "white_crossed"
         if name == "white" or band.colours or (still_white and not crossed):
@@ -315,7 +331,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
-    return _Registered(flows, most, _rms(before), _rms(after), facts)
+    return _Registered(flows, most, _rms(before), _rms(after), facts, left)
 
 
 def _light_of(
@@ -329,9 +345,13 @@ def _light_of(
     return channels[0], without_glare(channels[1:])
 
 
+BY_SHADING = 0.1
+"""`_Registered.apart` below which shading moved the ridges, and not the finger; a steady drift has two thirds."""
+
+
 def _worth_undoing(registered: _Registered, seen_mm: float) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
-    if registered.most_mm < CORRECT_MM:
+    if registered.most_mm < CORRECT_MM or registered.apart < BY_SHADING:
         return False
     if registered.after > MOST_LEFT and seen_mm < WARN_MM:  # no skin, wet skin
         return False

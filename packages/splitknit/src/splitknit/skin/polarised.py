@@ -66,7 +66,7 @@ ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.2
 """Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges, and in mm
 over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
 STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
-ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.62, 0.7, 1.6, 1.2, 3.0))
+ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.58, 0.65, 1.75, 0.95, 3.0))
 """The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
 slant, over the variance of the lens's blur times the ridges' curvature: without lights to the side and with them."""
 GLINTS = 1.6
