@@ -1,4 +1,4 @@
-"""The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 10] [--system NAME]`.
+"""The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 24] [--system NAME]`.
 
 Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for ``splitknit
 import``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
@@ -216,7 +216,7 @@ def tables(out: Path, seeds: list[int]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fingers", type=int, default=10)
+    parser.add_argument("--fingers", type=int, default=24)
     parser.add_argument("--system", choices=[*SYSTEMS], action="append")
     parser.add_argument("--out", type=Path, default=Path("build/scanners"))
     parser.add_argument("--fringes", action="store_true", help="the table of fringes on skin only")
