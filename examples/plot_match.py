@@ -18,7 +18,7 @@ import splitknit
 from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
 from splitknit.model import surface_of
-from splitknit_match.matching.methods import false_match_rate
+from splitknit_match.matching.methods import rate
 from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import ridge_match
@@ -56,10 +56,10 @@ def main(arguments: list[str] | None = None) -> int:
     first, *others = who
     for other in others:
         found = ridge_match(templates[first], templates[other])
-        rate = false_match_rate(found.similarity)
+        fmr = rate(found.similarity, "ridge", None).fmr
         score = minutiae_match(prints[first][1], prints[other][1])
         print(f"{first} against {other}:")
-        often = "always" if rate is None or rate >= 0.999 else f"in at most {100 * rate:.2g} % of comparisons"
+        often = "always" if fmr is None or fmr >= 0.999 else f"in at most {100 * fmr:.2g} % of comparisons"
         print(
             f"  by ridges {found.similarity:.2f} (turned by {found.rotation_deg:+.1f} deg, {found.overlap_mm2:.0f} mm2 "
             f"in common); impostors reach that {often}"
