@@ -75,8 +75,8 @@ SIDE_MISFIT = (
     "their films, if any, which must let the skin's mirror reflection pass the camera's film."
 )
 NO_WHITE = (
-    "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be told "
-    "from its colour (films show it)."
+    "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be "
+    "separated by colour (films separate it)."
 )
 WHITE = (0.45, 10.0)
 """Roughness, and scattered over specular light, up to which white light shows the ridges better than the front lights

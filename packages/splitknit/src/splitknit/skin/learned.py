@@ -210,7 +210,7 @@ def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, networ
     return relief_of_output(network(given.fields), given.level[:2] * grid.mask, grid, smooth_mm)
 
 
-def relief_of_output(output: FloatArray, levels: Any, grid: Grid, smooth_mm: FloatArray) -> ReliefEstimate:
+def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_mm: FloatArray) -> ReliefEstimate:
     """Relief on a smooth shape (h, w) from the network's `output` and the features' first two levels, masked."""
     slant = slant_of(smooth_mm, grid.pitch_mm)
     trust = trust_of(slant, grid)
