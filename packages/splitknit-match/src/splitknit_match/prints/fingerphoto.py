@@ -95,16 +95,21 @@ def read_fingerphoto(
     px_per_mm: float | None = None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
+    *,
+    shaped: bool = True,
 ) -> Source:
     """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
 
     `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
-    finger; `photo`: the file, if it was read. Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
+    finger; `photo`: the file, if it was read; `shaped`: with the finger's mean shape, which prints of its surface need.
+    Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
     :func:`splitknit_match.prints.make.make_print` prints with the method ``photo``; its `scale` says what was taken for
     what.
     """
     read, where = photo or read_photo(path), where or PhotoFinger()
-    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
+    found = naming(
+        path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped=shaped)
+    )
     return replace(found, hashes={Path(path).name: read.sha256})
 
 
@@ -113,6 +118,8 @@ def source_of_photo(
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
+    *,
+    shaped: bool = True,
 ) -> Source:
     """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
 
@@ -181,7 +188,7 @@ def source_of_photo(
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
-    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale)
+    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale) if shaped else None
     return Source(
         "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
         scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
