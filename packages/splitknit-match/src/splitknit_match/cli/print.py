@@ -57,6 +57,8 @@ def _rolled_words(rolled: dict[str, Any]) -> str:
 
 def _quality_words(quality: dict[str, Any]) -> list[str]:
     """One line of scores and, where something is wrong, what to do."""
+    if "photo" in quality:  # its note says it, and what to change
+        return []
     words = f"Quality: {quality['ours']:.0f} of 100"
     if quality["nfiq2"] is not None:
         of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())

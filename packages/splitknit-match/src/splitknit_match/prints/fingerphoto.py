@@ -157,7 +157,7 @@ def source_of_photo(
     unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
-    ridges = pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
+    ridges = photo_ridges(image)
     field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
@@ -193,6 +193,11 @@ def source_of_photo(
         "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
         scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
     )  # fmt: skip
+
+
+def photo_ridges(image: NDArray[np.uint8]) -> PressedRidges:
+    """Ridges of a photograph's print (h, w) at 500 ppi, ridges dark."""
+    return pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:

@@ -146,8 +146,11 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
         if value > 0.5 * rated[0][0] and apart and aside and 0.5 < one.width / best.width < 1.6:
             others.append(one)
     bins = _bins(fine)
-    for reach in (0.2, 0.15, 0.08):
-        best = _fitted(best, fine, bins, _WHOLE, reach)
+    best = _fitted(best, fine, bins, _WHOLE, 0.2)
+    sides = (best.tip + best.width * best.places(np.array([[-0.5, 1.1], [0.5, 1.1]]))) * side
+    if ((sides >= 0) & (sides <= np.array(part.shape[1::-1]))).all():
+        for reach in (0.15, 0.08):
+            best = _fitted(best, fine, bins, _WHOLE, reach)
     mask = np.zeros((height, width), np.bool_)
     inside = _middles_in(best.corners(part.shape), part.shape)
     mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = inside
