@@ -45,9 +45,9 @@ _RIDGES = (23.5, 61.0)
 _MOST, _NO_RIDGES = 0.6, 0.2
 """Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2; and what is
 left of the likeness without ridges."""
-_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.12, 0.01
-"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.2 to 1, pictures without
-a finger less than 0.15 (validation/match/telephone.py); and where somebody says that there is one."""
+_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.17, 0.01
+"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.18 to 1, pictures without
+a finger less than 0.16 (validation/match/telephone.py); and where somebody says that there is one."""
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Array = NDArray[np.float64]
 
