@@ -19,6 +19,7 @@ illumination", EGSR 2007. B. Walter et al., "Microfacet models for refraction th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -178,12 +179,14 @@ def polarised_heights(
         off = slopes[0] - before[0], slopes[1] - before[1]
         beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached)
+        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached, side[fit])
         change = _change(turn, beside)
         tensor, force = _system(turn, beside, change, weight)
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
-        specular = specular.changed(step * change)
+        own = change.size - 2 * turn.aside.size
+        specular = specular.changed(step * change[:own])
+        gains[:, turn.aside] *= np.exp(step * change[own:]).reshape(2, -1)
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
@@ -309,14 +312,16 @@ class _Lights:
 
 
 def _fitted(turn: _Turn, side: NDArray[np.intp], gains: FloatArray, misfit: float) -> BoolArray:
-    """Fit the brightness of the lights `side`, in `gains` (2, L). Returns which fit; the others are left out."""
+    """Fit the brightness of the lights `side` that did not fit before, in `gains` (2, L), which are kept within bounds.
+    Returns which fit; the others are left out."""
     some, fit = slice(None, None, 3), np.zeros(side.size, dtype=np.bool_)
     for n, k in enumerate(side):
         parts = turn.rho[some] * turn.soft[k, some], np.float32(turn.specular.strength) * turn.sharp[k, some]
         found = _brightness(turn.images.stack[k, some], turn.error, parts, misfit)
         fit[n] = found is not None
-        gains[:, k] *= found or (1, 1)
+        gains[:, k] *= (1, 1) if found is None or k in turn.aside else found
         turn.reached[k] *= fit[n]
+    np.clip(gains, *GAINS, out=gains)
     return fit
 
 
@@ -472,6 +477,8 @@ class _Turn:
     """Of the prediction, over the image."""
     reached: FloatArray
     """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light; (1,) where all reach it."""
+    aside: NDArray[np.intp]
+    """Lights to the side whose brightness is fitted."""
 
     def columns(self, rows: slice, lift: bool = False) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of some rows by both slopes and rho, their residual, derivatives by the logarithms of strength,
@@ -499,6 +506,13 @@ class _Turn:
             image, matt = _facets(self.higher.on(rows), slopes, self.specular.roughness)
             columns.append((strength * (image - facets[0]) + rho * (matt - facets[1])) / np.float32(RAISED_MM))
         return columns, weight * gate
+
+
+    def brightness(self, rows: slice) -> list[tuple[int, FloatArray]]:
+        """Lights to the side and derivatives (rows, w) of their images by the logarithms of their two brightnesses."""
+        shown = np.float32(self.specular.strength) * self.sharp[self.aside, rows]
+        scattered = self.rho[rows] * self.soft[self.aside, rows]
+        return [(int(k), part) for parts in (scattered, shown) for k, part in zip(self.aside, parts, strict=True)]
 
 
 def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
@@ -537,8 +551,8 @@ STRIPES = 12
 
 
 def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
-    """Of the logarithms of strength, roughness, path and blur, and of the lift in mm where lights to the side show it,
-    with whatever slopes suit them best."""
+    """Of the logarithms of strength, roughness, path and blur, and, where lights to the side show them, of the lift in
+    mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit them best."""
     sums: dict[int, NDArray[np.float64]] = {}
 
     def work(rows: slice) -> None:
@@ -546,23 +560,17 @@ def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
         if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
             return
         columns, weight = turn.columns(rows, lift=True)
-        gram = _gram(columns, weight, len(columns), prior, rows)
-        count = len(columns) - 4
-        xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
-        below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
-        total = np.empty((count, count + 1))
-        for n in range(count):
-            fx, fy = gram[0, 4 + n], gram[1, 4 + n]
-            x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
-            for m in range(count + 1):
-                rest = gram[min(3 + m, 4 + n), max(3 + m, 4 + n)] - x * gram[0, 3 + m] - y * gram[1, 3 + m]
-                total[n, m] = rest[prior.known[rows]].sum(dtype=np.float64)
-        sums[rows.start] = total
+        gram = _gram(columns, weight, prior, rows, turn.brightness(rows))
+        for i in range(2):
+            gram -= gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], np.float32(1e-12)))
+        sums[rows.start] = gram[3:, 3:, prior.known[rows]].sum(axis=2, dtype=np.float64)
 
     for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
-    own, most = total[:, 1:] + np.diag(PRIOR_WEIGHTS[: len(total)]), MOST[: len(total)]
-    return np.clip(np.linalg.solve(own, total[:, 0]), np.negative(most), most)
+    damping, most = (np.full(len(total) - 1, values[0]) for values in (PRIOR_WEIGHTS, MOST))
+    numbers = 4 + (turn.higher is not None)
+    damping[:numbers], most[:numbers] = PRIOR_WEIGHTS[:numbers], MOST[:numbers]
+    return np.clip(np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0]), -most, most)
 
 
 def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -572,9 +580,12 @@ def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: Float
 
     def work(rows: slice) -> None:
         columns, weight = turn.columns(rows)
+        brightness = turn.brightness(rows)
         for by, column in zip(change.astype(np.float32), columns[4:], strict=False):  # the lift's comes in the next one
             columns[3] -= by * column
-        gram = _gram(columns, weight, 4, prior, rows)
+        for by, (k, column) in zip(change[change.size - len(brightness) :], brightness, strict=True):
+            columns[3][k] -= np.float32(by) * column
+        gram = _gram(columns[:4], weight, prior, rows)
         tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
         used[:, rows] = weight
 
@@ -583,21 +594,30 @@ def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: Float
 
 
 def _gram(
-    columns: list[FloatArray], weight: FloatArray, count: int, prior: _Prior, rows: slice
-) -> dict[tuple[int, int], FloatArray]:
-    """Normal equations (rows, w) of the first `count` columns and the prior, the scattered part eliminated."""
-    heavy = [weight * column for column in columns[:count]]
-    gram = {(i, j): np.einsum("lij,lij->ij", heavy[i], columns[j]) for i in range(count) for j in range(i, count)}
+    columns: list[FloatArray], weight: FloatArray, prior: _Prior, rows: slice,
+    single: Sequence[tuple[int, FloatArray]] = (),
+) -> FloatArray:  # fmt: skip
+    """Normal equations (n, n, rows, w) of columns, of those of a `single` light each, and of the prior, the scattered
+    part eliminated."""
+    count, heavy = len(columns), [weight * column for column in columns]
+    gram = np.zeros((count + len(single), count + len(single), *weight.shape[1:]), dtype=np.float32)
+    for i, j in ((i, j) for i in range(count) for j in range(i, count)):
+        gram[i, j] = gram[j, i] = np.einsum("lij,lij->ij", heavy[i], columns[j])
+    for n, (k, column) in enumerate(single, count):
+        for i in range(count):
+            gram[i, n] = gram[n, i] = heavy[i][k] * column
+        for m, (other, beside) in enumerate(single, count):
+            if other == k:
+                gram[n, m] = weight[k] * column * beside
     for i, off in enumerate(prior.slopes_off):
         gram[i, i] += prior.slopes[rows]
         gram[i, 3] -= prior.slopes[rows] * off[rows]
+        gram[3, i] = gram[i, 3]
     stiff = 1 / (np.float32(LOCAL_RHO) * prior.rho[rows]) ** 2
     gram[2, 2] += stiff
     gram[2, 3] -= stiff * prior.rho_off[rows]
-    rest = [i for i in range(count) if i != 2]
-    for i, j in ((i, j) for i in rest for j in rest if i <= j):
-        gram[i, j] -= gram[min(i, 2), max(i, 2)] * gram[min(j, 2), max(j, 2)] / gram[2, 2]
-    return gram
+    gram[3, 2] = gram[2, 3]
+    return gram - gram[:, 2, None] * (gram[2] / gram[2, 2])
 
 
 # Heights at the corners of the pixels.
