@@ -52,6 +52,7 @@ LOCAL_RHO = 0.3
 MODEL_ERROR, FIRST_ERROR, LESS = 0.03, 0.8, 0.66
 """Error of the prediction, over the image; what it is taken for in the first step where lights stand to the side, and
 the factor from step to step: facets that start far from their slope would be taken for outliers."""
+GRAZING = 0.004
 SCATTERED_ERROR = 0.1
 """Error of the prediction, over its scattered part."""
 LIT, SEEN = ((0.1, 0.3), (0.05, 0.2)), ((0.3, 0.2), (0.1, 0.2))
@@ -398,19 +399,21 @@ def _facets(light: FloatArray, slopes: Slopes, roughness: float, derivatives: bo
     below = 1 - b * nh * nh
     root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
     unit = irradiance * lit
-    matt = unit * nl
+    entering = nl * nl + np.float32(GRAZING)
+    matt = unit * nl * nl * nl / entering
     image = reflected * lit * nl * (a2 / np.float32(np.pi) / (nz + root_z)) / (below * below * (nl + root_l))
     if not derivatives:
         return [image, matt]
     by_h = 4 * b * nh / below
     by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
     by_z = -(1 + b * nz / root_z) / (nz + root_z)
+    by_matt = matt / nl * (1 + np.float32(2 * GRAZING) / entering)
     specular, scattered = [], []
     for axis, slope in enumerate(slopes):
         turned = slope * nz * nz
         dl, dh = -towards[axis] * nz - nl * turned, -half[axis] * nz - nh * turned
         specular.append(image * (by_h * dh + by_l * dl - by_z * turned * nz))
-        scattered.append(unit * dl)
+        scattered.append(by_matt * dl)
     rougher = 2 - 4 * a2 * nh * nh / below
     rougher -= a2 * ((1 - nl * nl) / (root_l * (nl + root_l)) + (1 - nz * nz) / (root_z * (nz + root_z)))
     return [image, matt, *specular, *scattered, image * rougher, cosine]
