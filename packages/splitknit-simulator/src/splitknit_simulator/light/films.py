@@ -200,8 +200,8 @@ def reflected_through(
     """What a facet that mirrors the LED to the camera reflects through both films, of light polarised by the first.
 
     `light`, `view`: unit vectors from the facet to the LED and to the camera; the films' axes are angles as the camera
-    sees them, or a vector; `leak`: transmission across a film's axis over that along it. Summed over both fields behind the
-    first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
+    sees them, or a vector; `leak`: transmission across a film's axis over that along it. Summed over both fields behind
+    the first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
     equation (21): the signed amplitudes.
     """
     cosine = np.sqrt(0.5 + 0.5 * _dot(light, view))
