@@ -43,7 +43,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
         pores = facts["pores"]
         lines.append(f"{pores['count']} pores, sought in the {pores['sought_in']}.")
         lines += [f"Please note: {pores['warning']}"] if "warning" in pores else []
-    lines += _quality_words(facts["quality"])
+    lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
 
@@ -57,8 +57,6 @@ def _rolled_words(rolled: dict[str, Any]) -> str:
 
 def _quality_words(quality: dict[str, Any]) -> list[str]:
     """One line of scores and, where something is wrong, what to do."""
-    if "photo" in quality:  # its note says it, and what to change
-        return []
     words = f"Quality: {quality['ours']:.0f} of 100"
     if quality["nfiq2"] is not None:
         of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())

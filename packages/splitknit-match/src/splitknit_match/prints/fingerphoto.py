@@ -55,6 +55,8 @@ USUAL_WIDTH_MM = 17.0
 _PEOPLE_WIDTH = 0.12
 """Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
 Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
+USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH)))
+"""Their distance in pixels at 500 ppi, and its relative standard deviation where the width gives the scale."""
 _THICKNESS, _SLANT_DEG = 0.8, 70.0
 """Depth over breadth of a fingertip; skin steeper than this is left out of its print."""
 _LENGTH = 1.5
@@ -95,7 +97,6 @@ def read_fingerphoto(
     px_per_mm: float | None = None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
-    *,
     shaped: bool = True,
 ) -> Source:
     """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
@@ -107,9 +108,7 @@ def read_fingerphoto(
     what.
     """
     read, where = photo or read_photo(path), where or PhotoFinger()
-    found = naming(
-        path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped=shaped)
-    )
+    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped))
     return replace(found, hashes={Path(path).name: read.sha256})
 
 
@@ -118,7 +117,6 @@ def source_of_photo(
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
-    *,
     shaped: bool = True,
 ) -> Source:
     """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
@@ -157,7 +155,7 @@ def source_of_photo(
     unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
-    ridges = photo_ridges(image)
+    ridges = pressed_ridges(image, USUAL_RIDGES)
     field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
@@ -193,11 +191,6 @@ def source_of_photo(
         "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
         scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
     )  # fmt: skip
-
-
-def photo_ridges(image: NDArray[np.uint8]) -> PressedRidges:
-    """Ridges of a photograph's print (h, w) at 500 ppi, ridges dark."""
-    return pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:

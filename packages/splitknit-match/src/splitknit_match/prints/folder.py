@@ -41,7 +41,7 @@ from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.space_features import bilinear, in_space
 from splitknit_match.prints.enhance import Enhanced, as_print, ridge_mask, thin
-from splitknit_match.prints.fingerphoto import fingerphoto, photo_ridges, read_fingerphoto
+from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import (
     Print,
@@ -54,6 +54,7 @@ from splitknit_match.prints.make import (
     minutiae_by_phase,
 )
 from splitknit_match.prints.pores import write_pores
+from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_job import PrintJob
 from splitknit_match.prints.print_map import NOWHERE, PrintMap
 from splitknit_match.prints.print_quality import PrintQuality
@@ -222,13 +223,12 @@ def _read(
 
 def _made(source: Source, around: Rolled | None, how: tuple[str, str], ppi: float, settings: PrintingSettings) -> Print:
     """The print of a source by a method, where it is made."""
-    method, place = how
     if around is not None:
-        return make_rolled_print(around, source, place, ppi, settings)
-    made = make_print(source, method, place, ppi, settings)
+        return make_rolled_print(around, source, how[1], ppi, settings)
+    made = make_print(source, *how, ppi, settings)
     if source.quality is None or ppi != PPI:
         return made
-    sure = photo_ridges(made.image)  # noise is as strong as a photograph's ridges
+    sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
     weight = np.where(sure.inside, made.weight, np.float32(0))
     return replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
 

@@ -45,9 +45,9 @@ _RIDGES = (23.5, 61.0)
 _MOST, _NO_RIDGES = 0.6, 0.2
 """Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2; and what is
 left of the likeness without ridges."""
-_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.12, 0.01
-"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.2 to 1, pictures without
-a finger less than 0.15 (validation/match/telephone.py); and where somebody says that there is one."""
+_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.17, 0.01
+"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.18 to 1, pictures
+without one less than 0.16 (validation/match/telephone.py); and where somebody says that there is one."""
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Array = NDArray[np.float64]
 
@@ -152,7 +152,8 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
         for reach in (0.15, 0.08):
             best = _fitted(best, fine, bins, _WHOLE, reach)
     mask = np.zeros((height, width), np.bool_)
-    inside = _middles_in(best.corners(part.shape), part.shape)
+    # pixels that its sides cross make a finger a pixel wider
+    inside = _filled(best.corners(part.shape, shrunk=1 - 1 / (best.width * side)), part.shape)
     mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = inside
     direction_deg = float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1])))
     return FingerFound(mask, direction_deg, best.width * side, len(others))
@@ -179,22 +180,6 @@ def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
     mask = np.zeros(shape[:2], np.uint8)
     cv2.fillPoly(mask, [np.rint(16 * corners).astype(np.int32)], 1, shift=4)
     return mask > 0
-
-
-def _middles_in(corners: Array, shape: tuple[int, ...]) -> BoolArray:
-    """(H, W) pixels whose middle lies in a polygon (N, 2): those that its sides cross make a finger a pixel wider."""
-    most = np.array(shape[1::-1])
-    (left, top), (right, bottom) = (
-        np.clip(one.astype(np.intp), 0, most) for one in (np.floor(corners.min(0)), np.ceil(corners.max(0)) + 1)
-    )
-    (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
-    row, side = np.nonzero((y > (rows := np.arange(top, bottom)[:, None])) != (to_y > rows))
-    crossed = x[side] + (row + top - y[side]) / (to_y - y)[side] * (to_x - x)[side]
-    sides = np.zeros((bottom - top, right - left + 1), np.uint8)
-    np.add.at(sides, (row, np.clip(np.ceil(crossed) - left, 0, right - left).astype(np.intp)), 1)
-    mask = np.zeros(shape[:2], np.bool_)
-    mask[top:bottom, left:right] = np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0
-    return mask
 
 
 def _tip_at(turn: Array) -> tuple[Array, Array]:
@@ -321,15 +306,12 @@ def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float
     places = (base[:, None] + offsets[None, :, None] * out[:, None]).astype(np.float32)
     seen = ((places >= -0.5) & (places <= np.array(lab.shape[1::-1]) - 0.5)).all(-1)
     step, x, y = 2 * reach * px / (_ACROSS - 1), places[..., 0], places[..., 1]
-    colours, alike = (
-        cv2.GaussianBlur(
-            cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), (0, 0), 0.01, None, 0.6
-        )
-        for part in (lab, _resemblance(one, bins, length, reach))
-    )
-    change = np.linalg.norm(np.gradient(colours, step, axis=1), axis=-1)
+    stack = cv2.merge([lab, _resemblance(one, bins, length, reach)])
+    values = cv2.remap(stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = cv2.GaussianBlur(values, (0, 0), sigmaX=0.01, sigmaY=0.6)
+    change = np.linalg.norm(np.gradient(values[..., :3], step, axis=1), axis=-1)
     edge = np.where(seen, change / (change + np.float32(1.5)), 0.0)
-    inside = np.cumsum(np.where(seen, alike, 0.0), axis=1) * step / px
+    inside = np.cumsum(np.where(seen, values[..., 3], 0.0), axis=1) * step / px
     gain = edge + (inside - inside.mean(axis=1, keepdims=True)) - 0.3 * (offsets / (reach * px)) ** 2
     came, index, best = np.zeros(gain.shape, np.intp), np.arange(_ACROSS), gain[0]
     ways = np.full((3, _ACROSS), -np.inf)  # from the place before, the same, the one beyond
