@@ -7,7 +7,7 @@ they turn a field that lies between them. Light that was scattered once keeps a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -79,6 +79,8 @@ class Films:
     polariser_rad: Array  # (2, L) axes of the LEDs' films in both series, as the camera sees them
     analyser_rad: Array  # (2,) axes of the camera's film
     shift_px: Array  # (2,) columns and rows by which the crossed series is shifted
+    # by series and LED: axes (x, y, z) of the films before side lights, which face the finger, not the camera
+    aside: Mapping[tuple[int, int], Vectors]
 
     def specular(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What passes of the light that the surface reflects, over what it reflects of unpolarised light.
@@ -87,15 +89,15 @@ class Films:
         `light`, `view`: unit vectors from the surface to the LED and to the camera.
         """
         leak = 1.0 / self.settings.extinction
-        passed = reflected_through(
-            light, view, float(self.polariser_rad[series, k]), float(self.analyser_rad[series]), leak
-        )
+        polariser = self.aside.get((series, k), float(self.polariser_rad[series, k]))
+        passed = reflected_through(light, view, polariser, float(self.analyser_rad[series]), leak)
         return np.asarray(0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view))))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What light scattered once adds, over itself, to what would pass had it lost its polarisation."""
         leak, kept = 1.0 / self.settings.extinction, self.settings.kept
-        polariser, analyser = float(self.polariser_rad[series, k]), float(self.analyser_rad[series])
+        polariser = self.aside.get((series, k), float(self.polariser_rad[series, k]))
+        analyser = float(self.analyser_rad[series])
         fields = [_unit(_across(field, view)) for field in _fields(polariser, light)]
         weights = (1.0, leak)
         passed: Any = 0.0
@@ -140,12 +142,15 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
     else:
         polariser[1] = polariser[0]
         analyser[1] += np.pi / 2
+    aside = {}
     for k in side_lights(leds):
+        place = leds[k].position_mm or ()
         for series, along in enumerate((axis, axis + np.pi / 2 * (settings.kind == "leds"))):
-            polariser[series, k] += turned_film_rad(leds[k].position_mm or (), along) - along
+            polariser[series, k] += turned_film_rad(place, along) - along
+            aside[series, k] = _fields(float(polariser[series, k]), _unit(place))[0]
     direction = rng.uniform(0.0, 2.0 * np.pi)
     shift = settings.shift_px * np.array([np.cos(direction), np.sin(direction)]) * (settings.kind == "analyser")
-    return Films(settings, polariser, analyser, shift)
+    return Films(settings, polariser, analyser, shift, aside)
 
 
 def with_crossed_leds(rig: Rig, distance_mm: float) -> Rig:
@@ -189,12 +194,14 @@ def moved(frame: FloatArray, shift_px: Array) -> FloatArray:
     return np.asarray(np.maximum(found, 0.0), dtype=np.float32)
 
 
-def reflected_through(light: Vectors, view: Vectors, polariser_rad: float, analyser_rad: float, leak: float) -> Array:
+def reflected_through(
+    light: Vectors, view: Vectors, polariser: float | Vectors, analyser_rad: float, leak: float
+) -> Array:
     """What a facet that mirrors the LED to the camera reflects through both films, of light polarised by the first.
 
-    `light`, `view`: unit vectors from the facet to the LED and to the camera; the axes are those of the films as the
-    camera sees them; `leak`: transmission across a film's axis over that along it. Summed over both fields behind the
-    first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
+    `light`, `view`: unit vectors from the facet to the LED and to the camera; the films' axes are angles as the camera
+    sees them, or a vector; `leak`: transmission across a film's axis over that along it. Summed over both fields behind
+    the first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
     equation (21): the signed amplitudes.
     """
     cosine = np.sqrt(0.5 + 0.5 * _dot(light, view))
@@ -208,7 +215,7 @@ def reflected_through(light: Vectors, view: Vectors, polariser_rad: float, analy
     s = _unit(tuple(np.where(level, b, a) for a, b in zip(s, other, strict=True)))
     before, behind = _cross(light, s), _cross(s, view)  # s x d with d = -light; s x v
     passed: Any = 0.0
-    for field, a in zip(_fields(polariser_rad, light), (1.0, leak), strict=True):
+    for field, a in zip(_fields(polariser, light), (1.0, leak), strict=True):
         on_s, on_p = across * _dot(field, s), along * _dot(field, before)
         for axis, b in zip(_fields(analyser_rad, view), (1.0, leak), strict=True):
             passed = passed + a * b * (on_s * _dot(axis, s) + on_p * _dot(axis, behind)) ** 2
@@ -222,9 +229,9 @@ def fresnel_amplitudes(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_I
     return (c - ratio * t) / (c + ratio * t), (ratio * c - t) / (ratio * c + t)
 
 
-def _fields(axis_rad: float, ray: Vectors) -> tuple[Vectors, Vectors]:
+def _fields(axis: float | Vectors, ray: Vectors) -> tuple[Vectors, Vectors]:
     """Unit vectors across a ray: along the film's axis, and square to it."""
-    first = _unit(_across((np.cos(axis_rad), np.sin(axis_rad), 0.0), ray))
+    first = _unit(_across((np.cos(axis), np.sin(axis), 0.0) if isinstance(axis, float) else axis, ray))
     return first, _cross(ray, first)
 
 

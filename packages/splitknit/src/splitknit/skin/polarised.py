@@ -19,6 +19,7 @@ illumination", EGSR 2007. B. Walter et al., "Microfacet models for refraction th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -53,6 +54,9 @@ MODEL_ERROR, FIRST_ERROR, LESS = 0.03, 0.8, 0.66
 the factor from step to step: facets that start far from their slope would be taken for outliers."""
 SCATTERED_ERROR = 0.1
 """Error of the prediction, over its scattered part."""
+GRAZING = 0.004
+"""Square of the cosine of incidence at which half the light enters that is scattered once; Fresnel's transmittance and
+the longer path below the skin would be 0.01 on a smooth surface, but such light also comes from beside the facet."""
 LIT, SEEN = ((0.1, 0.3), (0.05, 0.2)), ((0.3, 0.2), (0.1, 0.2))
 """Cosine towards the light, and towards the camera, from which a facet is used, and how much more gives it all its
 weight; without lights to the side and with them."""
@@ -66,9 +70,12 @@ ERROR_DEG, ERROR_PART, ERROR_MM = (0, 15, 30, 45, 60, 75), (0.03, 0.05, 0.1, 0.2
 """Error of the heights that films measure, as they are weighed: by slant, over the rms height of the ridges, and in mm
 over the standard deviation of a slope by the images' noise, on skin that faces the camera."""
 STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
-ERROR_BEND = ((0.8, 1.05, 1.5, 1.8, 3.5), (0.58, 0.65, 1.75, 0.95, 3.0))
-"""The model's error as it is stated. Of the gain: factor on the square of scattered over specular light, and most. By
-slant, over the variance of the lens's blur times the ridges' curvature: without lights to the side and with them."""
+ERROR_BEND = (0.8, 1.05, 1.5, 1.8, 3.5)
+"""The model's error as it is stated, without lights to the side. Of the gain: factor on the square of scattered over
+specular light, and most. By slant, over the variance of the lens's blur times the ridges' curvature."""
+ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.044, (0.1, 0.15, 0.4, 0.0, 0.6), 0.4
+"""The same with lights to the side: of the gain; by slant, over the ridges' height times their slope; and the mean
+square that is left over its expected error, from which both grow by its fourth root."""
 GLINTS = 1.6
 """Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
 between them."""
@@ -178,12 +185,14 @@ def polarised_heights(
         off = slopes[0] - before[0], slopes[1] - before[1]
         beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached)
+        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached, side[fit])
         change = _change(turn, beside)
         tensor, force = _system(turn, beside, change, weight)
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
-        specular = specular.changed(step * change)
+        numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
+        specular = specular.changed(numbers)
+        gains[:, turn.aside] *= np.exp(brightness).reshape(2, -1)
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
@@ -191,7 +200,7 @@ def polarised_heights(
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
-    model = _Error(ERROR_BEND[bool(fit.any())], blur_mm**2, gain, specular.roughness)
+    model = _Error(blur_mm**2, gain, specular.roughness, _misfit(turn) if fit.any() else None)
     tensor = grid.smooth(tensor, mask, NEAR_MM)
     height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=model)
     facts = {
@@ -208,18 +217,27 @@ def polarised_heights(
     return height_mm, stated_mm, facts
 
 
+def _misfit(turn: _Turn) -> FloatArray:
+    """(h, w) local mean square over the lights of what is left of the images, over its expected error."""
+    shown, scattered = np.float32(turn.specular.strength) * turn.sharp, turn.rho * turn.soft
+    expected = np.float32(turn.images.noise**2) + (np.float32(MODEL_ERROR) * turn.images.stack) ** 2
+    expected += (np.float32(SCATTERED_ERROR) * scattered) ** 2
+    found = (turn.reached * (turn.images.stack - shown - scattered) ** 2 / expected).mean(axis=0)
+    return turn.grid.smooth(found, turn.mask, RIDGE_MM)
+
+
 NEAR_MM, RIDGE_MM = 0.1, 0.3
 """Standard deviations of the Gaussians over which what the images say is averaged, and that parts ridges from shape."""
 
 
 class _Error(NamedTuple):
-    """What the model's error follows from: `ERROR_BEND` for these lights, variance of the lens's blur in mm^2, error of
-    the gain, roughness."""
+    """What the model's error follows from: variance of the lens's blur in mm^2, error of the gain, roughness, and,
+    with lights to the side, (h, w) mean square over the lights of what is left over its expected error."""
 
-    bend: tuple[float, ...]
     blur: float
     gain: float
     roughness: float
+    misfit: FloatArray | None
 
 
 def _joined(
@@ -245,9 +263,15 @@ def _joined(
     of_start = np.maximum(np.float32(START_ERROR) * deviation_mm, np.float32(1e-4)) ** 2
     common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
     part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
-    glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * error.roughness)
-    lost = np.interp(slant, STATED_DEG, error.bend).astype(np.float32) * np.float32(error.blur * max(glints, 1)) * bend
-    stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
+    if error.misfit is None:
+        glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * error.roughness)
+        lost = np.interp(slant, STATED_DEG, ERROR_BEND).astype(np.float32) * bend
+        lost *= np.float32(error.blur * max(glints, 1))
+        stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
+    else:
+        steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
+        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep
+        stated = noise + power * (np.float32(ERROR_SIDE**2) + lost) * np.sqrt(error.misfit / np.float32(MISFIT_MEAN))
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
@@ -265,6 +289,8 @@ class _Lights:
     irradiance times Fresnel's reflectance there."""
     between: FloatArray
     """(h, n) weights of the rows."""
+    grazing: float
+    """`GRAZING` with lights to the side, else 0."""
 
     @classmethod
     def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray | None = None) -> _Lights:
@@ -284,7 +310,8 @@ class _Lights:
         low = np.minimum(rows // EVERY, max(count - 2, 0))
         between[rows, low] = 1 - (rows / EVERY - low)
         between[rows, np.minimum(low + 1, count - 1)] += rows / EVERY - low
-        return cls(fields, between)
+        aside = not lights_in_front(rig).all()
+        return cls(fields, between, GRAZING * aside)
 
     def reached(self, k: int, surface_mm: FloatArray, grid: Grid) -> FloatArray:
         """(h, w) in [0, 1]: which part of the surface (h, w) no cast shadow hides from light `k`."""
@@ -309,14 +336,16 @@ class _Lights:
 
 
 def _fitted(turn: _Turn, side: NDArray[np.intp], gains: FloatArray, misfit: float) -> BoolArray:
-    """Fit the brightness of the lights `side`, in `gains` (2, L). Returns which fit; the others are left out."""
+    """Fit the brightness of the lights `side` that did not fit before, in `gains` (2, L), which are kept within bounds.
+    Returns which fit; the others are left out."""
     some, fit = slice(None, None, 3), np.zeros(side.size, dtype=np.bool_)
     for n, k in enumerate(side):
         parts = turn.rho[some] * turn.soft[k, some], np.float32(turn.specular.strength) * turn.sharp[k, some]
         found = _brightness(turn.images.stack[k, some], turn.error, parts, misfit)
         fit[n] = found is not None
-        gains[:, k] *= found or (1, 1)
+        gains[:, k] *= (1, 1) if found is None or k in turn.aside else found
         turn.reached[k] *= fit[n]
+    np.clip(gains, *GAINS, out=gains)
     return fit
 
 
@@ -362,7 +391,9 @@ def _predicted(lights: _Lights, slopes: Slopes, specular: Specular, mask: BoolAr
     soft, inside = np.empty_like(sharp), mask.astype(np.float32)
 
     def work(part: slice) -> None:
-        image, matt = _facets(lights.on(part), (slopes[0][part], slopes[1][part]), specular.roughness)[:2]
+        image, matt = _facets(lights.on(part), (slopes[0][part], slopes[1][part]), specular.roughness, lights.grazing)[
+            :2
+        ]
         sharp[:, part], soft[:, part] = image * inside[part], matt * inside[part]
 
     for_each_chunk(work, rows, columns, PER_CHUNK * len(sharp))
@@ -378,7 +409,9 @@ def _blur(stack: FloatArray, sigma_px: float, inside: FloatArray) -> None:
         list(pool.map(lambda one: np.divide(cv2.GaussianBlur(one, (0, 0), sigma_px), around, out=one), stack))
 
 
-def _facets(light: FloatArray, slopes: Slopes, roughness: float, derivatives: bool = False) -> list[FloatArray]:
+def _facets(
+    light: FloatArray, slopes: Slopes, roughness: float, grazing: float, *, derivatives: bool = False
+) -> list[FloatArray]:
     """Specular and matt image (L, h, w); with `derivatives` also theirs by dz/dx and dz/dy, that of the specular image
     by the roughness's logarithm, and the cosine of incidence."""
     p, q = slopes
@@ -393,19 +426,21 @@ def _facets(light: FloatArray, slopes: Slopes, roughness: float, derivatives: bo
     below = 1 - b * nh * nh
     root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
     unit = irradiance * lit
-    matt = unit * nl
+    entering = nl * nl + np.float32(grazing)
+    matt = unit * nl * (nl * nl / entering)
     image = reflected * lit * nl * (a2 / np.float32(np.pi) / (nz + root_z)) / (below * below * (nl + root_l))
     if not derivatives:
         return [image, matt]
     by_h = 4 * b * nh / below
     by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
     by_z = -(1 + b * nz / root_z) / (nz + root_z)
+    by_matt = unit * (nl * nl / entering) * (1 + np.float32(2 * grazing) / entering)
     specular, scattered = [], []
     for axis, slope in enumerate(slopes):
         turned = slope * nz * nz
         dl, dh = -towards[axis] * nz - nl * turned, -half[axis] * nz - nh * turned
         specular.append(image * (by_h * dh + by_l * dl - by_z * turned * nz))
-        scattered.append(unit * dl)
+        scattered.append(by_matt * dl)
     rougher = 2 - 4 * a2 * nh * nh / below
     rougher -= a2 * ((1 - nl * nl) / (root_l * (nl + root_l)) + (1 - nz * nz) / (root_z * (nz + root_z)))
     return [image, matt, *specular, *scattered, image * rougher, cosine]
@@ -472,6 +507,8 @@ class _Turn:
     """Of the prediction, over the image."""
     reached: FloatArray
     """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light; (1,) where all reach it."""
+    aside: NDArray[np.intp]
+    """Lights to the side whose brightness is fitted."""
 
     def columns(self, rows: slice, lift: bool = False) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of some rows by both slopes and rho, their residual, derivatives by the logarithms of strength,
@@ -479,7 +516,8 @@ class _Turn:
         and lift leave out the blur, an effect of second order.
         """
         p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
-        facets = _facets(self.lights.on(rows), slopes, self.specular.roughness, derivatives=True)
+        grazing, roughness = self.lights.grazing, self.specular.roughness
+        facets = _facets(self.lights.on(rows), slopes, roughness, grazing, derivatives=True)
         strength, rho, soft = np.float32(self.specular.strength), self.rho[rows], self.soft[:, rows]
         shown, scattered = strength * self.sharp[:, rows], self.rho[rows] * soft
         residual = self.images.stack[:, rows] - shown - scattered
@@ -496,9 +534,15 @@ class _Turn:
         blurrier = np.float32(self.specular.blur_px**2) * strength * _laplacian(self.sharp, rows)
         columns = [x, y, soft, residual, shown, strength * facets[6], wider, blurrier]
         if lift and self.higher is not None:
-            image, matt = _facets(self.higher.on(rows), slopes, self.specular.roughness)
+            image, matt = _facets(self.higher.on(rows), slopes, roughness, grazing)
             columns.append((strength * (image - facets[0]) + rho * (matt - facets[1])) / np.float32(RAISED_MM))
         return columns, weight * gate
+
+    def brightness(self, rows: slice) -> list[tuple[int, FloatArray]]:
+        """Lights to the side and derivatives (rows, w) of their images by the logarithms of their two brightnesses."""
+        shown = np.float32(self.specular.strength) * self.sharp[self.aside, rows]
+        scattered = self.rho[rows] * self.soft[self.aside, rows]
+        return [(int(k), part) for parts in (scattered, shown) for k, part in zip(self.aside, parts, strict=True)]
 
 
 def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
@@ -537,8 +581,8 @@ STRIPES = 12
 
 
 def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
-    """Of the logarithms of strength, roughness, path and blur, and of the lift in mm where lights to the side show it,
-    with whatever slopes suit them best."""
+    """Of the logarithms of strength, roughness, path and blur, and, where lights to the side show them, of the lift in
+    mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit them best."""
     sums: dict[int, NDArray[np.float64]] = {}
 
     def work(rows: slice) -> None:
@@ -546,23 +590,17 @@ def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
         if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
             return
         columns, weight = turn.columns(rows, lift=True)
-        gram = _gram(columns, weight, len(columns), prior, rows)
-        count = len(columns) - 4
-        xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
-        below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
-        total = np.empty((count, count + 1))
-        for n in range(count):
-            fx, fy = gram[0, 4 + n], gram[1, 4 + n]
-            x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
-            for m in range(count + 1):
-                rest = gram[min(3 + m, 4 + n), max(3 + m, 4 + n)] - x * gram[0, 3 + m] - y * gram[1, 3 + m]
-                total[n, m] = rest[prior.known[rows]].sum(dtype=np.float64)
-        sums[rows.start] = total
+        gram = _gram(columns, weight, prior, rows, turn.brightness(rows))
+        for slope in range(2):
+            gram = _without(gram, slope)
+        sums[rows.start] = gram[3:, 3:, prior.known[rows]].sum(axis=2, dtype=np.float64)
 
     for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
-    own, most = total[:, 1:] + np.diag(PRIOR_WEIGHTS[: len(total)]), MOST[: len(total)]
-    return np.clip(np.linalg.solve(own, total[:, 0]), np.negative(most), most)
+    damping, most = (np.full(len(total) - 1, values[0]) for values in (PRIOR_WEIGHTS, MOST))
+    numbers = 4 + (turn.higher is not None)
+    damping[:numbers], most[:numbers] = PRIOR_WEIGHTS[:numbers], MOST[:numbers]
+    return np.clip(np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0]), -most, most)
 
 
 def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -572,9 +610,12 @@ def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: Float
 
     def work(rows: slice) -> None:
         columns, weight = turn.columns(rows)
+        brightness = turn.brightness(rows)
         for by, column in zip(change.astype(np.float32), columns[4:], strict=False):  # the lift's comes in the next one
             columns[3] -= by * column
-        gram = _gram(columns, weight, 4, prior, rows)
+        for by, (k, column) in zip(change[change.size - len(brightness) :], brightness, strict=True):
+            columns[3][k] -= np.float32(by) * column
+        gram = _gram(columns[:4], weight, prior, rows)
         tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
         used[:, rows] = weight
 
@@ -583,21 +624,36 @@ def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: Float
 
 
 def _gram(
-    columns: list[FloatArray], weight: FloatArray, count: int, prior: _Prior, rows: slice
-) -> dict[tuple[int, int], FloatArray]:
-    """Normal equations (rows, w) of the first `count` columns and the prior, the scattered part eliminated."""
-    heavy = [weight * column for column in columns[:count]]
-    gram = {(i, j): np.einsum("lij,lij->ij", heavy[i], columns[j]) for i in range(count) for j in range(i, count)}
-    for i, off in enumerate(prior.slopes_off):
-        gram[i, i] += prior.slopes[rows]
-        gram[i, 3] -= prior.slopes[rows] * off[rows]
+    columns: list[FloatArray], weight: FloatArray, prior: _Prior, rows: slice,
+    single: Sequence[tuple[int, FloatArray]] = (),
+) -> FloatArray:  # fmt: skip
+    """Normal equations (n, n, rows, w) of columns, of those of a `single` light each, and of the prior, the scattered
+    part eliminated."""
+    count, heavy = len(columns), [weight * column for column in columns]
+    gram = np.zeros((count + len(single), count + len(single), *weight.shape[1:]), dtype=np.float32)
+    for i, one in enumerate(heavy):
+        for j, other in enumerate(columns[: i + 1]):
+            gram[i, j] = gram[j, i] = np.einsum("lij,lij->ij", one, other)
+    for n, (k, column) in enumerate(single, count):
+        for i, one in enumerate(heavy):
+            gram[i, n] = gram[n, i] = one[k] * column
+        for m, (light, beside) in enumerate(single, count):
+            if light == k:
+                gram[n, m] = weight[k] * column * beside
+    for axis, off in enumerate(prior.slopes_off):
+        gram[axis, axis] += prior.slopes[rows]
+        gram[axis, 3] -= prior.slopes[rows] * off[rows]
+        gram[3, axis] = gram[axis, 3]
     stiff = 1 / (np.float32(LOCAL_RHO) * prior.rho[rows]) ** 2
     gram[2, 2] += stiff
     gram[2, 3] -= stiff * prior.rho_off[rows]
-    rest = [i for i in range(count) if i != 2]
-    for i, j in ((i, j) for i in rest for j in rest if i <= j):
-        gram[i, j] -= gram[min(i, 2), max(i, 2)] * gram[min(j, 2), max(j, 2)] / gram[2, 2]
-    return gram
+    gram[3, 2] = gram[2, 3]
+    return _without(gram, 2)
+
+
+def _without(gram: FloatArray, i: int) -> FloatArray:
+    """Normal equations (n, n, rows, w) with an unknown eliminated."""
+    return np.asarray(gram - gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], np.float32(1e-12))))
 
 
 # Heights at the corners of the pixels.
