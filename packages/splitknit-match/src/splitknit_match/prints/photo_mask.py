@@ -253,7 +253,7 @@ def _of_width(
             maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
             for b, (x, y) in zip(looked, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
         ]
-        tip, left, right, inner = (_mean(seen[k : k + n]) for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
+        tip, left, right, inner = (sum(seen[k : k + n]) / n for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
         value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
@@ -273,15 +273,6 @@ def _sought_places() -> list[tuple[Outline, list[int], Array]]:
         bins = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _BINS).astype(int) % _BINS
         found.append((one, [*bins.tolist(), *[_BINS] * len(inner)], one.places(np.vstack([points, inner]))))
     return found
-
-
-def _mean(pictures: list[FloatArray]) -> FloatArray:
-    """Mean of pictures of a size, without a stack of them."""
-    total = pictures[0] + pictures[1]
-    for one in pictures[2:]:
-        total += one
-    total /= len(pictures)
-    return total
 
 
 def _skin(lab: FloatArray) -> FloatArray:
