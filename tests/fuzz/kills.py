@@ -160,7 +160,7 @@ def contents(place: Path) -> dict[str, bytes]:
     """A file, or the files of a folder by name, but for what lies in temporary folders."""
     files = [place] if place.is_file() else [file for file in place.rglob("*") if file.is_file()]
     names = {file.relative_to(place).as_posix(): file for file in files}
-    return {name: file.read_bytes() for name, file in names.items() if not name.startswith(".splitknit-")}
+    return {name: file.read_bytes() for name, file in names.items() if ".splitknit-" not in name}
 
 
 def people(gallery: Path) -> frozenset[str]:

@@ -350,6 +350,32 @@ def test_other_descriptors_are_compared_by_the_same_rule(
     np.testing.assert_array_equal(again[2].similarity, found[2].similarity)
 
 
+def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script) -> None:
+    """With `gated`, pairs that overlap too little have no similarity, and what the gate judges is the same."""
+    compared, trials, variants = thesis("compared"), thesis("trials"), thesis("variants")
+
+    def narrow_second(name: str) -> Any:
+        images = handmade_reader(name)
+        return replace(images, mask=images.mask & (np.arange(100) < 80)) if name.startswith("S02") else images
+
+    captures = compared.captures_of([f"S{k:02d}/session_{day}/left_ring" for k in range(1, 4) for day in (1, 2)])
+    a, b = np.nonzero((captures.session[:, None] == "1") & (captures.session[None, :] == "2"))
+    pairs = trials.Pairs(captures, a, b)
+    ways = [compared.Way("lbp", thesis("descriptors").hog_features, "relief", ("relief",))]
+    (whole,), (gated,) = (
+        compared.compare_pairs(pairs, narrow_second, ways, tmp_path, 1, gated=only) for only in (False, True)
+    )
+    rejected = whole.ratio < variants.GATE
+    assert rejected.sum() == 4  # the second finger with the others
+    np.testing.assert_array_equal(gated.similarity, np.where(rejected, np.nan, whole.similarity))
+    known = variants.known_of(pairs, {})
+    passing = variants.passing_everywhere(trials.Table(pairs, (whole,), ()))
+    for variant in (variants.THESIS, variants.PASSING):
+        both = [variants.judged(pairs, trial, variant, known, passing) for trial in (whole, gated)]
+        np.testing.assert_array_equal(both[0].label, both[1].label)
+        np.testing.assert_array_equal(both[0].score, both[1].score)
+
+
 def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis: Script) -> None:
     from splitknit_match.matching.features import lbp_codes, lbp_features
 

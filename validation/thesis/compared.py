@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Trial, Values
+from variants import GATE
 
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.score import dissimilarity
@@ -47,7 +48,9 @@ def captures_of(names: Sequence[str]) -> Captures:
     )
 
 
-def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int) -> tuple[Trial, ...]:
+def compare_pairs(  # noqa: PLR0917
+    pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int, gated: bool = False
+) -> tuple[Trial, ...]:
     """One trial for each way.
 
     Parameters
@@ -57,6 +60,7 @@ def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, 
     ways : the same everywhere
     scratch : folder of finished comparisons; another one for other captures or other images
     jobs : processes
+    gated : whether to compare only what passes the gate, a sixth of the impostors; the others' similarity is NaN
     """
     order = np.argsort(pairs.a, kind="stable")
     starts = np.flatnonzero(np.diff(pairs.a[order])) + 1  # of the database fingers
@@ -64,7 +68,7 @@ def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, 
     tasks = [
         [(str(names[pairs.a[k]]), str(names[pairs.b[k]])) for k in block] for block in np.split(order, starts[15::16])
     ]
-    rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch), tasks, jobs))
+    rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch, gated), tasks, jobs))
     found = np.empty_like(rows)
     found[order] = rows
     ratio = found[:, 0]
@@ -74,12 +78,13 @@ def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, 
     )
 
 
-def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[str, str]]) -> Values:
-    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed.
+def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, gated: bool, task: list[tuple[str, str]]) -> Values:
+    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed, or where
+    `gated` the overlap is too small.
 
     Queries are read once each, beside the features of all fingers that they are compared with.
     """
-    key = repr((task, [(way.name, way.attribute, way.channels) for way in ways]))
+    key = repr((task, [(way.name, way.attribute, way.channels) for way in ways], *(["gated"] if gated else [])))
     file = scratch / (hashlib.sha256(key.encode()).hexdigest()[:24] + ".npy")
     if file.is_file():
         return np.asarray(np.load(file))
@@ -97,9 +102,11 @@ def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[
                 continue
             mask, px_per_mm, known = database
             _, ratio = align_masks(mask, query.mask)
+            result[k, 0] = ratio
+            if gated and ratio < GATE:
+                continue
             boxed = {name: to_box(query.channels[name], (mask.shape[0], mask.shape[1])) for name in needed}
             on_database = FingerImages(boxed, mask, px_per_mm)
-            result[k, 0] = ratio
             for j, way in enumerate(ways):
                 both = zip(known[j], features_of(on_database, way), strict=True)
                 result[k, 1 + j] = dissimilarity(ratio, [float(np.linalg.norm(a - b)) for a, b in both])

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
 from compared import Extract, Read, Way, compare_pairs, drawn
 from trials import Captures, Pairs, StoreLike, Table, read_table
 
@@ -26,7 +27,14 @@ MATCHED = ("normals", "relief")
 
 
 def descriptors_table(  # noqa: PLR0917
-    store: StoreLike, case: str, captures: Captures, read: Read, scratch: Path, fraction: float, seed: int, jobs: int
+    store: StoreLike,
+    case: str,
+    captures: Captures,
+    read: Read,
+    scratch: Path,
+    fraction: float | None,
+    seed: int,
+    jobs: int,
 ) -> Table:
     """Trials of all features on the comparisons that the store has of a case by the thesis's matcher.
 
@@ -37,19 +45,23 @@ def descriptors_table(  # noqa: PLR0917
     captures : all of the store
     read : images of a capture
     scratch : folder of finished comparisons, of this store and case alone
-    fraction : of the store's impostor pairs
+    fraction : of the store's impostor pairs; None: all, of which only those are compared that pass the gate
     seed : which of them
     jobs : processes
     """
     table = read_table(store, captures, (case,), ("thesis",))
     every, finger = table.pairs, captures.finger
-    kept = every.genuine | drawn(finger[every.a], finger[every.b], fraction, seed)
+    kept = np.ones(every.a.shape, dtype=np.bool_)
+    if fraction is not None:
+        kept = every.genuine | drawn(finger[every.a], finger[every.b], fraction, seed)
     pairs = Pairs(captures, every.a[kept], every.b[kept])
     patterns = [
         replace(trial.at(kept), case="lbp", label="lbp") for trial in table.trials if trial.attribute in MATCHED
     ]
     ways = [Way(name, extract, of, ATTRIBUTES[of]) for of in MATCHED for name, extract in OTHERS.items()]
-    return Table(pairs, (*patterns, *compare_pairs(pairs, read, ways, scratch, jobs)), table.missing)
+    return Table(
+        pairs, (*patterns, *compare_pairs(pairs, read, ways, scratch, jobs, gated=fraction is None)), table.missing
+    )
 
 
 def reader(places: Mapping[str, Place]) -> Read:

@@ -15,7 +15,19 @@ from measure import Work, difference_rows, rate_rows
 from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
-from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
+from variants import (
+    PASSING,
+    PLAIN,
+    THESIS,
+    THESIS_WHOLE,
+    VARIANTS,
+    WHOLE,
+    Variant,
+    judged,
+    known_of,
+    passing_everywhere,
+    spreads,
+)
 
 from splitknit import __version__
 from splitknit.io.provenance import settings_hash
@@ -269,19 +281,27 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
     captures = read_captures(store, (case,))
     read = reader(stored_places(store.files("features", case)))
     scratch = _scratch(options, "descriptors", [store.document()["cases"][case], __version__])
-    table = descriptors_table(store, case, captures, read, scratch, options.fraction, options.seed, options.jobs)
-    work = _work(options, table, truth)
-    rows = rate_rows(work, table.trials, options.jobs)
-    groups = [
-        (first, trial)
-        for first in table.trials
-        for trial in table.trials
-        if first.case == "lbp" and trial.case != "lbp" and first.attribute == trial.attribute
-    ]
-    _write(options, "descriptors", rows, difference_rows(work, groups, COMPARED, options.jobs))
-    for name in ("normals", "relief"):
-        _rocs(options, work, f"descriptors-{name}", _of(table, "thesis", name), lambda trial: trial.label)
-    return _facts(table, table.trials)
+    rows, differences, facts = [], [], {}
+    for fraction in (options.fraction, None):  # without the gate by some impostors, with it by all
+        table = descriptors_table(store, case, captures, read, scratch, fraction, options.seed, options.jobs)
+        work = _work(options, table, truth)
+        judging, compared = (
+            [variant for variant in some if (variant.gate == "none") == (fraction is not None)]
+            for some in (VARIANTS, COMPARED)
+        )
+        rows += rate_rows(work, table.trials, options.jobs, judging)
+        groups = [
+            (first, trial)
+            for first in table.trials
+            for trial in table.trials
+            if first.case == "lbp" and trial.case != "lbp" and first.attribute == trial.attribute
+        ]
+        differences += difference_rows(work, groups, compared, options.jobs)
+        for name in ("normals", "relief"):
+            _rocs(options, work, f"descriptors-{name}", _of(table, "thesis", name), lambda trial: trial.label, compared)
+        facts = _facts(table, table.trials) | ({"no_gate": facts} if fraction is None else {})
+    _write(options, "descriptors", rows, differences)
+    return facts
 
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
@@ -392,10 +412,19 @@ def _rolls(truth: Mapping[str, Row]) -> dict[str, float]:
     return {name: float(row["roll_deg"]) for name, row in truth.items()}
 
 
-def _rocs(options: argparse.Namespace, work: Work, name: str, trials: Sequence[Trial], label: Any) -> None:
+def _rocs(  # noqa: PLR0917
+    options: argparse.Namespace,
+    work: Work,
+    name: str,
+    trials: Sequence[Trial],
+    label: Any,
+    variants: Sequence[Variant] = COMPARED,
+) -> None:
     """As the thesis judges, and with neither gate nor averaging."""
     settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,))
     for ending, variant in (("", THESIS), ("-plain", PLAIN), ("-whole", WHOLE)):
+        if variant not in variants:
+            continue
         scores = [
             (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing)) for trial in trials
         ]

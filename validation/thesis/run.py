@@ -145,7 +145,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
     parser.add_argument(
-        "--fraction", type=float, default=1.0, help="of the impostor pairs, in scales, descriptors and normals"
+        "--fraction",
+        type=float,
+        default=1.0,
+        help="of the impostor pairs, in scales, normals, and descriptors without gate",
     )
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"

@@ -129,6 +129,15 @@ def test_in_steps_or_at_once_the_bytes_are_the_same(codes: np.ndarray, tmp_path:
     assert contents(out) != first
 
 
+def test_what_a_killed_run_left_goes_where_nothing_is_written(codes: np.ndarray, tmp_path: Path) -> None:
+    write_shards(tmp_path, np.arange(10), codes[:10], KEY)
+    left = tmp_path / ".splitknit-0123456789ab.tmp"
+    left.mkdir()
+    (left / "mark.json").write_text('{"format": "splitknit-temporary", "version": 1, "target": "shards.json"}')
+    assert write_shards(tmp_path, np.arange(10), codes[:10], KEY)["written"] == 0
+    assert not left.exists()
+
+
 def test_a_stolen_file_is_worthless_beside_the_renewed_one(codes: np.ndarray) -> None:
     """Distances of the same fingers under two keys are those of other fingers under two keys: D_sys by ISO/IEC 30136
     is measured by ``validation/match/shards.py``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -132,6 +133,17 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", str(photo), "--out", str(tmp_path / "out")]) == 0
     assert "on the skin laid flat" in capsys.readouterr().out
     assert (tmp_path / "out" / "minutiae.iso").is_file()
+    quality = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))["quality"]
+    assert quality["nfiq2"] is None  # it is not for contactless pictures
+    assert quality["photo"] > 10
+    assert quality["advice"] == []  # the note has the one thing to change
+
+
+@pytest.mark.parametrize("turn_deg", [25.0, 35.0])
+def test_a_finger_whose_side_leaves_the_picture_is_found_whole(turn_deg: float) -> None:
+    photo, inside = (np.ascontiguousarray(one[:420, :300]) for one in drawn(turn_deg))
+    found = finger_in_photo(photo).mask
+    assert (found & inside).sum() > 0.96 * (found | inside).sum()
 
 
 def two() -> np.ndarray:

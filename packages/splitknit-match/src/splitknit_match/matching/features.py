@@ -346,30 +346,25 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     image = check_image(image)
     cell, rows, columns = _cells(image, px_per_mm)
     positive = (image - gaussian_mean(image, float(cell))) > 0
-    flank = np.zeros(image.shape, dtype=np.float32)
-    flank[:, 1:] += positive[:, 1:] != positive[:, :-1]
-    flank[1:] += positive[1:] != positive[:-1]
-    flank = np.minimum(flank, np.float32(1.0))
+    flank = np.zeros(image.shape, dtype=np.bool_)
+    flank[:, 1:] = positive[:, 1:] != positive[:, :-1]
+    flank[1:] |= positive[1:] != positive[:-1]
     # where flanks lie to a twentieth of the reach is enough
     factor = max(1, int(_CONTEXT_REACH_PX * px_per_mm / REFERENCE_PX_PER_MM / 20))
-    small = image.shape[1] // factor, image.shape[0] // factor
-    flank = np.asarray(cv2.resize(flank[: small[1] * factor, : small[0] * factor], small, interpolation=cv2.INTER_AREA))
+    down, across = image.shape[0] // factor, image.shape[1] // factor
+    blocks = flank[: down * factor, : across * factor].reshape(down, factor, across, factor)
     reach = _CONTEXT_REACH_PX * px_per_mm / REFERENCE_PX_PER_MM / factor
     half = max(2, int(np.ceil(reach)))
-    padded = cv2.copyMakeBorder(flank, half, half, half, half, cv2.BORDER_CONSTANT, value=0.0)
+    padded = np.pad(blocks.sum(axis=(1, 3)).astype(np.float32), half)
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
     distance = np.hypot(x, y)
     # rings whose radii double, the outermost ends at the reach
     ring = _CONTEXT_RADII - 1 + np.floor(np.log2(np.maximum(distance, 1e-9) / reach)).astype(np.int64) + 1
-    ring = np.clip(ring, 0, _CONTEXT_RADII)  # the last one lies outside
     sector = np.floor(np.mod(np.arctan2(-y, x) / (2 * np.pi), 1.0) * _CONTEXT_ANGLES).astype(np.int64)
-    count = _CONTEXT_RADII * _CONTEXT_ANGLES
-    number = np.where(ring < _CONTEXT_RADII, ring * _CONTEXT_ANGLES + sector % _CONTEXT_ANGLES, count)
-    result = np.empty((rows, columns, count), dtype=np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            top, left = (i * cell + cell // 2) // factor, (j * cell + cell // 2) // factor
-            part = padded[top : top + 2 * half + 1, left : left + 2 * half + 1]
-            result[i, j] = np.bincount(number.ravel(), weights=part.ravel(), minlength=count + 1)[:count]
+    number = np.where(ring < _CONTEXT_RADII, np.maximum(ring, 0) * _CONTEXT_ANGLES + sector % _CONTEXT_ANGLES, -1)
+    bins = (number.ravel()[:, None] == np.arange(_CONTEXT_RADII * _CONTEXT_ANGLES)).astype(np.float32)
+    top, left = ((np.arange(count) * cell + cell // 2) // factor for count in (rows, columns))
+    around = sliding_window_view(padded, (2 * half + 1, 2 * half + 1))[np.ix_(top, left)]
+    result = around.reshape(rows, columns, -1) @ bins  # whole numbers: the same in whatever order they are added
     total = result.sum(axis=2, keepdims=True)
-    return np.asarray(result / np.maximum(total, np.float32(1.0)), dtype=np.float32).ravel()
+    return np.asarray(result / np.maximum(total, np.float32(factor * factor)), dtype=np.float32).ravel()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,10 +184,7 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
     middle = math.exp(min(max(apart, -_MOST_SCALED), _MOST_SCALED))
     scales = [middle * scale for scale in SCALES]
     tried = [Prepared(scaled(one.template, scale), one.settings) for scale in scales]
-    from concurrent.futures import ThreadPoolExecutor  # templates need none
-
-    with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(fused_match, *((repeat(a), tried) if number else (tried, repeat(b)))))
+    found = [fused_match(a, each) if number else fused_match(each, b) for each in tried]
     best = max(range(len(found)), key=lambda k: found[k].similarity)
     return found[best], scales[best], number
 

@@ -55,6 +55,8 @@ USUAL_WIDTH_MM = 17.0
 _PEOPLE_WIDTH = 0.12
 """Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
 Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
+USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH)))
+"""Their distance in pixels at 500 ppi, and its relative standard deviation where the width gives the scale."""
 _THICKNESS, _SLANT_DEG = 0.8, 70.0
 """Depth over breadth of a fingertip; skin steeper than this is left out of its print."""
 _LENGTH = 1.5
@@ -95,16 +97,18 @@ def read_fingerphoto(
     px_per_mm: float | None = None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
+    shaped: bool = True,
 ) -> Source:
     """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
 
     `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
-    finger; `photo`: the file, if it was read. Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
+    finger; `photo`: the file, if it was read; `shaped`: with the finger's mean shape, which prints of its surface need.
+    Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
     :func:`splitknit_match.prints.make.make_print` prints with the method ``photo``; its `scale` says what was taken for
     what.
     """
     read, where = photo or read_photo(path), where or PhotoFinger()
-    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
+    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped))
     return replace(found, hashes={Path(path).name: read.sha256})
 
 
@@ -113,6 +117,7 @@ def source_of_photo(
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
+    shaped: bool = True,
 ) -> Source:
     """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
 
@@ -150,7 +155,7 @@ def source_of_photo(
     unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
-    ridges = pressed_ridges(image, (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))))
+    ridges = pressed_ridges(image, USUAL_RIDGES)
     field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
@@ -181,7 +186,7 @@ def source_of_photo(
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
-    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale)
+    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale) if shaped else None
     return Source(
         "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
         scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.space_features import bilinear, in_space
 from splitknit_match.prints.enhance import Enhanced, as_print, ridge_mask, thin
-from splitknit_match.prints.fingerphoto import fingerphoto, read_fingerphoto
+from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import (
     Print,
@@ -54,6 +54,7 @@ from splitknit_match.prints.make import (
     minutiae_by_phase,
 )
 from splitknit_match.prints.pores import write_pores
+from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_job import PrintJob
 from splitknit_match.prints.print_map import NOWHERE, PrintMap
 from splitknit_match.prints.print_quality import PrintQuality
@@ -84,11 +85,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         progress("printing", 0.75)
         try:
             clock = time.perf_counter()
-            made = given or (
-                make_print(source, method, place, ppi, settings)
-                if around is None
-                else make_rolled_print(around, source, place, ppi, settings)
-            )
+            made = given or _made(source, around, (method, place), ppi, settings)
             timings["printing"] = time.perf_counter() - clock
             progress("enhancing", 0.85)
             clock = time.perf_counter()
@@ -128,13 +125,16 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi)
         timings["quality"] = time.perf_counter() - clock
-        advised = method not in ("file", "specular")  # nobody captures a file again; flanks that shine are not edges
-        facts["quality"] = _quality_facts(quality, _nfiq2_of(pictures, ppi), source.quality, advised=advised)
+        # nobody captures a file again; flanks that shine are not edges; for photographs NFIQ 2 is not made
+        advised = method not in ("file", "specular") and source.quality is None
+        facts["quality"] = _quality_facts(
+            quality, None if source.quality else _nfiq2_of(pictures, ppi), source.quality, advised=advised
+        )
         found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
         facts["minutiae"] = {"written": False, "missing": where}
         if found is not None:
-            impression = "contactless" if made.even is None else "live_plain"
-            view = finger_view(found, round(quality.score), source.subject.get("finger"), impression)
+            impression = "live_plain" if method == "file" else "contactless"
+            view = finger_view(found, round(source.quality or quality.score), source.subject.get("finger"), impression)
             facts["minutiae"] = {
                 "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
             }  # fmt: skip
@@ -219,6 +219,18 @@ def _read(
         px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
     )  # fmt: skip
     return source, None, None
+
+
+def _made(source: Source, around: Rolled | None, how: tuple[str, str], ppi: float, settings: PrintingSettings) -> Print:
+    """The print of a source by a method, where it is made."""
+    if around is not None:
+        return make_rolled_print(around, source, how[1], ppi, settings)
+    made = make_print(source, *how, ppi, settings)
+    if source.quality is None or ppi != PPI:
+        return made
+    sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
+    weight = np.where(sure.inside, made.weight, np.float32(0))
+    return replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
 
 
 def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:

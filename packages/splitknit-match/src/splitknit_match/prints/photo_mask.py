@@ -25,6 +25,9 @@ _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
+_XYZ = np.array([[0.43395, 0.37622, 0.18983], [0.21267, 0.71516, 0.07217], [0.01776, 0.10948, 0.87277]], np.float32)
+"""CIE 1931 of linear sRGB, each over that of its white, D65."""
+_LAB = np.array([[0, 116, 0, -16], [500, -500, 0, 0], [0, 200, -200, 0]], np.float32)
 _TIP = 0.6
 """Length of the tip's half ellipse, in widths of the finger."""
 _TRIED = 7
@@ -42,9 +45,9 @@ _RIDGES = (23.5, 61.0)
 _MOST, _NO_RIDGES = 0.6, 0.2
 """Standard deviation of the logarithm of light in windows of skin, at most: drawn fingers have up to 0.2; and what is
 left of the likeness without ridges."""
-_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.12, 0.01
-"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.2 to 1, pictures without
-a finger less than 0.15 (validation/match/telephone.py); and where somebody says that there is one."""
+_LEAST, MIN_LIKENESS, _IN_BOX = 0.01, 0.17, 0.01
+"""Likeness by shape and colour of what is searched for ridges. With them, drawn fingers have 0.18 to 1, pictures
+without one less than 0.16 (validation/match/telephone.py); and where somebody says that there is one."""
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Array = NDArray[np.float64]
 
@@ -143,10 +146,14 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
         if value > 0.5 * rated[0][0] and apart and aside and 0.5 < one.width / best.width < 1.6:
             others.append(one)
     bins = _bins(fine)
-    for reach in (0.2, 0.15, 0.08):
-        best = _fitted(best, fine, bins, _WHOLE, reach)
+    best = _fitted(best, fine, bins, _WHOLE, 0.2)
+    sides = (best.tip + best.width * best.places(np.array([[-0.5, 1.1], [0.5, 1.1]]))) * side
+    if ((sides >= 0) & (sides <= np.array(part.shape[1::-1]))).all():
+        for reach in (0.15, 0.08):
+            best = _fitted(best, fine, bins, _WHOLE, reach)
     mask = np.zeros((height, width), np.bool_)
-    inside = _middles_in(best.corners(part.shape), part.shape)
+    # pixels that its sides cross make a finger a pixel wider
+    inside = _filled(best.corners(part.shape, shrunk=1 - 1 / (best.width * side)), part.shape)
     mask[first[1] : first[1] + part.shape[0], first[0] : first[0] + part.shape[1]] = inside
     direction_deg = float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1])))
     return FingerFound(mask, direction_deg, best.width * side, len(others))
@@ -154,8 +161,11 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
 
 def _colours(pixels: Pixels, side: int) -> FloatArray:
     """The picture in weighted CIELAB, (H, W, 3), reduced to a longer side."""
-    scaled = _reduced(pixels, side).astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
-    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)) * _WEIGHTS
+    value = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
+    light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)[_reduced(pixels, side)]
+    parts = cv2.transform(light.astype(np.float32), _XYZ)  # OpenCV's own way fills tables for 0.1 s
+    parts = np.where(parts > 0.008856, np.cbrt(parts), 7.787 * parts + 16 / 116).astype(np.float32)
+    return np.asarray(cv2.transform(parts, _LAB)) * _WEIGHTS
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
@@ -172,22 +182,6 @@ def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
     return mask > 0
 
 
-def _middles_in(corners: Array, shape: tuple[int, ...]) -> BoolArray:
-    """(H, W) pixels whose middle lies in a polygon (N, 2): those that its sides cross make a finger a pixel wider."""
-    most = np.array(shape[1::-1])
-    (left, top), (right, bottom) = (
-        np.clip(one.astype(np.intp), 0, most) for one in (np.floor(corners.min(0)), np.ceil(corners.max(0)) + 1)
-    )
-    (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
-    row, side = np.nonzero((y > (rows := np.arange(top, bottom)[:, None])) != (to_y > rows))
-    crossed = x[side] + (row + top - y[side]) / (to_y - y)[side] * (to_x - x)[side]
-    sides = np.zeros((bottom - top, right - left + 1), np.uint8)
-    np.add.at(sides, (row, np.clip(np.ceil(crossed) - left, 0, right - left).astype(np.intp)), 1)
-    mask = np.zeros(shape[:2], np.bool_)
-    mask[top:bottom, left:right] = np.bitwise_xor.accumulate(sides & 1, axis=1)[:, :-1] > 0
-    return mask
-
-
 def _tip_at(turn: Array) -> tuple[Array, Array]:
     """(N, 2) points of the model's tip and their normals."""
     points = np.column_stack([0.5 * np.sin(turn), _TIP * (1 - np.cos(turn))])
@@ -202,6 +196,7 @@ def _sides_at(back: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     return sides[0], sides[1]
 
 
+@lru_cache(maxsize=2)
 def _model(length: float) -> tuple[Array, Array]:
     """(N, 2) points of a finger's outline, from the left base around the tip, and normals."""
     back = np.arange(length, _TIP, -_STEP)
@@ -220,13 +215,10 @@ def _sought(lab: FloatArray) -> list[Outline]:
     down, right = (cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((0, 1), (1, 0)))
     pairs = ((right, right), (right, down), (down, down))
     xx, xy, yy = (cv2.GaussianBlur((one * two).sum(-1), (0, 0), 1.0) for one, two in pairs)
-    level = xx + yy + np.float32(1.0)
-    bins = [(np.cos(t), np.sin(t)) for t in np.pi * np.arange(_BINS) / _BINS]
-    oriented = [(c * c * xx + 2 * c * s * xy + s * s * yy) / level for c, s in bins]
-    rough, skin = (xx + yy) / level, _skin(smooth)
+    tensor = [part / (xx + yy + np.float32(1.0)) for part in (xx, xy, yy)]
     found: list[tuple[float, Outline, Array, float]] = []
     for width in _WIDTHS:
-        found += _of_width(width, oriented, rough, skin)
+        found += _of_width(width, tensor, _skin(smooth))
     kept: list[Outline] = []
     for _, turned, tip, width in sorted(found, key=lambda item: -item[0]):
         one = replace(turned, tip=tip, width=width)
@@ -243,20 +235,23 @@ def _alike(one: Outline, two: Outline) -> bool:
 
 
 def _of_width(
-    width: float, oriented: list[FloatArray], rough: FloatArray, skin: FloatArray
+    width: float, tensor: list[FloatArray], skin: FloatArray
 ) -> Iterator[tuple[float, Outline, Array, float]]:
     """The best places of each turn of a width: rating, an outline of that turn, its tip and width."""
-    shape, side = rough.shape, max(rough.shape)
+    shape, side = skin.shape, max(skin.shape)
     px = width * side
     pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
     around = (pad, pad, pad, pad, cv2.BORDER_CONSTANT, None)
-    plain = 0.5 * skin - cv2.GaussianBlur(rough, (0, 0), 2 * blur)
-    beyond = [(cv2.GaussianBlur(one, (0, 0), blur), 0.2) for one in oriented] + [(plain, -0.25)]
-    maps = [np.asarray(cv2.copyMakeBorder(part, *around, value), np.float32) for part, value in beyond]
-    for one, bins, places in _sought_places():
+    plain = 0.5 * skin - cv2.GaussianBlur(tensor[0] + tensor[2], (0, 0), 2 * blur)
+    beyond = [(cv2.GaussianBlur(one, (0, 0), blur), value) for one, value in zip(tensor, (0.2, 0.0, 0.2), strict=True)]
+    xx, xy, yy, inside = (cv2.copyMakeBorder(part, *around, value) for part, value in [*beyond, (plain, -0.25)])
+    bins = [(np.cos(t), np.sin(t)) for t in np.pi * np.arange(_BINS) / _BINS]
+    weights = np.array([(c * c, 2 * c * s, s * s) for c, s in bins], np.float32)
+    maps = [*np.tensordot(weights, np.stack([xx, xy, yy]), 1), inside]
+    for one, looked, places in _sought_places():
         seen = [
             maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
-            for b, (x, y) in zip(bins, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
+            for b, (x, y) in zip(looked, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
         ]
         tip, left, right, inner = (_mean(seen[k : k + n]) for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
         value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
@@ -310,9 +305,9 @@ def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float
     offsets = np.linspace(-reach, reach, _ACROSS) * px
     places = (base[:, None] + offsets[None, :, None] * out[:, None]).astype(np.float32)
     seen = ((places >= -0.5) & (places <= np.array(lab.shape[1::-1]) - 0.5)).all(-1)
-    stack = np.dstack([lab, _resemblance(one, bins, length, reach)])
-    values = cv2.remap(stack, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    step = 2 * reach * px / (_ACROSS - 1)
+    step, x, y = 2 * reach * px / (_ACROSS - 1), places[..., 0], places[..., 1]
+    stack = cv2.merge([lab, _resemblance(one, bins, length, reach)])
+    values = cv2.remap(stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = cv2.GaussianBlur(values, (0, 0), sigmaX=0.01, sigmaY=0.6)
     change = np.linalg.norm(np.gradient(values[..., :3], step, axis=1), axis=-1)
     edge = np.where(seen, change / (change + np.float32(1.5)), 0.0)
