@@ -148,7 +148,8 @@ def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> N
 
 
 @pytest.mark.slow
-def test_lights_to_the_side_show_how_high_the_finger_lies() -> None:
+def test_lights_to_the_side_show_how_high_the_finger_lies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(polarised, "GRAZING", 0.0)  # the scene's scattered light enters as Lambert's law has it
     size = (300, 360)
     grid, rig = _grid(size), _with_side(_rig(size))
     dome, ridges = _ridged(grid)
@@ -162,7 +163,7 @@ def test_lights_to_the_side_show_how_high_the_finger_lies() -> None:
         start = dome + np.float32(0.85) * ridges - lower
         lifts.append(polarised_heights(SpecularImages(stack, NOISE, rig), grid, start, unknown)[2]["lift_mm"])
     assert abs(lifts[0]) < 0.8
-    assert 0.8 < lifts[1] - lifts[0] < 3.0
+    assert 2.2 < lifts[1] - lifts[0] < 2.8
 
 
 def test_a_wall_casts_a_shadow_as_long_as_the_light_is_low() -> None:
