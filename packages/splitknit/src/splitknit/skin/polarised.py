@@ -410,7 +410,7 @@ def _blur(stack: FloatArray, sigma_px: float, inside: FloatArray) -> None:
 
 
 def _facets(
-    light: FloatArray, slopes: Slopes, roughness: float, grazing: float, *, derivatives: bool = False
+    light: FloatArray, slopes: Slopes, roughness: float, grazing: float = 0.0, *, derivatives: bool = False
 ) -> list[FloatArray]:
     """Specular and matt image (L, h, w); with `derivatives` also theirs by dz/dx and dz/dy, that of the specular image
     by the roughness's logarithm, and the cosine of incidence."""
