@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -232,18 +230,15 @@ def relief_and_shape(
     smooth = on_fine_grid(shape.height_mm, images)
     given = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
     upright, levels = network(given.fields), given.level[:2] * grid.mask
-    with ThreadPoolExecutor(1) as pool:  # the turned runs beside the shape, much of which is one thread's
-        turned = relief_network(network, TURNED, upright)
-        output = None if films is not None else pool.submit(copy_context().run, turned, given.fields)
-        del given
-        first = relief_of_output(upright, levels, grid, smooth)
-        for _ in range(refinements):
-            assert networks.shape is not None
-            shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
-            smooth = on_fine_grid(shape.height_mm, images)
-        if output is not None:
-            return smooth, variance_restored(relief_of_output(output.result(), levels, grid, smooth))
-    assert films is not None
+    output = upright if films is not None else relief_network(network, TURNED, upright)(given.fields)
+    del given
+    first = relief_of_output(upright, levels, grid, smooth)
+    for _ in range(refinements):
+        assert networks.shape is not None
+        shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
+        smooth = on_fine_grid(shape.height_mm, images)
+    if films is None:
+        return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
     given = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
     found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
     of_crossed = variance_restored(first).relief_mm - found.relief_mm
