@@ -301,6 +301,6 @@ def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px:
     scale = by_ridges**weight * by_width ** (1.0 - weight)
     note = (
         f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm wide, ridges "
-        f"{USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
+        f"on its pad {USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
     )
     return scale, note

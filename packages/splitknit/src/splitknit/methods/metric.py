@@ -145,49 +145,74 @@ def metric_skin(
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
-def metric_specular(
+def metric_polarised(
     images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
 ) -> SkinSurface:
-    """The `metric` method for skin whose specular reflection shows: behind films, or under lights from the side too.
+    """The `metric` method behind films.
 
-    Behind films the crossed series gives the shape, without specular reflection, and both together a first relief; from
-    there their difference, the specular image, measures the heights. Without films that image is what is white in the
-    photographs, and light of short paths in the skin. Where there is hardly any specular reflection (matt or wet skin),
-    the result is that of :func:`metric_skin`.
+    The crossed series gives the shape, without specular reflection, and both together a first relief; from there their
+    difference, the specular image, measures the heights. Where there is hardly any specular reflection (matt or wet
+    skin), the result is that of :func:`metric_skin`.
 
-    `images`: whose `bands` are as without films, and whose `crossed` or `side` is not None. `skin`, `p`, `networks`: as
-    for :func:`metric_skin`.
+    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
+    :func:`metric_skin`.
     """
-    grid, both, crossed, side = images.grid, images.bands[0], images.crossed, images.side
-    white = both if crossed is None else replace(crossed, unpolarised=both)
+    crossed, grid, side = images.crossed, images.grid, images.side
+    assert crossed is not None
+    white = replace(crossed, unpolarised=images.bands[0])
     first = metric_skin((white, *images.bands[1:]), grid, skin, p, networks)
-    shape, relief, deviation = first.shape_mm, first.relief_mm, first.deviation_mm
+    start = first
     if networks is None:  # a relief by colour alone would lead astray
-        relief, deviation = 0 * relief, np.full_like(deviation, UNKNOWN_MM)
-    if crossed is None:
-        red, blue = (grid.smooth(both.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
-        part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
-        crossed = without_white(both, part)
-    specular = specular_images(both, crossed, images.parallel, grid, shape)
-    if side is not None:
-        aside = specular_images(side[0], side[1] or without_white(side[0], part), side[2], grid, shape)
-        rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
-        noise = min(specular.noise, aside.noise)
-        specular = replace(specular, stack=np.concatenate([specular.stack, aside.stack]), rig=rig, noise=noise)
-    height_mm, error_mm, found = polarised_heights(specular, grid, shape + relief, deviation)
-    faint = found["specular_over_noise"] < FAINT
-    if images.crossed is None:
-        limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
-        faint |= max(limits) > 1 or not found["side_lights"]
-    if faint:
-        modelled = first if images.crossed is None else metric_skin(images.bands, grid, skin, p, networks)
+        start = replace(first, relief_mm=0 * first.relief_mm, deviation_mm=np.full_like(first.deviation_mm, UNKNOWN_MM))
+    height_mm, error_mm, found = _specular_heights(images, (crossed, side and side[1]), start)
+    if found["specular_over_noise"] < FAINT:
+        modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
-    rest = height_mm - shape
-    if images.crossed is None:
-        rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
-    slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    facts = {**first.facts, "relief_by": "side" if images.crossed is None else "polarised", "specular": found}
-    return SkinSurface(shape + slow, rest - slow, error_mm, first.albedo, facts)
+    slow = grid.smooth(rest := height_mm - first.shape_mm, grid.mask, KNIT_MM)
+    facts = {**first.facts, "relief_by": "polarised", "specular": found}
+    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
+
+
+def metric_side(
+    images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
+) -> SkinSurface:
+    """The `metric` method under lights to the side, without films.
+
+    As :func:`metric_polarised`, but the specular image is what is white in the photographs, with light of short paths
+    in the skin, and gives of the shape only what is finer than `SHAPE_MM`.
+
+    `images`: whose `side` is not None, and `crossed` None.
+    """
+    grid, white, side = images.grid, images.bands[0], images.side
+    assert side is not None
+    first = metric_skin(images.bands, grid, skin, p, networks)
+    red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
+    part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
+    matt = without_white(white, part), without_white(side[0], part)
+    height_mm, error_mm, found = _specular_heights(images, matt, first)
+    limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
+    if found["specular_over_noise"] < FAINT or max(limits) > 1 or not found["side_lights"]:
+        return replace(first, facts={**first.facts, "specular": found})
+    rest = height_mm - first.shape_mm
+    rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
+    slow, facts = grid.smooth(rest, grid.mask, KNIT_MM), {**first.facts, "relief_by": "side", "specular": found}
+    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
+
+
+def _specular_heights(
+    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface
+) -> tuple[FloatArray, FloatArray, dict[str, float]]:
+    """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
+    without specular reflection."""
+    grid, shape_mm, side = images.grid, start.shape_mm, images.side
+    specular = specular_images(images.bands[0], matt[0], images.parallel, grid, shape_mm)
+    if side is not None:
+        assert matt[1] is not None
+        aside = specular_images(side[0], matt[1], side[2], grid, shape_mm)
+        rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
+        stack, noise = np.concatenate([specular.stack, aside.stack]), min(specular.noise, aside.noise)
+        specular = replace(specular, stack=stack, rig=rig, noise=noise)
+    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm)
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
@@ -299,14 +324,15 @@ def _working_images(photographs: FingerPhotographs, p: MetricSettings) -> SkinIm
 
 @step("surface")
 def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> FingerSurface:
-    """The surface by :func:`metric_skin` or :func:`metric_specular`, on the window's pixels; `lost` is the part of
-    the relief's height that the files may have lost."""
+    """The surface of skin, on the window's pixels; `lost`: part of the relief's height that the files may have lost."""
     skin, p = settings.skin, settings.metric
     networks = _reporting(images.networks)
-    if images.crossed is None and images.side is None:
-        found = metric_skin(images.bands, images.grid, skin, p, networks)
+    if images.crossed is not None:
+        found = metric_polarised(images, skin, p, networks)
+    elif images.side is not None:
+        found = metric_side(images, skin, p, networks)
     else:
-        found = metric_specular(images, skin, p, networks)
+        found = metric_skin(images.bands, images.grid, skin, p, networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
     deviation_um = np.hypot(images.on_pixels(found.deviation_mm), np.float32(lost) * ridge_mm) * np.float32(1000.0)
     relief_by = found.facts["relief_by"]
