@@ -98,7 +98,7 @@ def write_shards(
     require(bool((np.diff(rows) > 0).all()) and (len(rows) == 0 or rows[0] >= 0), "rows of shards must ascend from 0.")
     try:
         make_folder(folder)
-        sweep(folder)  # where all is as it was nothing is written, which would
+        sweep(folder)  # writing would do it, but a run that changes nothing writes nothing
     except OSError as error:
         raise BadInput(
             f"'{folder}' cannot be a folder of shards ({error.strerror}); name a folder with `shards`."

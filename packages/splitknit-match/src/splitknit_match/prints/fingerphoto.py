@@ -56,7 +56,7 @@ _PEOPLE_WIDTH = 0.12
 """Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
 Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
 USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH)))
-"""Their distance in pixels at 500 ppi, and its relative standard deviation where the width gives the scale."""
+"""Distance of two ridges in pixels at 500 ppi, and its relative standard deviation where the width gives the scale."""
 _THICKNESS, _SLANT_DEG = 0.8, 70.0
 """Depth over breadth of a fingertip; skin steeper than this is left out of its print."""
 _LENGTH = 1.5

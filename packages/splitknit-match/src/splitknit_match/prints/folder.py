@@ -126,15 +126,20 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         quality = measured(made, enhanced, ppi)
         timings["quality"] = time.perf_counter() - clock
         # nobody captures a file again; flanks that shine are not edges; for photographs NFIQ 2 is not made
-        advised = method not in ("file", "specular") and source.quality is None
-        facts["quality"] = _quality_facts(
-            quality, None if source.quality else _nfiq2_of(pictures, ppi), source.quality, advised=advised
-        )
+        photograph = source.quality is not None
+        advised = not photograph and method not in ("file", "specular")
+        nfiq2 = None if photograph else _nfiq2_of(pictures, ppi)
+        facts["quality"] = _quality_facts(quality, nfiq2, source.quality, advised=advised)
         found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
         facts["minutiae"] = {"written": False, "missing": where}
         if found is not None:
             impression = "live_plain" if method == "file" else "contactless"
-            view = finger_view(found, round(source.quality or quality.score), source.subject.get("finger"), impression)
+            view = finger_view(
+                found,
+                round(quality.score if source.quality is None else source.quality),
+                source.subject.get("finger"),
+                impression,
+            )
             facts["minutiae"] = {
                 "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
             }  # fmt: skip

@@ -168,7 +168,8 @@ def metric_polarised(
     if found["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
-    slow = grid.smooth(rest := height_mm - first.shape_mm, grid.mask, KNIT_MM)
+    rest = height_mm - first.shape_mm
+    slow = grid.smooth(rest, grid.mask, KNIT_MM)
     facts = {**first.facts, "relief_by": "polarised", "specular": found}
     return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
 
@@ -195,7 +196,8 @@ def metric_side(
         return replace(first, facts={**first.facts, "specular": found})
     rest = height_mm - first.shape_mm
     rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
-    slow, facts = grid.smooth(rest, grid.mask, KNIT_MM), {**first.facts, "relief_by": "side", "specular": found}
+    slow = grid.smooth(rest, grid.mask, KNIT_MM)
+    facts = {**first.facts, "relief_by": "side", "specular": found}
     return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
 
 

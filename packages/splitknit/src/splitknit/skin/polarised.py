@@ -391,9 +391,8 @@ def _predicted(lights: _Lights, slopes: Slopes, specular: Specular, mask: BoolAr
     soft, inside = np.empty_like(sharp), mask.astype(np.float32)
 
     def work(part: slice) -> None:
-        image, matt = _facets(lights.on(part), (slopes[0][part], slopes[1][part]), specular.roughness, lights.grazing)[
-            :2
-        ]
+        here = slopes[0][part], slopes[1][part]
+        image, matt = _facets(lights.on(part), here, specular.roughness, lights.grazing)
         sharp[:, part], soft[:, part] = image * inside[part], matt * inside[part]
 
     for_each_chunk(work, rows, columns, PER_CHUNK * len(sharp))
