@@ -125,20 +125,17 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         clock = time.perf_counter()
         quality = measured(made, enhanced, ppi)
         timings["quality"] = time.perf_counter() - clock
-        # nobody captures a file again; flanks that shine are not edges; for photographs NFIQ 2 is not made
-        photograph = source.quality is not None
-        advised = not photograph and method not in ("file", "specular")
-        nfiq2 = None if photograph else _nfiq2_of(pictures, ppi)
-        facts["quality"] = _quality_facts(quality, nfiq2, source.quality, advised=advised)
+        # nobody captures a file again; flanks that shine are not edges; NFIQ 2 is not for photographs
+        advised = method not in ("file", "specular") and source.quality is None
+        facts["quality"] = _quality_facts(
+            quality, _nfiq2_of(pictures, ppi) if source.quality is None else None, source.quality, advised=advised
+        )
         found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
         facts["minutiae"] = {"written": False, "missing": where}
         if found is not None:
-            impression = "live_plain" if method == "file" else "contactless"
+            score = round(quality.score if source.quality is None else source.quality)
             view = finger_view(
-                found,
-                round(quality.score if source.quality is None else source.quality),
-                source.subject.get("finger"),
-                impression,
+                found, score, source.subject.get("finger"), "live_plain" if method == "file" else "contactless"
             )
             facts["minutiae"] = {
                 "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
