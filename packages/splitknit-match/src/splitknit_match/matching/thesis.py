@@ -254,13 +254,7 @@ def thesis_match(
         known = extract(database.channels[name]) if features is None else features[name]
         return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
 
-    if cv2.getNumThreads() > 1:
-        from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
-
-        with ThreadPoolExecutor(2) as pool:
-            distances = dict(zip(needed, pool.map(distance, needed), strict=True))
-    else:  # in the workers of a batch a pool takes longer than it saves
-        distances = {name: distance(name) for name in needed}
+    distances = {name: distance(name) for name in needed}
     scores = {
         attribute: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[attribute]])
         for attribute in settings.attributes
