@@ -357,20 +357,20 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     # rings whose radii double, the outermost ends at the reach
     ring = _CONTEXT_RADII + np.floor(np.log2(np.maximum(np.hypot(x, y), 1e-9) / reach)).astype(np.int64)
     sector = np.floor(np.mod(np.arctan2(-y, x) / (2 * np.pi), 1.0) * _CONTEXT_ANGLES).astype(np.int64)
-    number = np.maximum(ring, 0) * _CONTEXT_ANGLES + sector % _CONTEXT_ANGLES
-    bins = np.eye(_CONTEXT_RADII * _CONTEXT_ANGLES, dtype=np.float32)[number[ring < _CONTEXT_RADII]]
+    number = np.clip(ring, 0, _CONTEXT_RADII - 1) * _CONTEXT_ANGLES + sector % _CONTEXT_ANGLES
+    bins = np.eye(_CONTEXT_RADII * _CONTEXT_ANGLES, dtype=np.float32)[number] * (ring < _CONTEXT_RADII)[..., None]
     top, left = ((np.arange(count) * cell + cell // 2) // factor for count in (rows, columns))
     around = sliding_window_view(padded, ring.shape)[np.ix_(top, left)]
-    result = around[:, :, ring < _CONTEXT_RADII] @ bins  # whole numbers: the same in whatever order they are added
-    counted = np.maximum(result.sum(axis=2, keepdims=True), np.float32(factor * factor))
+    result = around.reshape(rows * columns, -1) @ bins.reshape(ring.size, -1)  # whole numbers: the same in any order
+    counted = np.maximum(result.sum(axis=1, keepdims=True), np.float32(factor * factor))
     return np.asarray(result / counted, dtype=np.float32).ravel()
 
 
 def _means_down(image: FloatArray, sigma: int) -> FloatArray:
     """Gaussian means of the columns, zeros beyond them: products of matrices take a third of a wide filter's time."""
-    reach = 4 * sigma
-    weights = np.pad(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F)[:, 0], reach)
-    band = np.ascontiguousarray(sliding_window_view(weights, 3 * reach)[reach:0:-1])
-    padded = np.pad(image, ((reach, reach - len(image) % -reach), (0, 0))).reshape(-1, reach, image.shape[1])
-    means = sum(part @ padded[k : k - 2 or None] for k, part in enumerate(np.split(band, 3, axis=1)))
-    return np.asarray(means).reshape(-1, image.shape[1])[: len(image)]
+    rows, step, reach = len(image), 2 * sigma, 4 * sigma
+    weights = np.pad(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F)[:, 0], step)
+    band = np.ascontiguousarray(sliding_window_view(weights, step + 2 * reach)[step:0:-1])
+    padded = np.pad(image, ((reach, reach - rows % -step), (0, 0)))
+    around = sliding_window_view(padded, (step + 2 * reach, image.shape[1]))[::step, 0]
+    return np.asarray((band @ around).reshape(-1, image.shape[1])[:rows])
