@@ -366,11 +366,14 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
     pairs = trials.Pairs(captures, a, b)
     ways = [compared.Way("lbp", thesis("descriptors").hog_features, "relief", ("relief",))]
     asked = np.arange(pairs.a.size) == 1
-    (whole,), (gated,) = (
-        compared.compare_pairs(pairs, narrow_second, ways, tmp_path, 1, ungated=some) for some in (None, asked)
+    (none,), (gated,), (whole,) = (
+        compared.compare_pairs(pairs, narrow_second, ways, tmp_path, 1, ungated=some)
+        for some in (np.zeros_like(asked), asked, None)  # each adds to what the one before has kept
     )
     rejected = whole.ratio < variants.GATE
     assert rejected.sum() == 4 and rejected[1]  # the second finger with the others
+    assert np.isfinite(whole.similarity).all()
+    np.testing.assert_array_equal(none.similarity, np.where(rejected, np.nan, whole.similarity))
     np.testing.assert_array_equal(gated.similarity, np.where(rejected & ~asked, np.nan, whole.similarity))
     known = variants.known_of(pairs, {})
     passing = variants.passing_everywhere(trials.Table(pairs, (whole,), ()))
