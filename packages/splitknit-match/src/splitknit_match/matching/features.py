@@ -1,8 +1,7 @@
 """The features that the thesis tried beside local binary patterns: HOG, Gabor energies, shape context.
 
 Each turns one channel (H, W) into a vector whose Euclidean distance to another finger's is its dissimilarity. Sizes are
-the thesis's (75.7 px/mm) and scale with the image. Section 5.2 names the three and gives no settings; these are usual
-ones.
+the thesis's (75.7 px/mm) and scale with the image. Section 5.2 names the three without settings; these are usual.
 """
 
 from __future__ import annotations
@@ -218,8 +217,6 @@ def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | No
     return _histograms(np.concatenate([_cell_counts(strip, cell) for strip in strips]), settings).ravel()
 
 
-Vector = NDArray[np.float32]
-
 _CELL_PX = 64.0
 """Side of a cell at 75.7 px/mm."""
 _HOG_BINS = 9
@@ -249,7 +246,7 @@ def _cells(image: FloatArray, px_per_mm: float) -> tuple[int, int, int]:
     return cell, rows, columns
 
 
-def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
+def hog_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     """Histograms of oriented gradients: cells, directions shared between two bins, blocks of 2 x 2 cells.
 
     Source: Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
@@ -279,7 +276,7 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     return np.asarray(clipped / np.maximum(length, 1e-12), dtype=np.float32).ravel()
 
 
-def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
+def gabor_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     """Mean magnitude of Gabor responses in cells, for each period and direction, of unit length in a cell.
 
     Source: Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
@@ -333,7 +330,7 @@ def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], 
     return np.mod(number, side), gain.astype(np.float32)
 
 
-def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
+def shape_context_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     """Shape contexts of the ridges' flanks: around each cell's middle, where they lie in rings and sectors.
 
     Flanks are where the channel, freed from its mean over two cells, changes its sign. Fixed places instead of matched
