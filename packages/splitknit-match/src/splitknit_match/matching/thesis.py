@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -254,7 +254,7 @@ def thesis_match(
         known = extract(database.channels[name]) if features is None else features[name]
         return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
 
-    found = map(distance, needed)  # in the workers of a batch a pool takes longer than it saves
+    found: Iterable[float] = map(distance, needed)  # in the workers of a batch a pool takes longer than it saves
     if cv2.getNumThreads() > 1:
         from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
