@@ -73,9 +73,9 @@ STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = (0.8, 1.05, 1.5, 1.8, 3.5)
 """The model's error as it is stated, without lights to the side. Of the gain: factor on the square of scattered over
 specular light, and most. By slant, over the variance of the lens's blur times the ridges' curvature."""
-ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.044, (0.1, 0.15, 0.4, 0.0, 0.6), 0.4
+ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.035, (0.01, 0.09, 0.24, 0.04, 0.37), 0.4
 """The same with lights to the side: of the gain; by slant, over the ridges' height times their slope; and the mean
-square that is left over its expected error, from which both grow by its fourth root."""
+square that is left over its expected error, to whose power 3/4 the square of both grows."""
 GLINTS = 1.6
 """Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
 between them."""
@@ -270,8 +270,8 @@ def _joined(
         stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
     else:
         steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
-        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep
-        stated = noise + power * (np.float32(ERROR_SIDE**2) + lost) * np.sqrt(error.misfit / np.float32(MISFIT_MEAN))
+        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep + np.float32(ERROR_SIDE**2)
+        stated = noise + power * lost * (error.misfit / np.float32(MISFIT_MEAN)) ** np.float32(0.75)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
