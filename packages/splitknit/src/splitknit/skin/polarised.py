@@ -36,8 +36,8 @@ from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
 
-TURNS, SETTLED = 10, 3
-"""Gauss-Newton steps, and those after which skin's roughness is hardly overestimated."""
+TURNS, SETTLED = 10, (3, 1.1)
+"""Gauss-Newton steps; those after which roughness is hardly overestimated, and the factor by which it may be."""
 SOLVER_STEPS = 40
 """Conjugate gradients in each of them."""
 RIDGES_PER_MM = 14.0
@@ -151,9 +151,8 @@ def polarised_heights(
     what films show and of the start, weighted by their variances. Skin that turns out rougher than `roughest` is not
     fitted to the end.
     """
-    difference, noise = images.stack, images.noise
-    mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
-    gains = np.ones((2, len(difference)), dtype=np.float32)
+    difference, noise, mask = images.stack, images.noise, grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
+    gains, specular = np.ones((2, len(difference)), dtype=np.float32), Specular(0.0, *START)
     lights = _Lights.of(images.rig, grid, start_mm, gains)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
@@ -163,7 +162,6 @@ def polarised_heights(
     prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
     first = FIRST_ERROR if side.size else MODEL_ERROR
     weight, reached = _weight(images, mask, slice(None), first), np.ones(1, dtype=np.float32)
-    specular = Specular(0.0, *START)
     if side.size:  # their brightness is fitted first
         reached = np.ones((len(difference), *grid.shape), dtype=np.float32)
         reached[side] = 0
@@ -194,7 +192,7 @@ def polarised_heights(
         numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
         specular = specular.changed(numbers)
         gains[:, turn.aside] *= np.exp(brightness).reshape(2, -1)
-        if count >= SETTLED and specular.roughness > roughest:
+        if count >= SETTLED[0] and specular.roughness > SETTLED[1] * roughest:
             break
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
