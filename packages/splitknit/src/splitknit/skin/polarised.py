@@ -36,8 +36,8 @@ from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
 
-TURNS = 10
-"""Gauss-Newton steps."""
+TURNS, SETTLED = 10, 3
+"""Gauss-Newton steps, and those after which skin's roughness is hardly overestimated."""
 SOLVER_STEPS = 40
 """Conjugate gradients in each of them."""
 RIDGES_PER_MM = 14.0
@@ -143,12 +143,13 @@ def specular_images(
 
 
 def polarised_heights(
-    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray
+    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray, roughest: float = np.inf
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """Heights by the specular image of the fine grid, from a finite start (h, w) of about the right shape and relief.
     `deviation_mm`: (h, w) stated standard deviation of its ridges' heights. Returns heights (h, w) along the line of
     sight, finite everywhere, the standard deviation (h, w) of their ridges, and what was found. Both are the means of
-    what films show and of the start, weighted by their variances.
+    what films show and of the start, weighted by their variances. Skin that turns out rougher than `roughest` is not
+    fitted to the end.
     """
     difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
@@ -193,6 +194,8 @@ def polarised_heights(
         numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
         specular = specular.changed(numbers)
         gains[:, turn.aside] *= np.exp(brightness).reshape(2, -1)
+        if count >= SETTLED and specular.roughness > roughest:
+            break
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
