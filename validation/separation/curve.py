@@ -20,10 +20,11 @@ are judged as above, and as in ``unet.py``, in time and memory too: ``widened`` 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,9 +53,11 @@ HERE = Path(__file__).resolve().parent
 SIZES = ((4, 500), (4, 2000), (4, 8000), (8, 500), (8, 2000), (8, 8000), (16, 500), (16, 2000), (16, 8000), (32, 8000))
 THESIS = (64, 37_500)
 REPLICATES = 500
+Names = dict[str, str | Path]
+"""Networks by what they are: shipped ones, or files."""
 WIDTHS = (12, 24)  # of the shipped network, and twice that
 PARTS = 5  # of the patches that a network is trained on further; an epoch sees one
-PALMS, FINGERS = 6, 12  # photographs judged as in ``unet.py``
+COUNT = {"palm": 6, "finger": 12, "snk": 6}  # photographs judged as in ``unet.py``; fingers by ``snk``
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,9 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for width in WIDTHS[k - 1 :: n]:
             trained_on(width, *made, options.widen, options.scratch)
         if all((options.scratch / f"{width}.onnx").is_file() for width in WIDTHS):
-            seen, judged = prepared(options.scratch / "data", data, 0)
-            count = (1, 1) if options.smoke else (PALMS, FINGERS)
-            store(target, {"widened": report_widened(options.scratch, seen, judged, count)})
+            few = replace(data, palms=1, fingers=1, labels="truth")
+            judged = prepared(options.scratch / "judged", few, 0)[1]
+            count = {"palm": 1, "finger": 1} if options.smoke else COUNT
+            store(target, {"widened": report_widened(options.scratch, made[0], judged, count)})
         return 0
     seen, judged = prepared(options.scratch / "data", data, 0)
     for size in sizes[k - 1 :: n]:
@@ -203,28 +207,28 @@ def export(trainer: SeparationTrainer, file: Path) -> None:
 
 
 def report_widened(
-    folder: Path, seen: Sequence[Photograph], judged: Sequence[Photograph], count: tuple[int, int]
+    folder: Path, seen: Sequence[Photograph], judged: Sequence[Photograph], count: dict[str, int]
 ) -> dict[str, Any]:
-    """Shipped network, widened one, and both trained on: learning curve, photographs, time and memory."""
-    names = {"shipped": "direct", "widened": folder / "24-start.onnx"}
+    """Shipped network, widened one, and both trained on: time and memory, learning curve, photographs, ``snk``."""
+    names: Names = {"shipped": "direct", "widened": folder / "24-start.onnx"}
     names |= {"control": folder / "12.onnx", "trained": folder / "24.onnx"}
     costs = {name: cost(names[name]) for name in ("shipped", "trained")}  # before all that takes more memory
     curves = {width: json.loads((folder / f"{width}-curve.json").read_text(encoding="utf-8")) for width in WIDTHS}
-    result: dict[str, Any] = {"training": curves, "cost": costs}
     constant, rows = best_constant(seen), {}
-    for name, file in names.items():
-        settings = SeparationSettings(width=WIDTHS[name in ("widened", "trained")], dropout=0.0)
-        trainer = SeparationTrainer(settings, Patches(seen))
-        load_stored(trainer.network, file)
+    for name in ("shipped", "control", "trained"):
+        trainer = SeparationTrainer(SeparationSettings(width=WIDTHS[name == "trained"], dropout=0.0), Patches(seen))
+        load_stored(trainer.network, names[name])
         rows[name] = {
             "network": [trainer.loss_of(Patches([one]), enhanced=True) for one in judged],
             "constant": [constant_error(one, constant) for one in judged],
         }
-    result["gain_db"] = {kind: compared_gains(rows, judged, kind) for kind in ("finger", "palm")}
-    result["photographs"] = {
-        kind: compared_photographs(names, kind, number) for kind, number in zip(("palm", "finger"), count, strict=True)
+    return {
+        "cost": costs,
+        "training": curves,
+        "gain_db": {kind: compared_gains(rows, judged, kind) for kind in ("finger", "palm")},
+        "photographs": {kind: compared_photographs(names, kind, count[kind], folder) for kind in ("palm", "finger")},
+        "snk": compared_reliefs(names, count["snk"], folder) if "snk" in count else {},
     }
-    return result
 
 
 def compared_gains(rows: dict[str, Any], judged: Sequence[Photograph], kind: str) -> dict[str, list[float]]:
@@ -232,35 +236,83 @@ def compared_gains(rows: dict[str, Any], judged: Sequence[Photograph], kind: str
     size = sum(one.facts["kind"] == kind for one in judged)
     draws = [None, *np.random.default_rng(0).integers(0, size, (REPLICATES, size))]
     found = {name: np.array([gain(row, judged, kind, draw) for draw in draws]) for name, row in rows.items()}
-    found |= {f"{name} - shipped": found[name] - found["shipped"] for name in list(found)[1:]}
-    found["trained - control"] = found["trained"] - found["control"]
+    found = with_differences(found)
     return {name: [round(float(v), 3) for v in (all_[0], *interval(all_[1:]))] for name, all_ in found.items()}
 
 
-def compared_photographs(names: dict[str, str | Path], kind: str, count: int) -> dict[str, Any]:
-    """PSNR and SSIM of the linear colours and of the enhanced grey, as ``unet.py``, and differences in pairs."""
-    networks = {name: load_network(file) for name, file in names.items()}
-    data = SeparationData(labels="stack", patches=1)
-    columns: dict[str, list[list[float]]] = {name: [] for name in names}
-    for index in range(as_photographs.FIRST, as_photographs.FIRST + count):
-        image, truth = as_photographs.channels(photographs(kind, index, 0, data, enhanced_contrast)[0])
-        for name, network in networks.items():
-            made = np.concatenate([direct_light(image[None, :3], network)[0], direct_light(image[3:], network)])
-            four = as_photographs.figures((kind, index), name, made, truth, truth[0] > 0)
-            values = np.array([[row["psnr_db"], row["ssim"]] for row in four])
-            columns[name].append([*values[:3].mean(axis=0), *values[3]])
-        print(kind, index, {name: np.round(column[-1], 3).tolist() for name, column in columns.items()}, flush=True)
-    drawn = np.random.default_rng(1).integers(0, count, (2000, count))
+def with_differences(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The figures of every network, and what it has more than the shipped one and than the control."""
+    pairs_of = [(name, "shipped") for name in list(found)[1:]] + [("trained", "control")]
+    return found | {f"{one} - {other}": found[one] - found[other] for one, other in pairs_of}
 
-    def statistics(values: np.ndarray) -> dict[str, list[float]]:
+
+def compared_photographs(names: Names, kind: str, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:
+    """PSNR and SSIM of linear colours and enhanced grey as by ``unet.py``; truth: the twin's own direct light."""
+
+    def judged(file: str | Path, index: int) -> list[float]:
+        network = load_network(file)
+        image, truth = as_photographs.channels(kept_photograph(folder, kind, index))
+        made = np.concatenate([direct_light(image[None, :3], network)[0], direct_light(image[3:], network)])
+        four = as_photographs.figures((kind, index), str(file), made, truth, truth[0] > 0)
+        values = np.array([[row["psnr_db"], row["ssim"]] for row in four])
+        return [*values[:3].mean(axis=0).tolist(), *values[3].tolist()]
+
+    first = as_photographs.FIRST
+    columns = {
+        name: [kept(folder, file, f"{kind}_{k}", judged, k) for k in range(first, first + count)]
+        for name, file in names.items()
+    }
+    return summed_up(columns, ("psnr_linear_db", "ssim_linear", "psnr_enhanced_db", "ssim_enhanced"))
+
+
+def compared_reliefs(names: Names, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:
+    """Relief by ``snk`` with each network, on the fingers of ``ablation.py``."""
+    from ablation_rows import FIGURES, Bench, Options  # heavy
+
+    bench = functools.cache(lambda seed: Bench(seed, Options()))
+
+    def judged(file: str | Path, seed: int) -> list[float]:
+        bench(seed).options = Options(direct=str(file))
+        found = bench(seed).figures("snk_clahe_network")
+        return [found[figure] for figure in FIGURES]
+
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    for seed in range(1000, 1000 + count):
+        for name, file in names.items():
+            columns[name].append(kept(folder, file, f"snk_{seed}", judged, seed))
+        bench.cache_clear()
+    return summed_up(columns, FIGURES)
+
+
+def kept(folder: Path, network: str | Path, name: str, judge: Callable[[str | Path, int], Any], number: int) -> Any:
+    """What was found by a network, measured once."""
+    file = folder / f"{read_network(network)[0].sha256[:12]}_{name}.json"
+    if not file.is_file():
+        file.write_text(json.dumps(judge(network, number)), encoding="utf-8")
+        print(network, name, file.read_text(encoding="utf-8"), flush=True)
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def kept_photograph(folder: Path, kind: str, index: int) -> Photograph:
+    """One of the photographs of ``unet.py``."""
+    file = folder / f"{kind}_{index}.npy"
+    if not file.is_file():
+        data = SeparationData(labels="truth", patches=1)
+        np.save(file, photographs(kind, index, 0, data, enhanced_contrast)[0].pixels)
+    return Photograph(np.load(file), np.zeros((0, 2), dtype=np.int32), {})
+
+
+def summed_up(columns: dict[str, list[Any]], figures: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    """Mean of each figure, and its interval by a bootstrap over photographs or fingers."""
+    found = with_differences({name: np.array(column) for name, column in columns.items()})
+    count = len(found["shipped"])
+    drawn = np.random.default_rng(1).integers(0, count, (2000, count))
+    result = {}
+    for name, values in found.items():
         ends = np.percentile(values[drawn].mean(axis=1), [2.5, 97.5], axis=0)
         table = np.round([values.mean(axis=0), *ends], 4).T.tolist()
-        return dict(zip(("psnr_linear", "ssim_linear", "psnr_enhanced", "ssim_enhanced"), table, strict=True))
-
-    found = {name: np.array(column) for name, column in columns.items()}
-    found |= {f"{name} - shipped": found[name] - found["shipped"] for name in list(found)[1:]}
-    found["trained - control"] = found["trained"] - found["control"]
-    return {name: statistics(values) for name, values in found.items()}
+        result[name] = dict(zip(figures, table, strict=True))
+    return result
 
 
 def cost(file: str | Path) -> dict[str, float]:
