@@ -57,6 +57,7 @@ Names = dict[str, str | Path]
 """Networks by what they are: shipped ones, or files."""
 WIDTHS = (12, 24)  # of the shipped network, and twice that
 PARTS = 5  # of the patches that a network is trained on further; an epoch sees one
+LIGHT = ("linear", "enhanced")
 COUNT = {"palm": 6, "finger": 12, "snk": 6}  # photographs judged as in ``unet.py``; fingers by ``snk``
 
 
@@ -180,21 +181,24 @@ def trained_on(
     trainer = SeparationTrainer(settings, Patches(seen))
     few = Patches([replace(one, corners=one.corners[:20]) for one in held_out])
     widen(load_stored(unet(WIDTHS[0], dropout=0.0), "direct"), trainer.network)
-    kept = folder / f"{width}.pt"
-    if kept.is_file():
-        trainer.restore(kept.read_bytes())
+
+    def entry() -> dict[str, float]:
+        return {"epoch": trainer.done, **{name: trainer.loss_of(few, name == "enhanced") for name in LIGHT}}
+
+    state = folder / f"{width}.pt"
+    if state.is_file():
+        trainer.restore(state.read_bytes())
     else:
+        trainer.curve.append(entry())
         export(trainer, folder / f"{width}-start.onnx")
     while trainer.done < epochs:
         trainer.patches = Patches([replace(one, corners=one.corners[trainer.done % PARTS :: PARTS]) for one in seen])
         began = time.process_time()
         loss = trainer.train(1)["loss"]
-        entry = {"epoch": trainer.done, "loss": loss, "processor_s": time.process_time() - began}
-        entry |= {name: trainer.loss_of(few, name == "enhanced") for name in ("linear", "enhanced")}
-        trainer.curve.append(entry)
-        kept.with_suffix(".new").write_bytes(trainer.state())
-        kept.with_suffix(".new").replace(kept)
-        print(width, entry, flush=True)
+        trainer.curve.append({"loss": loss, "processor_s": time.process_time() - began, **entry()})
+        state.with_suffix(".new").write_bytes(trainer.state())
+        state.with_suffix(".new").replace(state)
+        print(width, trainer.curve[-1], flush=True)
     (folder / f"{width}-curve.json").write_text(json.dumps(trainer.curve), encoding="utf-8")
     export(trainer, folder / f"{width}.onnx")
 
