@@ -13,9 +13,10 @@ import splitknit
 import splitknit_simulator
 from splitknit.finger import steady
 from splitknit.finger.locate import Finger, FingerSettings
+from splitknit.imaging.light_field import lights_in_front
 from splitknit.imaging.polarised import without_side_lights
 from splitknit.methods.photographs import SIDE_UNUSED
-from splitknit.model import Band, Capture, default_rig
+from splitknit.model import Band, Capture, Led, Rig, default_rig
 from splitknit_simulator.light.lighting import arriving, cut_out, towards
 from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.scene import TwinSettings
@@ -90,6 +91,28 @@ def test_what_is_no_skin_keeps_all_its_lights(lit: Capture) -> None:
     assert (len(parted.leds), len(parted.side.leds)) == (7, SIDE)
     few = replace(lit, bands={"white": replace(lit.bands["white"], **_last(lit.bands["white"], SIDE + 3))})
     assert without_side_lights(few) is few  # too few in front
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "front"),
+    [
+        ([20] * 7 + [38], 7),  # one light would lean the shape towards itself
+        ([20] * 7 + [29] * 2, 9),
+        ([26] * 7 + [38], 8),  # within 1.5 times the sixth
+        ([38] * 7, 7),
+        ([20] * 5 + [44], 6),  # six are needed
+        ([20] * 4 + [44], 5),
+        ([38] * 7 + [46], 7),
+        ([72] * 7 + [20] * 4, 4),
+    ],
+)
+def test_which_lights_stand_to_the_side(off_deg: list[float], front: int) -> None:
+    across, up = np.sin(np.deg2rad(off_deg)), np.cos(np.deg2rad(off_deg))
+    turn = np.arange(len(off_deg))
+    towards = np.stack([across * np.cos(turn), across * np.sin(turn), up], axis=1)
+    found = lights_in_front(Rig(default_rig(0.1).camera, tuple(Led("white", direction=tuple(one)) for one in towards)))
+    assert found.sum() == front
+    assert max(np.array(off_deg)[found]) < min(np.array(off_deg)[~found], default=90.0)
 
 
 def _last(band: Band, count: int) -> dict[str, object]:

@@ -14,8 +14,10 @@ from splitknit.model import BoolArray, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
-SIDE_DEG = 45.0
-"""Angle off the camera's axis beyond which a light stands to the side of a finger."""
+SIDE_DEG, SIDE_RATIO, _AROUND = (30.0, 45.0), 1.5, 6
+"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the
+sixth light by this angle, within these bounds. One light at 38 or 44 deg beside a ring at 20 took the surface of two
+simulated fingers from 0.06 to 0.10 mm."""
 FEW_LIGHTS = 4
 """So many lights, or fewer, are warned of."""
 
@@ -50,7 +52,9 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
 def lights_in_front(rig: Rig) -> BoolArray:
     """(L,) whether each of the rig's lights stands in front of the finger, not to its side."""
     towards = rig.light_vectors()
-    return np.asarray(towards[:, 2] >= np.cos(np.deg2rad(SIDE_DEG)) * np.linalg.norm(towards, axis=1))
+    off_deg = np.degrees(np.arccos(np.clip(towards[:, 2] / np.linalg.norm(towards, axis=1), -1.0, 1.0)))
+    limit = SIDE_RATIO * np.sort(off_deg)[_AROUND - 1] if len(off_deg) >= _AROUND else SIDE_DEG[1]
+    return np.asarray(off_deg <= np.clip(limit, *SIDE_DEG))
 
 
 def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:

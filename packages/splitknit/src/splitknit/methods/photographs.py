@@ -58,7 +58,7 @@ TILTED = (
     "the ridges, but leaves open by some degrees how the finger is tilted."
 )
 SIDE_UNUSED = (
-    "the {} white images lit from more than 45 degrees to the side are not used: by the published cases, and where no "
+    "the {} white images lit far more from the side than the others are not used: by the published cases, and where no "
     "network estimates the ridges, the shadows in them would be taken for the skin's shape."
 )
 FRAME_SIDE = 300
