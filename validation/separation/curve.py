@@ -107,11 +107,11 @@ def store(file: Path, result: dict[str, Any]) -> None:
     print(json.dumps(result, indent=1))
 
 
-def prepared(folder: Path, data: SeparationData, seed: int) -> list[list[Photograph]]:
+def prepared(folder: Path, data: SeparationData, seed: int) -> tuple[list[Photograph], list[Photograph]]:
     """Photographs to train on, and those held out."""
     first = SeparationSettings(width=1, epochs=1, seed=seed)
     train_separation(TrainingRun(folder, resume=folder.exists()), data, first)
-    return [stored_photographs(folder, data, held_out) for held_out in (False, True)]
+    return stored_photographs(folder, data, False), stored_photographs(folder, data, True)
 
 
 def trained(
