@@ -261,10 +261,13 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
 
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))
-    made = scales.relief_images(capture)
-    assert len(made.channels) == 6
+    made = scales.snk_images(capture)
+    assert len(made.channels) == 10
     images = surface_images(surface_of(reconstruct(capture, "snk", {"shapelets.scales": 5})))
     np.testing.assert_array_equal(made.channels["snk5"], images.channels["relief"])
+    np.testing.assert_array_equal(made.channels["snk3"], made.channels["relief"])
+    images = surface_images(surface_of(reconstruct(capture, "snk")))
+    np.testing.assert_array_equal(made.channels["normal_x"], images.channels["normal_x"])
     np.testing.assert_array_equal(made.mask, images.mask)
     assert not np.array_equal(made.channels["snk2"], made.channels["snk5"])
 
@@ -336,10 +339,10 @@ def test_other_descriptors_are_compared_by_the_same_rule(
     pairs = trials.Pairs(captures, a[::-1], b[::-1])
     ways = [
         compared.Way(name, extract, "normals", ("normal_x", "normal_y", "normal_z"))
-        for name, extract in descriptors.OTHERS.items()
+        for name, extract in descriptors.DESCRIPTORS.items()
     ]
     found = compared.compare_pairs(pairs, handmade_reader, ways, tmp_path, 1)
-    assert [trial.case for trial in found] == ["hog", "gabor", "shape context"]
+    assert [trial.case for trial in found] == ["lbp", "hog", "gabor", "shape context"]
     failed = (captures.subject[pairs.a] == "S04") | (captures.subject[pairs.b] == "S04")
     for trial in found:
         np.testing.assert_array_equal(np.isnan(trial.similarity), failed)
@@ -351,7 +354,7 @@ def test_other_descriptors_are_compared_by_the_same_rule(
 
 
 def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script) -> None:
-    """With `gated`, pairs that overlap too little have no similarity, and what the gate judges is the same."""
+    """Unless asked for, pairs that overlap too little have no similarity, and what the gate judges is the same."""
     compared, trials, variants = thesis("compared"), thesis("trials"), thesis("variants")
 
     def narrow_second(name: str) -> Any:
@@ -362,12 +365,16 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
     a, b = np.nonzero((captures.session[:, None] == "1") & (captures.session[None, :] == "2"))
     pairs = trials.Pairs(captures, a, b)
     ways = [compared.Way("lbp", thesis("descriptors").hog_features, "relief", ("relief",))]
-    (whole,), (gated,) = (
-        compared.compare_pairs(pairs, narrow_second, ways, tmp_path, 1, gated=only) for only in (False, True)
+    asked = np.arange(pairs.a.size) == 1
+    (none,), (gated,), (whole,) = (
+        compared.compare_pairs(pairs, narrow_second, ways, tmp_path, 1, ungated=some)
+        for some in (np.zeros_like(asked), asked, None)  # each adds to what the one before has kept
     )
     rejected = whole.ratio < variants.GATE
-    assert rejected.sum() == 4  # the second finger with the others
-    np.testing.assert_array_equal(gated.similarity, np.where(rejected, np.nan, whole.similarity))
+    assert rejected.sum() == 4 and rejected[1]  # the second finger with the others
+    assert np.isfinite(whole.similarity).all()
+    np.testing.assert_array_equal(none.similarity, np.where(rejected, np.nan, whole.similarity))
+    np.testing.assert_array_equal(gated.similarity, np.where(rejected & ~asked, np.nan, whole.similarity))
     known = variants.known_of(pairs, {})
     passing = variants.passing_everywhere(trials.Table(pairs, (whole,), ()))
     for variant in (variants.THESIS, variants.PASSING):

@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if all((options.scratch / f"{width}.onnx").is_file() for width in WIDTHS):
             few = replace(data, palms=1, fingers=1, labels="truth")
             judged = prepared(options.scratch / "judged", few, 0)[1]
-            count = {"palm": 1, "finger": 1} if options.smoke else COUNT
+            count = {"finger": 1} if options.smoke else COUNT
             store(target, {"widened": report_widened(options.scratch, made[0], judged, count)})
         return 0
     seen, judged = prepared(options.scratch / "data", data, 0)
@@ -216,7 +216,8 @@ def report_widened(
     """Shipped network, widened one, and both trained on: time and memory, learning curve, photographs, ``snk``."""
     names: Names = {"shipped": "direct", "widened": folder / "24-start.onnx"}
     names |= {"control": folder / "12.onnx", "trained": folder / "24.onnx"}
-    costs = {name: cost(names[name]) for name in ("shipped", "trained")}  # before all that takes more memory
+    # before all that takes more memory
+    costs = {name: cost(names[name]) for name in ("shipped", "trained") if "snk" in count}
     curves = {width: json.loads((folder / f"{width}-curve.json").read_text(encoding="utf-8")) for width in WIDTHS}
     constant, rows = best_constant(seen), {}
     for name in ("shipped", "control", "trained"):
@@ -230,7 +231,9 @@ def report_widened(
         "cost": costs,
         "training": curves,
         "gain_db": {kind: compared_gains(rows, judged, kind) for kind in ("finger", "palm")},
-        "photographs": {kind: compared_photographs(names, kind, count[kind], folder) for kind in ("palm", "finger")},
+        "photographs": {
+            kind: compared_photographs(names, kind, number, folder) for kind, number in count.items() if kind != "snk"
+        },
         "snk": compared_reliefs(names, count["snk"], folder) if "snk" in count else {},
     }
 

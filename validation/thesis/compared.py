@@ -12,12 +12,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from trials import Captures, Pairs, Trial, Values
 from variants import GATE
 
 from splitknit.model import BoolArray, FloatArray
+from splitknit.steps import one_heap
 from splitknit_match.matching.score import dissimilarity
 from splitknit_match.matching.thesis import FingerImages, align_masks, to_box
 
@@ -49,7 +51,7 @@ def captures_of(names: Sequence[str]) -> Captures:
 
 
 def compare_pairs(  # noqa: PLR0917
-    pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int, gated: bool = False
+    pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int, ungated: NDArray[np.bool_] | None = None
 ) -> tuple[Trial, ...]:
     """One trial for each way.
 
@@ -60,15 +62,18 @@ def compare_pairs(  # noqa: PLR0917
     ways : the same everywhere
     scratch : folder of finished comparisons; another one for other captures or other images
     jobs : processes
-    gated : whether to compare only what passes the gate, a sixth of the impostors; the others' similarity is NaN
+    ungated : (N,) those that are compared even if they do not pass the gate; of the others, five sixths of the
+        impostors, the similarity is NaN. None: all
     """
+    always = np.ones(pairs.a.shape, dtype=np.bool_) if ungated is None else ungated
     order = np.argsort(pairs.a, kind="stable")
     starts = np.flatnonzero(np.diff(pairs.a[order])) + 1  # of the database fingers
     names = pairs.captures.names
     tasks = [
-        [(str(names[pairs.a[k]]), str(names[pairs.b[k]])) for k in block] for block in np.split(order, starts[15::16])
+        [(str(names[pairs.a[k]]), str(names[pairs.b[k]]), bool(always[k])) for k in block]
+        for block in np.split(order, starts[7::8])
     ]
-    rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch, gated), tasks, jobs))
+    rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch), tasks, jobs))
     found = np.empty_like(rows)
     found[order] = rows
     ratio = found[:, 0]
@@ -78,32 +83,36 @@ def compare_pairs(  # noqa: PLR0917
     )
 
 
-def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, gated: bool, task: list[tuple[str, str]]) -> Values:
-    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed, or where
-    `gated` the overlap is too small.
+def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[str, str, bool]]) -> Values:
+    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed, or where the
+    overlap is too small and the pair is not to be compared without the gate.
 
     Queries are read once each, beside the features of all fingers that they are compared with.
     """
-    key = repr((task, [(way.name, way.attribute, way.channels) for way in ways], *(["gated"] if gated else [])))
+    key = repr(([pair[:2] for pair in task], [(way.name, way.attribute, way.channels) for way in ways]))
     file = scratch / (hashlib.sha256(key.encode()).hexdigest()[:24] + ".npy")
-    if file.is_file():
-        return np.asarray(np.load(file))
-    databases = {name: _known(read(name), ways) for name in dict.fromkeys(first for first, _ in task)}
+    result, waiting = np.full((len(task), 1 + len(ways)), np.nan), np.ones(len(task), dtype=np.bool_)
+    if file.is_file():  # what did not pass the gate then may be asked for now
+        result = np.asarray(np.load(file))
+        waiting = np.isfinite(result[:, 0]) & np.isnan(result[:, 1]) & [always for *_, always in task]
+    if not waiting.any():
+        return result
+    rows = np.flatnonzero(waiting).tolist()
+    databases = {name: _known(read(name), ways) for name in dict.fromkeys(task[k][0] for k in rows)}
     of_query: dict[str, list[int]] = {}
-    for k, (_, other) in enumerate(task):
-        of_query.setdefault(other, []).append(k)
+    for k in rows:
+        of_query.setdefault(task[k][1], []).append(k)
     needed = dict.fromkeys(name for way in ways for name in way.channels)
-    result = np.full((len(task), 1 + len(ways)), np.nan)
-    for other, rows in of_query.items():
+    for other, against in of_query.items():
         query = read(other)
-        for k in rows:
+        for k in against:
             database = databases[task[k][0]]
             if database is None or query is None:
                 continue
             mask, px_per_mm, known = database
             _, ratio = align_masks(mask, query.mask)
             result[k, 0] = ratio
-            if gated and ratio < GATE:
+            if ratio < GATE and not task[k][2]:
                 continue
             boxed = {name: to_box(query.channels[name], (mask.shape[0], mask.shape[1])) for name in needed}
             on_database = FingerImages(boxed, mask, px_per_mm)
@@ -147,16 +156,16 @@ def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: floa
 def each(work: Any, tasks: Sequence[Any], jobs: int) -> list[Any]:
     """Do all tasks, in processes of one thread each."""
     if jobs <= 1 or len(tasks) <= 1:
-        _one_thread()
+        cv2.setNumThreads(1)
         return [work(task) for task in tasks]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-        return list(pool.map(work, tasks, chunksize=4))
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_alone) as pool:
+        return list(pool.map(work, tasks))
 
 
-def _one_thread() -> None:
-    import cv2
-
+def _alone() -> None:
+    """One thread, and a heap that keeps what is freed: patterns and gradients take a third of the time."""
     cv2.setNumThreads(1)
+    one_heap()
 
 
 def kept_images(file: Path, make: Callable[[], FingerImages | None]) -> None:

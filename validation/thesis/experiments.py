@@ -260,9 +260,7 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figure 3.21: scales of shapelets."""
     from scales import scales_table  # the others need no reconstruction
 
-    people = sorted({name.split("/")[0] for name in truth})[: options.people]
-    names = [name for name in truth if name.split("/")[0] in people]
-    scratch = _scratch(options, "scales")
+    names, scratch = _first_people(options, truth), _scratch(options, "images")
     table = scales_table(options.population, names, scratch, options.fraction, options.seed, options.jobs)
     work = _work(options, table, truth)
     rows = rate_rows(work, table.trials, options.jobs)
@@ -270,24 +268,31 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     groups = [(three, trial) for trial in table.trials if trial is not three]
     _write(options, "scales", rows, difference_rows(work, groups, COMPARED, options.jobs))
     _rocs(options, work, "figure-3-21", table.trials, lambda trial: trial.label)
-    return _facts(table, table.trials) | {"people": len(people), "impostor_share": options.fraction}
+    return _facts(table, table.trials) | {"people": options.people, "impostor_share": options.fraction}
 
 
-def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+def _first_people(options: argparse.Namespace, truth: Mapping[str, Row]) -> list[str]:
+    """Captures of the people that the parts take which make their own images."""
+    people = sorted({name.split("/")[0] for name in truth})[: options.people]
+    return [name for name in truth if name.split("/")[0] in people]
+
+
+def run_descriptors(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Section 5.2: local binary patterns beside HOG, Gabor energies and shape contexts."""
-    from descriptors import descriptors_table, reader  # the others need no images
+    from descriptors import descriptors_table  # the others need no images
+    from scales import keep_all
 
-    case = "snk"
-    captures = read_captures(store, (case,))
-    read = reader(stored_places(store.files("features", case)))
-    scratch = _scratch(options, "descriptors", [store.document()["cases"][case], __version__])
+    names = _first_people(options, truth)
+    read, place = keep_all(options.population, names, _scratch(options, "images"), options.jobs)
+    scratch = place / "descriptors"
+    every, ungated = descriptors_table(names, read, scratch, options.fraction, options.seed, options.jobs)
+    some = Table(every.pairs.taken(ungated), tuple(trial.at(ungated) for trial in every.trials), every.missing)
     rows, differences, facts = [], [], {}
-    for fraction in (options.fraction, None):  # without the gate by some impostors, with it by all
-        table = descriptors_table(store, case, captures, read, scratch, fraction, options.seed, options.jobs)
+    for table in (some, every):  # without the gate those that were compared without it
         work = _work(options, table, truth)
         judging, compared = (
-            [variant for variant in some if (variant.gate == "none") == (fraction is not None)]
-            for some in (VARIANTS, COMPARED)
+            [variant for variant in known if (variant.gate == "none") == (table is some)]
+            for known in (VARIANTS, COMPARED)
         )
         rows += rate_rows(work, table.trials, options.jobs, judging)
         groups = [
@@ -299,9 +304,9 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
         differences += difference_rows(work, groups, compared, options.jobs)
         for name in ("normals", "relief"):
             _rocs(options, work, f"descriptors-{name}", _of(table, "thesis", name), lambda trial: trial.label, compared)
-        facts = _facts(table, table.trials) | ({"no_gate": facts} if fraction is None else {})
+        facts = _facts(table, table.trials) | ({} if table is some else {"no_gate": facts})
     _write(options, "descriptors", rows, differences)
-    return facts
+    return facts | {"people": options.people, "impostor_share": options.fraction}
 
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
@@ -355,9 +360,13 @@ PARTS = (
     "normals",
 )  # fmt: skip
 """What ``all`` makes; ``family`` and ``people`` have populations and stores of their own."""
-WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}
-PART_OF = {
+WITHOUT_STORE = {
+    "scales": run_scales,
     "descriptors": run_descriptors,
+    "neighbours": run_neighbours,
+    "figures": run_figures,
+}
+PART_OF = {
     "fusion": run_fusion,
     "cases": run_cases,
     "matchers": run_matchers,

@@ -38,7 +38,7 @@ Lines = list[list[str]]
 Pick = Callable[[Row], bool]
 
 THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
-    ("3.21", "relief, n = 3, with partial views", "0.001", "90.5", "scales:snk3:relief"),
+    ("3.21", "relief, SnK, n = 3, two sessions", "0.001", "90.5", "scales:snk3:relief"),
     ("5.3", "normals, relief and shape joined (SnK)", "0.01", "95.3", "fusion:snk:all three, mean"),
     ("5.4", "normals, SnK", "0.01", "92", "cases:snk:normals"),
     ("5.4", "normals, PR", "0.01", "90 (read off the plot)", "cases:pr:normals"),
@@ -89,12 +89,13 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
 
 def thesis_table(tables: Mapping[str, Sequence[Row]], judged: Sequence[tuple[str, ...]] = UNDILUTED) -> Lines:
     """Beside the thesis's own numbers."""
-    lines = [["figure", "what", "FAR", "thesis", *(JUDGED[key] for key in judged)]]
+    lines = [["figure", "what", "FAR", "thesis", "impostor pairs", *(JUDGED[key] for key in judged)]]
     for figure, words, far, said, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
         cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
-        lines.append([figure, words, PERCENT[far], said, *cells])
+        pairs = next((f"{int(row['impostors']):,}" for row in own if variant(row) == PLAIN), "none")
+        lines.append([figure, words, PERCENT[far], said, pairs, *cells])
     return lines
 
 

@@ -100,8 +100,8 @@ def readable(folder: Path) -> dict[str, Lines]:
         "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
-        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk")),
-        "scales_differences": difference_table(differ["scales"]),
+        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk"), UNDILUTED),
+        "scales_differences": difference_table(differ["scales"], UNDILUTED),
         "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
         "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),
         "failures": failures_table(read(folder / "failures.csv")),
@@ -136,8 +136,8 @@ def readable(folder: Path) -> dict[str, Lines]:
     near, nearer = (read(folder / f"neighbours{ending}.csv") for ending in ("", "_differences"))
     for name in ("normals", "relief"):
         rows, two = ([row for row in part if row["attribute"] == name] for part in (described, apart))
-        made[f"descriptors_{name}"] = rate_table(rows, f"feature, {name}", lambda row: row["case"])
-        made[f"descriptors_{name}_differences"] = difference_table(two, (THESIS_WHOLE, WHOLE))
+        made[f"descriptors_{name}"] = rate_table(rows, f"feature, {name}", lambda row: row["case"], UNDILUTED)
+        made[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
         rows, two = ([row for row in part if row["attribute"] == name] for part in (near, nearer))
         made[f"neighbours_{name}"] = rate_table(rows, f"neighbours, {name}", lambda row: row["case"], (PLAIN,))
         made[f"neighbours_{name}_differences"] = difference_table(two, (PLAIN,))

@@ -1,9 +1,9 @@
 """The thesis's matching experiments on a simulated population: one command each, figures and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
-    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors|normals \\
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|normals \\
         --store STORE --population POPULATION
-    python validation/thesis/run.py scales|neighbours|figures --population POPULATION
+    python validation/thesis/run.py scales|descriptors|neighbours|figures --population POPULATION
     python validation/thesis/run.py family|people --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
@@ -143,7 +143,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--prints", type=Path, default=None, help="of chain: folder of real prints for a third")
     parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
-    parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
+    parser.add_argument(
+        "--people", type=int, default=5, help="whose fingers scales and descriptors take, from the first on"
+    )
     parser.add_argument(
         "--fraction",
         type=float,

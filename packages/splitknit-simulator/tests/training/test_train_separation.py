@@ -290,12 +290,20 @@ def test_learning_curve_over_width_and_patches_runs(torch: Any, tmp_path: Path) 
     with scripts_of(SCRIPTS) as named:
         curve = named("curve")
         assert curve.main(["--scratch", str(tmp_path), "--smoke"]) == 0
-        assert curve.main(["--scratch", str(tmp_path), "--smoke", "--widen", "1"]) == 0
         width, count = np.array([*curve.SIZES, curve.THESIS], dtype=float).T
         gains = -10 * np.log10(0.5 + 0.4 * (width / 4) ** -0.7 + 0.2 * (count / 500) ** -0.4)
         fitted = curve.continued(curve.SIZES, gains[:-1])
     result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))
     assert result["kinds"]["finger"]["gain_db"]["2 x 80"][0] < 0  # after few steps it is worse than the constant
-    widened = result["widened"]["photographs"]["finger"]["widened - shipped"]["psnr_linear"]
-    assert widened == pytest.approx([0, 0, 0], abs=0.05)  # rounded to half precision
     assert fitted == pytest.approx((gains[-1], 10 * np.log10(2)), abs=0.1)
+
+
+@pytest.mark.slow
+def test_learning_curve_of_twice_the_width_runs(torch: Any, tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="onnx (extra 'train') is not installed")
+    with scripts_of(SCRIPTS) as named:
+        assert named("curve").main(["--scratch", str(tmp_path), "--smoke", "--widen", "1"]) == 0
+    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))["widened"]
+    widened = result["photographs"]["finger"]["widened - shipped"]
+    assert widened["psnr_linear_db"] == pytest.approx([0, 0, 0], abs=0.02)  # weights are stored in half precision
+    assert [entry["epoch"] for entry in result["training"]["24"]] == [0, 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -254,17 +254,14 @@ def thesis_match(
         known = extract(database.channels[name]) if features is None else features[name]
         return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
 
+    found: Iterable[float] = map(distance, needed)  # in the workers of a batch a pool takes longer than it saves
     if cv2.getNumThreads() > 1:
         from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
         with ThreadPoolExecutor(2) as pool:
-            distances = dict(zip(needed, pool.map(distance, needed), strict=True))
-    else:  # in the workers of a batch a pool takes longer than it saves
-        distances = {name: distance(name) for name in needed}
-    scores = {
-        attribute: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[attribute]])
-        for attribute in settings.attributes
-    }
+            found = pool.map(distance, needed)
+    distances = dict(zip(needed, found, strict=True))
+    scores = {one: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[one]]) for one in settings.attributes}
     mean = float(np.mean(list(scores.values())))
     return _ThesisMatch(1.0 - mean, scores, distances, ratio, right, True)
 
