@@ -120,6 +120,25 @@ def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, ga
     assert (error_mm > 0).all()
 
 
+def test_skin_that_turns_out_too_rough_is_not_fitted_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that is lost is time: such heights are not used."""
+    grid, rig = _grid((90, 100)), _rig((90, 100))
+    dome, ridges = _ridged(grid)
+    images = SpecularImages(_photographed(dome + ridges, grid, rig, 0.6, 0.05), NOISE, rig)
+    unknown, counts = np.full(grid.shape, 0.006, dtype=np.float32), []
+    for roughest in (0.35, 0.9):
+        steps: list[float] = []
+        with monkeypatch.context() as patch:
+            predicted = polarised._predicted
+            patch.setattr(
+                polarised, "_predicted", lambda *a, of=predicted, to=steps: to.append(a[2].roughness) or of(*a)
+            )
+            facts = polarised_heights(images, grid, dome + ridges, unknown, roughest)[2]
+        assert facts["roughness"] > 0.35
+        counts.append(len(steps))
+    assert counts[0] < counts[1] == polarised.TURNS
+
+
 def _with_side(rig: Rig) -> Rig:
     angle = np.deg2rad(np.linspace(-25, 205, 5))
     leds = tuple(Led(band="white", position_mm=(90 * np.cos(a), 90 * np.sin(a), 30.0), intensity=0.46) for a in angle)

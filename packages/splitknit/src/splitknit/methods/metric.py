@@ -190,7 +190,7 @@ def metric_side(
     red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
     part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
     matt = without_white(white, part), without_white(side[0], part)
-    height_mm, error_mm, found = _specular_heights(images, matt, first)
+    height_mm, error_mm, found = _specular_heights(images, matt, first, WHITE[0])
     limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
     if found["specular_over_noise"] < FAINT or max(limits) > 1 or not found["side_lights"]:
         return replace(first, facts={**first.facts, "specular": found})
@@ -202,7 +202,7 @@ def metric_side(
 
 
 def _specular_heights(
-    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface
+    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, roughest: float = np.inf
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
     without specular reflection."""
@@ -214,7 +214,7 @@ def _specular_heights(
         rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
         stack, noise = np.concatenate([specular.stack, aside.stack]), min(specular.noise, aside.noise)
         specular = replace(specular, stack=stack, rig=rig, noise=noise)
-    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm)
+    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm, roughest)
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
@@ -369,10 +369,11 @@ def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
     """Warnings where the ridges' heights are hardly known, known up to a common factor, or odd."""
     facts = found.facts
     notes = [*images.warnings]
-    lost = 0 if images.side is None else len(images.side[2].leds) - facts.get("specular", {}).get("side_lights", 0)
-    if "specular" in facts and facts["relief_by"] not in {"polarised", "side"}:
+    fitted, unused = facts.get("specular", {}).get("side_lights", 0), facts["relief_by"] not in {"polarised", "side"}
+    lost = 0 if images.side is None else len(images.side[2].leds) - fitted
+    if "specular" in facts and unused:
         notes.insert(0, NO_WHITE if images.crossed is None else NO_SPECULAR)
-    if lost:
+    if lost and not (fitted and unused):
         notes.append(SIDE_MISFIT.format(round(lost)))
     if facts["relief_by"] == "network":
         error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]

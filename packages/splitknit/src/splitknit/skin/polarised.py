@@ -36,8 +36,8 @@ from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
 
-TURNS = 10
-"""Gauss-Newton steps."""
+TURNS, SETTLED = 10, (3, 1.1)
+"""Gauss-Newton steps; those after which roughness is hardly overestimated, and the factor by which it may be."""
 SOLVER_STEPS = 40
 """Conjugate gradients in each of them."""
 RIDGES_PER_MM = 14.0
@@ -73,9 +73,9 @@ STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = (0.8, 1.05, 1.5, 1.8, 3.5)
 """The model's error as it is stated, without lights to the side. Of the gain: factor on the square of scattered over
 specular light, and most. By slant, over the variance of the lens's blur times the ridges' curvature."""
-ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.044, (0.1, 0.15, 0.4, 0.0, 0.6), 0.4
+ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.035, (0.01, 0.09, 0.24, 0.04, 0.37), 0.4
 """The same with lights to the side: of the gain; by slant, over the ridges' height times their slope; and the mean
-square that is left over its expected error, from which both grow by its fourth root."""
+square that is left over its expected error, to whose power 3/4 the square of both grows."""
 GLINTS = 1.6
 """Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
 between them."""
@@ -143,16 +143,16 @@ def specular_images(
 
 
 def polarised_heights(
-    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray
+    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray, roughest: float = np.inf
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """Heights by the specular image of the fine grid, from a finite start (h, w) of about the right shape and relief.
     `deviation_mm`: (h, w) stated standard deviation of its ridges' heights. Returns heights (h, w) along the line of
     sight, finite everywhere, the standard deviation (h, w) of their ridges, and what was found. Both are the means of
-    what films show and of the start, weighted by their variances.
+    what films show and of the start, weighted by their variances. Skin that turns out rougher than `roughest` is not
+    fitted to the end.
     """
-    difference, noise = images.stack, images.noise
-    mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
-    gains = np.ones((2, len(difference)), dtype=np.float32)
+    difference, noise, mask = images.stack, images.noise, grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
+    gains, specular = np.ones((2, len(difference)), dtype=np.float32), Specular(0.0, *START)
     lights = _Lights.of(images.rig, grid, start_mm, gains)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
@@ -162,7 +162,6 @@ def polarised_heights(
     prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
     first = FIRST_ERROR if side.size else MODEL_ERROR
     weight, reached = _weight(images, mask, slice(None), first), np.ones(1, dtype=np.float32)
-    specular = Specular(0.0, *START)
     if side.size:  # their brightness is fitted first
         reached = np.ones((len(difference), *grid.shape), dtype=np.float32)
         reached[side] = 0
@@ -193,6 +192,8 @@ def polarised_heights(
         numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
         specular = specular.changed(numbers)
         gains[:, turn.aside] *= np.exp(brightness).reshape(2, -1)
+        if count >= SETTLED[0] and specular.roughness > SETTLED[1] * roughest:
+            break
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
@@ -270,8 +271,8 @@ def _joined(
         stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
     else:
         steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
-        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep
-        stated = noise + power * (np.float32(ERROR_SIDE**2) + lost) * np.sqrt(error.misfit / np.float32(MISFIT_MEAN))
+        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep + np.float32(ERROR_SIDE**2)
+        stated = noise + power * lost * (error.misfit / np.float32(MISFIT_MEAN)) ** np.float32(0.75)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
