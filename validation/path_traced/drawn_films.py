@@ -5,8 +5,8 @@
 Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised_heights`). What films leave is drawn:
 GGX facets finer than a pixel, cast shadows under lights from the side, films, once-scattered light, the lens's blur,
 noise. The step's start, a network's in the program, is drawn from the truth, with errors like a network's, and up to
-3 mm too low or high. Constants of the stated error were chosen on a, c and g, with lights to the side
-on i and j; on k to m nothing was.
+3 mm too low or high. Constants of the stated error were chosen on a, c and g, with lights to the side on i and j; on k
+to m nothing was.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ def report_widened(
     names: Names = {"shipped": "direct", "widened": folder / "24-start.onnx"}
     names |= {"control": folder / "12.onnx", "trained": folder / "24.onnx"}
     # before all that takes more memory
-    costs = {name: cost(names[name]) for name in ("shipped", "trained") if "snk" in count}
+    costs = {name: cost(names[name]) for name in ("shipped", "trained")} if "snk" in count else {}
     curves = {width: json.loads((folder / f"{width}-curve.json").read_text(encoding="utf-8")) for width in WIDTHS}
     constant, rows = best_constant(seen), {}
     for name in ("shipped", "control", "trained"):

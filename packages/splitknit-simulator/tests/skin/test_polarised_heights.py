@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -120,22 +121,17 @@ def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, ga
     assert (error_mm > 0).all()
 
 
-def test_skin_that_turns_out_too_rough_is_not_fitted_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_skin_that_turns_out_too_rough_is_not_fitted_to_the_end() -> None:
     """All that is lost is time: such heights are not used."""
     grid, rig = _grid((90, 100)), _rig((90, 100))
     dome, ridges = _ridged(grid)
     images = SpecularImages(_photographed(dome + ridges, grid, rig, 0.6, 0.05), NOISE, rig)
     unknown, counts = np.full(grid.shape, 0.006, dtype=np.float32), []
     for roughest in (0.35, 0.9):
-        steps: list[float] = []
-        with monkeypatch.context() as patch:
-            predicted = polarised._predicted
-            patch.setattr(
-                polarised, "_predicted", lambda *a, of=predicted, to=steps: to.append(a[2].roughness) or of(*a)
-            )
+        with mock.patch.object(polarised, "_predicted", wraps=polarised._predicted) as predicted:
             facts = polarised_heights(images, grid, dome + ridges, unknown, roughest)[2]
         assert facts["roughness"] > 0.35
-        counts.append(len(steps))
+        counts.append(predicted.call_count)
     assert counts[0] < counts[1] == polarised.TURNS
 
 

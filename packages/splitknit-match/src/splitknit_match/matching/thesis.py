@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -254,12 +254,13 @@ def thesis_match(
         known = extract(database.channels[name]) if features is None else features[name]
         return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
 
-    found: Iterable[float] = map(distance, needed)  # in the workers of a batch a pool takes longer than it saves
     if cv2.getNumThreads() > 1:
         from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
         with ThreadPoolExecutor(2) as pool:
-            found = pool.map(distance, needed)
+            found = list(pool.map(distance, needed))
+    else:  # in the workers of a batch a pool takes longer than it saves
+        found = [distance(name) for name in needed]
     distances = dict(zip(needed, found, strict=True))
     scores = {one: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[one]]) for one in settings.attributes}
     mean = float(np.mean(list(scores.values())))

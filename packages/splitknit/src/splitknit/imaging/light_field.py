@@ -15,9 +15,9 @@ from splitknit.model import BoolArray, FloatArray, Led, Rig, Shade
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
 SIDE_DEG, SIDE_RATIO, _AROUND = (30.0, 45.0), 1.5, 6
-"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the
-sixth light by this angle, within these bounds. One light at 38 or 44 deg beside a ring at 20 took the surface of two
-simulated fingers from 0.06 to 0.10 mm."""
+"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the light
+with the sixth smallest angle, within these bounds. One more light at 38 deg beside a ring at 20 took the surface error
+of two simulated fingers from 0.06 and 0.07 to 0.10 mm."""
 FEW_LIGHTS = 4
 """So many lights, or fewer, are warned of."""
 

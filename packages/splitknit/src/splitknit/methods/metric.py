@@ -373,7 +373,7 @@ def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
     lost = 0 if images.side is None else len(images.side[2].leds) - fitted
     if "specular" in facts and unused:
         notes.insert(0, NO_WHITE if images.crossed is None else NO_SPECULAR)
-    if lost and not (fitted and unused):
+    if lost and not (fitted and unused):  # where fitted images are not used, the note above says why
         notes.append(SIDE_MISFIT.format(round(lost)))
     if facts["relief_by"] == "network":
         error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]

@@ -37,7 +37,7 @@ from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
 
 TURNS, SETTLED = 10, (3, 1.1)
-"""Gauss-Newton steps; those after which roughness is hardly overestimated, and the factor by which it may be."""
+"""Gauss-Newton steps; after how many of them the roughness is too high by no more than a factor, and that factor."""
 SOLVER_STEPS = 40
 """Conjugate gradients in each of them."""
 RIDGES_PER_MM = 14.0
@@ -75,7 +75,7 @@ ERROR_BEND = (0.8, 1.05, 1.5, 1.8, 3.5)
 specular light, and most. By slant, over the variance of the lens's blur times the ridges' curvature."""
 ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.035, (0.01, 0.09, 0.24, 0.04, 0.37), 0.4
 """The same with lights to the side: of the gain; by slant, over the ridges' height times their slope; and the mean
-square that is left over its expected error, to whose power 3/4 the square of both grows."""
+square that is left over its expected error: the squares of both grow with its power of 3/4."""
 GLINTS = 1.6
 """Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
 between them."""
