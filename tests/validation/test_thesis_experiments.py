@@ -273,7 +273,7 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
 
 
 def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> None:
-    drawn = thesis("compared").drawn
+    drawn = thesis("normals").drawn
     a, b = np.array([f"F{k // 60}" for k in range(3600)]), np.array([f"F{k % 60}" for k in range(3600)])
     first = drawn(a, b, 0.25, 3)
     assert 0.22 < first.mean() < 0.28
@@ -377,6 +377,11 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
     np.testing.assert_array_equal(gated.similarity, np.where(rejected & ~asked, np.nan, whole.similarity))
     known = variants.known_of(pairs, {})
     passing = variants.passing_everywhere(trials.Table(pairs, (whole,), ()))
+    three = [*captures.names, *(f"S{k:02d}/session_3/left_ring" for k in range(1, 4))]
+    table, ungated = compared.compare_all(three, narrow_second, ways, tmp_path, 1)
+    np.testing.assert_array_equal(ungated, (table.pairs.b % 3 == 1))  # of sessions 1 and 2; 27 comparisons
+    assert ungated.sum() == 9 and np.isfinite(table.trials[0].similarity[ungated]).all()
+    np.testing.assert_array_equal(np.isnan(table.trials[0].similarity), (table.trials[0].ratio < 0.9) & ~ungated)
     for variant in (variants.THESIS, variants.PASSING):
         both = [variants.judged(pairs, trial, variant, known, passing) for trial in (whole, gated)]
         np.testing.assert_array_equal(both[0].label, both[1].label)

@@ -15,11 +15,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from trials import Captures, Pairs, Trial, Values
+from trials import Captures, Pairs, Table, Trial, Values
 from variants import GATE
 
 from splitknit.model import BoolArray, FloatArray
 from splitknit.steps import one_heap
+from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.matching.score import dissimilarity
 from splitknit_match.matching.thesis import FingerImages, align_masks, to_box
 
@@ -48,6 +49,24 @@ def captures_of(names: Sequence[str]) -> Captures:
         np.array([f"{part[0]}/{part[2]}" for part in parts]),
         np.array([part[1].removeprefix("session_") for part in parts]),
     )
+
+
+def compare_all(
+    names: Sequence[str], read: Read, ways: Sequence[Way], scratch: Path, jobs: int
+) -> tuple[Table, NDArray[np.bool_]]:
+    """Trials of all ways on all comparisons of captures, and (N,) those that are made without the gate, too: all of
+    sessions 1 and 2.
+
+    Parameters
+    ----------
+    names : of captures (``S01/session_1/right_index``)
+    read, ways, scratch, jobs : as :func:`compare_pairs`
+    """
+    captures = captures_of(names)
+    every = comparisons(captures.finger.tolist(), captures.session.tolist())
+    pairs = Pairs(captures, every.a, every.b)
+    ungated = np.isin(captures.session, ("1", "2"))[np.stack([pairs.a, pairs.b])].all(axis=0)
+    return Table(pairs, compare_pairs(pairs, read, ways, scratch, jobs, ungated), ()), ungated
 
 
 def compare_pairs(  # noqa: PLR0917
@@ -141,16 +160,6 @@ def keep(file: Path, write: Callable[[Any], Any]) -> None:
     with partial_file.open("wb") as stream:
         write(stream)
     partial_file.replace(file)
-
-
-def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int) -> NDArray[np.bool_]:
-    """(N,) a fraction of the pairs of fingers, the same whatever else is compared."""
-
-    def chosen(a: str, b: str) -> bool:
-        digest = hashlib.sha256(f"{seed}:{a}:{b}".encode()).digest()
-        return int.from_bytes(digest[:8], "big") < fraction * 2.0**64
-
-    return np.array([chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)], dtype=np.bool_)
 
 
 def each(work: Any, tasks: Sequence[Any], jobs: int) -> list[Any]:

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from compared import Way, compare_all
 from fusion import MINUTIAE_SET, OF_THESIS, fused
 from measure import Work, difference_rows, rate_rows
 from plots import bins_figure, roc_figure, save
 from sensitivity import FACTORS, sensitivity_rows
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
 from variants import (
+    GATED,
     PASSING,
     PLAIN,
     THESIS,
@@ -258,55 +260,53 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
 
 def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figure 3.21: scales of shapelets."""
-    from scales import scales_table  # the others need no reconstruction
+    from scales import WAYS  # the others need no reconstruction
 
-    names, scratch = _first_people(options, truth), _scratch(options, "images")
-    table = scales_table(options.population, names, scratch, options.fraction, options.seed, options.jobs)
-    work = _work(options, table, truth)
-    rows = rate_rows(work, table.trials, options.jobs)
-    three = next(trial for trial in table.trials if trial.case == "snk3")
-    groups = [(three, trial) for trial in table.trials if trial is not three]
-    _write(options, "scales", rows, difference_rows(work, groups, COMPARED, options.jobs))
-    _rocs(options, work, "figure-3-21", table.trials, lambda trial: trial.label)
-    return _facts(table, table.trials) | {"people": options.people, "impostor_share": options.fraction}
-
-
-def _first_people(options: argparse.Namespace, truth: Mapping[str, Row]) -> list[str]:
-    """Captures of the people that the parts take which make their own images."""
-    people = sorted({name.split("/")[0] for name in truth})[: options.people]
-    return [name for name in truth if name.split("/")[0] in people]
+    return _on_images(options, truth, "scales", WAYS, "n = 3", {"relief": "figure-3-21"})
 
 
 def run_descriptors(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Section 5.2: local binary patterns beside HOG, Gabor energies and shape contexts."""
-    from descriptors import descriptors_table  # the others need no images
+    from descriptors import MATCHED, WAYS  # the others need no images
+
+    return _on_images(options, truth, "descriptors", WAYS, "lbp", {name: f"descriptors-{name}" for name in MATCHED})
+
+
+def _on_images(  # noqa: PLR0917
+    options: argparse.Namespace,
+    truth: Mapping[str, Row],
+    part: str,
+    ways: Sequence[Way],
+    first: str,
+    figures: Mapping[str, str],
+) -> Row:
+    """Rates of `ways` on images made anew, and `first` less each other: with the gate of all comparisons, without it of
+    those that are made without it.
+    """
     from scales import keep_all
 
-    names = _first_people(options, truth)
+    people = sorted({name.split("/")[0] for name in truth})[: options.people]
+    names = [name for name in truth if name.split("/")[0] in people]
     read, place = keep_all(options.population, names, _scratch(options, "images"), options.jobs)
-    scratch = place / "descriptors"
-    every, ungated = descriptors_table(names, read, scratch, options.fraction, options.seed, options.jobs)
+    every, ungated = compare_all(names, read, ways, place / part, options.jobs)
     some = Table(every.pairs.taken(ungated), tuple(trial.at(ungated) for trial in every.trials), every.missing)
     rows, differences, facts = [], [], {}
-    for table in (some, every):  # without the gate those that were compared without it
+    for table in (some, every):
         work = _work(options, table, truth)
         judging, compared = (
             [variant for variant in known if (variant.gate == "none") == (table is some)]
-            for known in (VARIANTS, COMPARED)
+            for known in (VARIANTS, (*COMPARED, GATED))
         )
         rows += rate_rows(work, table.trials, options.jobs, judging)
-        groups = [
-            (first, trial)
-            for first in table.trials
-            for trial in table.trials
-            if first.case == "lbp" and trial.case != "lbp" and first.attribute == trial.attribute
-        ]
-        differences += difference_rows(work, groups, compared, options.jobs)
-        for name in ("normals", "relief"):
-            _rocs(options, work, f"descriptors-{name}", _of(table, "thesis", name), lambda trial: trial.label, compared)
+        for attribute, figure in figures.items():
+            trials = _of(table, "thesis", attribute)
+            best = next(trial for trial in trials if trial.case == first)
+            groups = [(best, trial) for trial in trials if trial is not best]
+            differences += difference_rows(work, groups, compared, options.jobs)
+            _rocs(options, work, figure, trials, lambda trial: trial.label, compared)
         facts = _facts(table, table.trials) | ({} if table is some else {"no_gate": facts})
-    _write(options, "descriptors", rows, differences)
-    return facts | {"people": options.people, "impostor_share": options.fraction}
+    _write(options, part, rows, differences)
+    return facts | {"people": options.people}
 
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:

@@ -7,12 +7,15 @@ local binary patterns, alignment and score, on the same comparisons.
 from __future__ import annotations
 
 import argparse
+import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from compared import Way, compare_pairs, drawn, each, kept_images, read_images
+import numpy as np
+from compared import Way, compare_pairs, each, kept_images, read_images
+from numpy.typing import NDArray
 from trials import Captures, Pairs, StoreLike, Table, Trial, read_table
 
 from splitknit import __version__
@@ -56,6 +59,16 @@ def normals_table(store: StoreLike, captures: Captures, options: argparse.Namesp
                 replace(measured[like], case=case).labelled(f"{case}, measured"),
             ]
     return Table(pairs, tuple(trials), table.missing)
+
+
+def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int) -> NDArray[np.bool_]:
+    """(N,) a fraction of the pairs of fingers, the same whatever else is compared."""
+
+    def chosen(a: str, b: str) -> bool:
+        digest = hashlib.sha256(f"{seed}:{a}:{b}".encode()).digest()
+        return int.from_bytes(digest[:8], "big") < fraction * 2.0**64
+
+    return np.array([chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)], dtype=np.bool_)
 
 
 def _keep(population: Path, place: Path, name: str) -> None:

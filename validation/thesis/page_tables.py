@@ -28,7 +28,8 @@ THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"),
 THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
 SHORT = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 LIKE_ROLLS = ("gate", "averaged", "fingers")
-UNDILUTED = (THESIS, LIKE_ROLLS, ("gate", "single", "all"), PLAIN, PASSING)
+GATED = ("gate", "single", "all")
+UNDILUTED = (THESIS, LIKE_ROLLS, GATED, PLAIN, PASSING)
 """How the population without partial views is judged."""
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
@@ -38,7 +39,7 @@ Lines = list[list[str]]
 Pick = Callable[[Row], bool]
 
 THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
-    ("3.21", "relief, SnK, n = 3, two sessions", "0.001", "90.5", "scales:snk3:relief"),
+    ("3.21", "relief, SnK, n = 3", "0.001", "90.5", "scales:n = 3:relief"),
     ("5.3", "normals, relief and shape joined (SnK)", "0.01", "95.3", "fusion:snk:all three, mean"),
     ("5.4", "normals, SnK", "0.01", "92", "cases:snk:normals"),
     ("5.4", "normals, PR", "0.01", "90 (read off the plot)", "cases:pr:normals"),
@@ -94,7 +95,8 @@ def thesis_table(tables: Mapping[str, Sequence[Row]], judged: Sequence[tuple[str
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
         cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
-        pairs = next((f"{int(row['impostors']):,}" for row in own if variant(row) == PLAIN), "none")
+        counts = [f"{int(row['impostors']):,}" for key in (GATED, PLAIN) for row in own if variant(row) == key]
+        pairs = " / ".join(dict.fromkeys(counts)) or "none"
         lines.append([figure, words, PERCENT[far], said, pairs, *cells])
     return lines
 

@@ -100,7 +100,7 @@ def readable(folder: Path) -> dict[str, Lines]:
         "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
-        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk"), UNDILUTED),
+        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("n = "), UNDILUTED),
         "scales_differences": difference_table(differ["scales"], UNDILUTED),
         "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
         "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),

@@ -67,7 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(part, json.dumps(facts), flush=True)
     if options.part == "chain":
         page = PAGE if options.out == HERE else options.out / PAGE.name
-        page = PAGE if options.out == HERE else options.out / PAGE.name
         write(options.out, page)
         print(f"{page} is written", flush=True)
     return 0
@@ -146,12 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--people", type=int, default=5, help="whose fingers scales and descriptors take, from the first on"
     )
-    parser.add_argument(
-        "--fraction",
-        type=float,
-        default=1.0,
-        help="of the impostor pairs, in scales, normals, and descriptors without gate",
-    )
+    parser.add_argument("--fraction", type=float, default=1.0, help="of the impostor pairs, in normals")
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
     )

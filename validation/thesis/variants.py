@@ -48,6 +48,7 @@ VARIANTS = tuple(
     )
 ) + tuple(Variant("none", "single", kept) for kept in ("printed", "drawn"))
 THESIS = Variant("gate", "averaged", "all")
+GATED = Variant("gate", "single", "all")
 PLAIN = Variant("none", "single", "all")
 PASSING = Variant("passing", "single", "all")
 WHOLE = Variant("none", "single", "whole")
