@@ -39,7 +39,7 @@ Lines = list[list[str]]
 Pick = Callable[[Row], bool]
 
 THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
-    ("3.21", "relief, SnK, n = 3", "0.001", "90.5", "scales:n = 3:relief"),
+    ("3.21", "relief, SnK, n = 3 (thesis: two sessions)", "0.001", "90.5", "scales:n = 3:relief"),
     ("5.3", "normals, relief and shape joined (SnK)", "0.01", "95.3", "fusion:snk:all three, mean"),
     ("5.4", "normals, SnK", "0.01", "92", "cases:snk:normals"),
     ("5.4", "normals, PR", "0.01", "90 (read off the plot)", "cases:pr:normals"),
