@@ -152,9 +152,13 @@ def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> N
     stack += np.random.default_rng(1).normal(0, NOISE, stack.shape).astype(np.float32)
     images = SpecularImages(stack, NOISE, rig)
     unknown = np.full(grid.shape, 0.006, dtype=np.float32)
-    height_mm, _, facts = polarised_heights(images, grid, dome + np.float32(0.85) * ridges, unknown)
+    start = dome + np.float32(0.85) * ridges
+    height_mm, error_mm, facts = polarised_heights(images, grid, start, unknown)
     assert facts["side_lights"] == 4
     inner = grid.depth_mm > 0.3
+    same_mm, more_mm, _ = polarised_heights(images, grid, start, unknown, roughest=0.9)  # as if colours separated them
+    np.testing.assert_array_equal(same_mm, height_mm)
+    assert (more_mm > error_mm)[inner].mean() > 0.99
     rest = height_mm - dome
     relief = (rest - grid.smooth(rest, grid.mask, 0.32))[inner]
     true = (ridges - grid.smooth(ridges, grid.mask, 0.32))[inner]

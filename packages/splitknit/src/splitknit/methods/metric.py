@@ -202,7 +202,7 @@ def metric_side(
 
 
 def _specular_heights(
-    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, roughest: float = np.inf
+    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, roughest: float | None = None
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
     without specular reflection."""

@@ -73,9 +73,11 @@ STATED_DEG, ERROR_GAIN = (7.5, 22.5, 37.5, 52.5, 75), (0.05, 0.2)
 ERROR_BEND = (0.8, 1.05, 1.5, 1.8, 3.5)
 """The model's error as it is stated, without lights to the side. Of the gain: factor on the square of scattered over
 specular light, and most. By slant, over the variance of the lens's blur times the ridges' curvature."""
-ERROR_SIDE, ERROR_STEEP, MISFIT_MEAN = 0.035, (0.01, 0.09, 0.24, 0.04, 0.37), 0.4
-"""The same with lights to the side: of the gain; by slant, over the ridges' height times their slope; and the mean
-square that is left over its expected error: the squares of both grow with its power of 3/4."""
+ERROR_SIDE, ERROR_STEEP = (0.1, 0.035), ((0.03, 0.2, 0.32, 0.05, 0.3), (0.01, 0.09, 0.24, 0.04, 0.37))
+"""The same with lights to the side, without films and with them: of the gain; by slant, over the ridges' height times
+their slope."""
+MISFIT_MEAN = 0.4
+"""Mean square that is left over its expected error: the squares of both grow with its power of 3/4."""
 GLINTS = 1.6
 """Slope of the ridges (root mean square) over roughness from which that error grows with it: glints hide what lies
 between them."""
@@ -143,13 +145,13 @@ def specular_images(
 
 
 def polarised_heights(
-    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray, roughest: float = np.inf
+    images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray, roughest: float | None = None
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """Heights by the specular image of the fine grid, from a finite start (h, w) of about the right shape and relief.
     `deviation_mm`: (h, w) stated standard deviation of its ridges' heights. Returns heights (h, w) along the line of
     sight, finite everywhere, the standard deviation (h, w) of their ridges, and what was found. Both are the means of
-    what films show and of the start, weighted by their variances. Skin that turns out rougher than `roughest` is not
-    fitted to the end.
+    what films show and of the start, weighted by their variances. `roughest`: of images without films; skin that turns
+    out rougher is not fitted to the end.
     """
     difference, noise, mask = images.stack, images.noise, grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
     gains, specular = np.ones((2, len(difference)), dtype=np.float32), Specular(0.0, *START)
@@ -192,7 +194,7 @@ def polarised_heights(
         numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
         specular = specular.changed(numbers)
         gains[:, turn.aside] *= np.exp(brightness).reshape(2, -1)
-        if count >= SETTLED[0] and specular.roughness > SETTLED[1] * roughest:
+        if roughest is not None and count >= SETTLED[0] and specular.roughness > SETTLED[1] * roughest:
             break
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
@@ -201,7 +203,7 @@ def polarised_heights(
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
-    model = _Error(blur_mm**2, gain, specular.roughness, _misfit(turn) if fit.any() else None)
+    model = _Error(blur_mm**2, gain, specular.roughness, roughest is None, _misfit(turn) if fit.any() else None)
     tensor = grid.smooth(tensor, mask, NEAR_MM)
     height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=model)
     facts = {
@@ -232,12 +234,14 @@ NEAR_MM, RIDGE_MM = 0.1, 0.3
 
 
 class _Error(NamedTuple):
-    """What the model's error follows from: variance of the lens's blur in mm^2, error of the gain, roughness, and,
-    with lights to the side, (h, w) mean square over the lights of what is left over its expected error."""
+    """What the model's error follows from: variance of the lens's blur in mm^2, error of the gain, roughness, whether
+    there are films, and, with lights to the side, (h, w) mean square over the lights of what is left over its expected
+    error."""
 
     blur: float
     gain: float
     roughness: float
+    films: bool
     misfit: FloatArray | None
 
 
@@ -271,7 +275,8 @@ def _joined(
         stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
     else:
         steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
-        lost = np.interp(slant, STATED_DEG, ERROR_STEEP).astype(np.float32) ** 2 * steep + np.float32(ERROR_SIDE**2)
+        lost = np.interp(slant, STATED_DEG, ERROR_STEEP[error.films]).astype(np.float32) ** 2 * steep
+        lost += np.float32(ERROR_SIDE[error.films] ** 2)
         stated = noise + power * lost * (error.misfit / np.float32(MISFIT_MEAN)) ** np.float32(0.75)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
