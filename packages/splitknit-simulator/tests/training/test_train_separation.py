@@ -306,4 +306,4 @@ def test_learning_curve_of_twice_the_width_runs(torch: Any, tmp_path: Path) -> N
     result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))["widened"]
     widened = result["photographs"]["finger"]["widened - shipped"]
     assert widened["psnr_linear_db"] == pytest.approx([0, 0, 0], abs=0.02)  # weights are stored in half precision
-    assert [entry["epoch"] for entry in result["training"]["24"]] == [0, 1]
+    assert [entry["epoch"] for entry in result["training"]["24"]["epochs"]] == [0, 1]
