@@ -280,8 +280,8 @@ def _on_images(  # noqa: PLR0917
     first: str,
     figures: Mapping[str, str],
 ) -> Row:
-    """Rates of `ways` on images made anew, and `first` less each other: with the gate of all comparisons, without it of
-    those that are made without it.
+    """Rates of `ways` on images made anew, and what `first` has more than each of the others: with the gate on all
+    comparisons, without it on those that are made without it.
     """
     from scales import keep_all
 
@@ -300,8 +300,8 @@ def _on_images(  # noqa: PLR0917
         rows += rate_rows(work, table.trials, options.jobs, judging)
         for attribute, figure in figures.items():
             trials = _of(table, "thesis", attribute)
-            best = next(trial for trial in trials if trial.case == first)
-            groups = [(best, trial) for trial in trials if trial is not best]
+            base = next(trial for trial in trials if trial.case == first)
+            groups = [(base, trial) for trial in trials if trial is not base]
             differences += difference_rows(work, groups, compared, options.jobs)
             _rocs(options, work, figure, trials, lambda trial: trial.label, compared)
         facts = _facts(table, table.trials) | ({} if table is some else {"no_gate": facts})

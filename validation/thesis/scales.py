@@ -48,7 +48,7 @@ def snk_images(capture: Capture) -> FingerImages:
 
 
 def keep_all(population: Path, names: Iterable[str], scratch: Path, jobs: int) -> tuple[Read, Path]:
-    """Keep the images of captures in `scratch`, a folder of this population alone; what reads them, and their place."""
+    """Keep the images of captures in `scratch`, a folder of this population alone. Returns a reader and the folder."""
     settings = [preset_settings("snk"), preset_settings("pr-split"), SCALES, __version__]
     place = scratch / settings_hash(settings)[:12]
     each(partial(_keep, population, place), list(names), jobs)
