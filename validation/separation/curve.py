@@ -9,12 +9,12 @@ error is fitted by floor + a width^-p + b patches^-q, and continued to the thesi
 its interval is a bootstrap over the photographs judged. Each finished network is kept in FOLDER: the same command goes
 on. Writes ``curve.json`` beside this file. Three quarters of an hour of one core.
 
-    python validation/separation/curve.py --scratch FOLDER --widen EPOCHS [--share K/2]
+    python validation/separation/curve.py --scratch FOLDER --thesis
 
-makes the shipped network twice as wide, keeping its function, and trains it on; as a control the shipped one is trained
-on with the same patches, of palms and fingers that no other training saw (seed 1; an epoch is a fifth of them). Both
-are judged as above, and as in ``unet.py``, in time and memory too: ``widened`` in ``curve.json``; FOLDER/12.onnx,
-24.onnx.
+trains at the thesis's size, 64 channels and 37,500 patches seen 50 times, labels through checkerboards: ``palms`` as
+the thesis does, ``both`` as the shipped network, on palms and fingers. That takes a GPU: NNN of an H100 and 16 cores.
+Both are judged as above, and as in ``unet.py``, in time and memory too: ``thesis`` in ``curve.json``. What is in FOLDER
+is not trained again; judging needs no GPU.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ import functools
 import json
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
 import numpy as np
 import unet as as_photographs
 from scipy.optimize import least_squares
 
 from splitknit.networks.unet import load_network, read_network, run_network
 from splitknit.separation.direct import direct_light
-from splitknit_simulator.training.networks import load_torch, unet
+from splitknit_simulator.training.networks import load_torch
 from splitknit_simulator.training.separation import (
     Patches,
     Photograph,
@@ -46,7 +49,6 @@ from splitknit_simulator.training.separation import (
     enhanced_contrast,
     photographs,
     stored_photographs,
-    train_separation,
 )
 from splitknit_simulator.training.trainer import TrainingRun
 
@@ -56,9 +58,18 @@ THESIS = (64, 37_500)
 REPLICATES = 500
 Names = dict[str, str | Path]
 """Networks by what they are: shipped ones, or files."""
-WIDTHS = (12, 24)  # of the shipped network, and twice that
-PARTS = 5  # of the patches that a network is trained on further; an epoch sees one
-LIGHT = ("linear", "enhanced")
+RECIPES = {
+    "palms": SeparationSettings(device="cuda", threads=16),
+    "both": SeparationSettings(
+        device="cuda",
+        threads=16,
+        dropout=0.0,
+        start_fraction=0.25,
+        decay=0.48,
+        border_px=8,  # as shipped
+    ),
+}
+AHEAD = 12  # epochs whose patches are made by other processes while one is trained on; 2.3 GB each
 COUNT = {"palm": 6, "finger": 12, "snk": 6}  # photographs judged as in ``unet.py``; fingers by ``snk``
 
 
@@ -67,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scratch", type=Path, required=True)
     parser.add_argument("--passes", type=int, default=24_000, help="patches that each network sees (default: 24,000)")
     parser.add_argument("--share", default="1/1", help="K/N: train only every N-th network, from the K-th on")
-    parser.add_argument("--widen", type=int, metavar="EPOCHS", help="the shipped network at twice its width instead")
+    parser.add_argument("--thesis", action="store_true", help="the thesis's size instead, on a GPU")
     parser.add_argument("--smoke", action="store_true", help="two networks of two channels: does everything run?")
     options = parser.parse_args(arguments)
     target = (options.scratch if options.smoke else HERE) / "curve.json"
@@ -75,19 +86,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.smoke:
         data, sizes = replace(data, palms=1, fingers=1, patches=40, held_out=1, labels="truth"), [(1, 40), (2, 80)]
         options.passes = 160
-    k, n = map(int, options.share.split("/"))
-    if options.widen:
-        more = SeparationData(palms=12, fingers=20, views=2, patches=100, labels="truth")
-        made = prepared(options.scratch / "more", data if options.smoke else more, 1)
-        for width in WIDTHS[k - 1 :: n]:
-            trained_on(width, *made, options.widen, options.scratch)
-        if all((options.scratch / f"{width}.onnx").is_file() for width in WIDTHS):
-            few = replace(data, palms=1, fingers=1, labels="truth")
-            judged = prepared(options.scratch / "judged", few, 0)[1]
-            count = {"finger": 1} if options.smoke else COUNT
-            store(target, {"widened": report_widened(options.scratch, made[0], judged, count)})
+    if options.thesis:
+        trained_as_thesis(options.scratch, options.smoke)
+        judged = prepared(options.scratch / "judged", replace(data, palms=1, fingers=1, labels="truth"))[1]
+        count = {"finger": 1} if options.smoke else COUNT
+        store(target, {"thesis": report_thesis(options.scratch, judged, count)})
         return 0
-    seen, judged = prepared(options.scratch / "data", data, 0)
+    k, n = map(int, options.share.split("/"))
+    seen, judged = prepared(options.scratch / "data", data)
     for size in sizes[k - 1 :: n]:
         file = options.scratch / f"{size[0]}-{size[1]}.json"
         if not file.is_file():
@@ -108,11 +114,10 @@ def store(file: Path, result: dict[str, Any]) -> None:
     print(json.dumps(result, indent=1))
 
 
-def prepared(folder: Path, data: SeparationData, seed: int) -> tuple[list[Photograph], list[Photograph]]:
+def prepared(folder: Path, data: SeparationData, threads: int = 1) -> tuple[list[Photograph], list[Photograph]]:
     """Photographs to train on, and those held out."""
-    first = SeparationSettings(width=1, epochs=1, seed=seed)
-    train_separation(TrainingRun(folder, resume=folder.exists()), data, first)
-    return stored_photographs(folder, data, False), stored_photographs(folder, data, True)
+    run = TrainingRun(folder, resume=folder.exists())
+    return stored_photographs(run, data, SeparationSettings(threads=threads))[:2]
 
 
 def trained(
@@ -137,104 +142,178 @@ def trained(
     return rows
 
 
-def load_stored(network: Any, name: str | Path) -> Any:
-    """Give a network in torch the weights of a shipped one, or of an ``.onnx`` file."""
-    import onnx  # as torch, of the extra ``train``
+def trained_as_thesis(folder: Path, smoke: bool) -> None:
+    """Train the networks of the thesis's size that are not in `folder` yet."""
+    data = SeparationData(palms=50, fingers=50)
+    if smoke:
+        data = replace(data, palms=1, fingers=1, patches=70, held_out=1, labels="truth")
+    recipes = RECIPES
+    if smoke:
+        recipes = {name: replace(one, width=2, epochs=2, device="cpu", threads=1) for name, one in RECIPES.items()}
+    for name, settings in recipes.items():
+        if (folder / f"{name}.onnx").is_file():
+            continue
+        held_out = prepared(folder / "data", data, settings.threads)[1]
+        few = Patches([replace(one, corners=one.corners[:50]) for one in held_out])
+        with PatchesAhead(name, folder, data, settings) as patches:
+            trainer = GraphTrainer(settings, patches)
+            while trainer.done < settings.epochs:
+                began = time.perf_counter()
+                entry = {"epoch": trainer.done + 1, **trainer.train(1), "seconds": time.perf_counter() - began}
+                held = {light: trainer.loss_of(few, light == "enhanced") for light in ("linear", "enhanced")}
+                trainer.curve.append({**entry, **held})
+                print(name, trainer.curve[-1], flush=True)
+        learnt = {"constant": best_constant(patches.photographs), "epochs": trainer.curve}
+        (folder / f"{name}-curve.json").write_text(json.dumps(learnt), encoding="utf-8")
+        weights, card = trainer.packed({})  # stored in half precision, as shipped
+        (folder / f"{name}.json").write_bytes(card)
+        (folder / f"{name}.onnx").write_bytes(weights)
 
-    stored = onnx.load_model_from_string(read_network(name)[1]).graph.initializer
-    arrays = {one.name: onnx.numpy_helper.to_array(one).astype(np.float32) for one in stored}
-    network.load_state_dict({name: load_torch().from_numpy(array) for name, array in arrays.items()})
-    return network
+
+@functools.cache
+def chosen(name: str, folder: Path, data: SeparationData) -> Patches:
+    """What a network of the thesis's size is trained on: 37,500 patches of palms, or of palms and fingers."""
+    seen = prepared(folder, data)[0]
+    if name == "palms":
+        return Patches([one for one in seen if one.facts["kind"] == "palm"])
+    return Patches([replace(one, corners=one.corners[::2]) for one in seen])
 
 
-def widen(narrow: Any, wide: Any) -> None:
-    """Give `wide` the function of `narrow`, a U-Net of a fraction of its width: Net2WiderNet (Chen et al. 2016).
+class PatchesAhead(Patches):
+    """The same patches in the same order; those of the next epochs are made by other processes meanwhile."""
 
-    A channel becomes neighbouring copies, so that channels of joined maps stay where their source puts them. A weight
-    is split among the copies that it reads in parts drawn for each: this alone makes copies differ and learn different
-    things. The U-Net normalises nothing, so no statistics change.
+    def __init__(self, name: str, folder: Path, data: SeparationData, settings: SeparationSettings) -> None:
+        self.settings, self.reader = settings, ThreadPoolExecutor(1)
+        self.source = (name, folder / "data", data)
+        super().__init__(chosen(*self.source).photographs)
+        self.pool = get_context("spawn").Pool(min(AHEAD, settings.threads))
+        self.made = TemporaryDirectory(dir=folder)
+        self.waiting: dict[int, Any] = {}
+        if settings.device == "cuda":
+            self.torch = load_torch()
+            self.side = self.torch.cuda.Stream()
+
+    def __enter__(self) -> PatchesAhead:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pool.terminate()
+        self.reader.shutdown(cancel_futures=True)
+        self.made.cleanup()
+
+    def shuffled(self, batch: int, seed: int, epoch: int) -> Iterator[tuple[Any, Any]]:
+        """Yield the batches of an epoch; on a GPU as torch's tensors."""
+        for number in range(epoch, min(epoch + AHEAD, self.settings.epochs)):
+            if number not in self.waiting:
+                file = Path(self.made.name) / f"{number}.npy"
+                made = self.pool.apply_async(stored_epoch, (self.source, file, batch, seed, number))
+                self.waiting[number] = self.reader.submit(self._loaded, made)
+        pieces = self.waiting.pop(epoch).result()
+        if self.settings.device == "cuda":
+            pieces.record_stream(self.torch.cuda.current_stream())
+        for first in range(0, len(pieces), batch):
+            both = pieces[first : first + batch]
+            yield both[:, :3], both[:, 3:]
+
+    def _loaded(self, made: Any) -> Any:
+        """An epoch's patches, read while the one before is trained on."""
+        file = made.get()
+        pieces = np.load(file)
+        file.unlink()
+        if self.settings.device == "cpu":
+            return pieces.astype(np.float32)
+        with self.torch.cuda.stream(self.side):
+            there = self.torch.from_numpy(pieces).to(self.settings.device)
+            self.side.synchronize()
+        return there
+
+
+def stored_epoch(source: tuple[str, Path, SeparationData], file: Path, batch: int, seed: int, epoch: int) -> Path:
+    """Write the patches of an epoch in their order, (n, 6, side, side): image and direct light."""
+    cv2.setNumThreads(1)
+    patches, first = chosen(*source), 0
+    pieces = np.lib.format.open_memmap(file, "w+", np.float16, (len(patches), 6, patches.side, patches.side))
+    for pair in patches.shuffled(batch, seed, epoch):
+        both = np.concatenate(pair, axis=1)
+        pieces[first : first + len(both)] = both
+        first += len(both)
+    return file
+
+
+class GraphTrainer(SeparationTrainer):
+    """On a GPU every step is one CUDA graph: launching its kernels one by one takes longer than they run. The last,
+    smaller batch of an epoch is left out there.
     """
-    torch = load_torch()
-    draw = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for name, layer in wide.named_modules():
-            if not isinstance(layer, (torch.nn.Conv2d, torch.nn.ConvTranspose2d)):
-                continue
-            source = narrow.get_submodule(name)
-            weight, bias = source.weight, source.bias
-            copies = [new // old for new, old in zip(layer.weight.shape, weight.shape, strict=True)]
-            reads = int(isinstance(layer, torch.nn.Conv2d))  # the axis of the channels that it reads
-            for axis in (0, 1):
-                weight = weight.repeat_interleave(copies[axis], axis)
-            parts = torch.rand(weight.shape, generator=draw).unflatten(reads, (-1, copies[reads]))
-            parts = (parts / parts.sum(reads + 1, keepdim=True)).flatten(reads, reads + 1)
-            layer.weight.copy_(weight * parts)
-            layer.bias.copy_(bias.repeat_interleave(copies[1 - reads]))
+
+    graph: Any = None
+
+    def train(self, count: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
+        """Train `count` epochs."""
+        if self.settings.device == "cpu":
+            return super().train(count, tick)
+        self.network.train()
+        total, steps = self.torch.zeros((), device=self.device), 0
+        for _ in range(count):
+            for step in self.steps():
+                if len(step.batch[0]) < self.settings.batch:
+                    continue
+                if self.graph is None:
+                    self._capture(step)
+                self.rate.fill_(step.learning_rate)
+                for place, part in zip(self.placed, step.batch, strict=True):
+                    place.copy_(part)
+                self.graph.replay()
+                total, steps = total + self.loss, steps + 1
+            self.done += 1
+        return {"loss": float(total) / steps}
+
+    def _capture(self, step: Any) -> None:
+        torch, side = self.torch, self.torch.cuda.Stream()
+        torch.backends.cudnn.benchmark = True
+        self.rate = torch.tensor(step.learning_rate, device=self.device)
+        self.optimiser = torch.optim.AdamW(self.network.parameters(), self.rate, weight_decay=0.0, capturable=True)
+        self.placed = [part.float().contiguous(memory_format=torch.channels_last) for part in step.batch]
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(3):  # what is set up at first use must be there before
+                self._step()
+        torch.cuda.current_stream().wait_stream(side)
+        self.graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self.graph):
+            self.loss = self._step()
+
+    def _step(self) -> Any:
+        self.optimiser.zero_grad(set_to_none=True)
+        loss = self.losses(self.placed)["loss"]
+        loss.backward()
+        self.optimiser.step()
+        return loss.detach()
+
+    def tensor(self, array: Any) -> Any:
+        """Torch's tensors are as they should be."""
+        return array if self.torch.is_tensor(array) else super().tensor(array)
 
 
-def trained_on(
-    width: int, seen: Sequence[Photograph], held_out: Sequence[Photograph], epochs: int, folder: Path
-) -> None:
-    """Train the shipped network further at a width. Each epoch's state is kept; a stopped training goes on from it."""
-    settings = SeparationSettings(
-        width=width, dropout=0.0, learning_rate=3e-4, epochs=epochs, decay=1.0, border_px=8, seed=1, precision="mixed"
-    )
-    trainer = SeparationTrainer(settings, Patches(seen))
-    few = Patches([replace(one, corners=one.corners[:20]) for one in held_out])
-    widen(load_stored(unet(WIDTHS[0], dropout=0.0), "direct"), trainer.network)
-
-    def entry() -> dict[str, float]:
-        return {"epoch": trainer.done, **{name: trainer.loss_of(few, name == "enhanced") for name in LIGHT}}
-
-    state = folder / f"{width}.pt"
-    if state.is_file():
-        trainer.restore(state.read_bytes())
-    else:
-        trainer.curve.append(entry())
-        export(trainer, folder / f"{width}-start.onnx")
-    while trainer.done < epochs:
-        trainer.patches = Patches([replace(one, corners=one.corners[trainer.done % PARTS :: PARTS]) for one in seen])
-        began = time.process_time()
-        loss = trainer.train(1)["loss"]
-        trainer.curve.append({"loss": loss, "processor_s": time.process_time() - began, **entry()})
-        state.with_suffix(".new").write_bytes(trainer.state())
-        state.with_suffix(".new").replace(state)
-        print(width, trainer.curve[-1], flush=True)
-    (folder / f"{width}-curve.json").write_text(json.dumps(trainer.curve), encoding="utf-8")
-    export(trainer, folder / f"{width}.onnx")
-
-
-def export(trainer: SeparationTrainer, file: Path) -> None:
-    """Write a network and its card; the weights are stored in half precision, as shipped."""
-    weights, card = trainer.packed({})
-    file.with_suffix(".json").write_bytes(card)
-    file.write_bytes(weights)
-
-
-def report_widened(
-    folder: Path, seen: Sequence[Photograph], judged: Sequence[Photograph], count: dict[str, int]
-) -> dict[str, Any]:
-    """Shipped network, widened one, and both trained on: time and memory, learning curve, photographs, ``snk``."""
-    names: Names = {"shipped": "direct", "widened": folder / "24-start.onnx"}
-    names |= {"control": folder / "12.onnx", "trained": folder / "24.onnx"}
+def report_thesis(folder: Path, judged: Sequence[Photograph], count: dict[str, int]) -> dict[str, Any]:
+    """Shipped network and those of the thesis's size: time and memory, learning curve, photographs, ``snk``."""
+    names: Names = {"shipped": "direct"} | {name: folder / f"{name}.onnx" for name in RECIPES}
     with get_context("spawn").Pool(1, maxtasksperchild=1) as fresh:
-        costs = {name: fresh.apply(cost, (names[name],)) for name in ("shipped", "trained")} if "snk" in count else {}
-    curves = {}
-    for width in WIDTHS:
-        epochs = json.loads((folder / f"{width}-curve.json").read_text(encoding="utf-8"))
-        seconds = sum(one.get("processor_s", 0.0) for one in epochs)
-        curves[width] = {"processor_s": round(seconds, 1), "epochs": epochs[:: max(1, len(epochs) // 15)]}
-    constant, rows = best_constant(seen), {}
-    for name in ("shipped", "control", "trained"):
-        trainer = SeparationTrainer(SeparationSettings(width=WIDTHS[name == "trained"], dropout=0.0), Patches(seen))
-        load_stored(trainer.network, names[name])
+        costs = {name: fresh.apply(cost, (names[name],)) for name in ("shipped", "both")} if "snk" in count else {}
+    learnt = {name: json.loads((folder / f"{name}-curve.json").read_text(encoding="utf-8")) for name in RECIPES}
+    rows = {}
+    for name, file in names.items():
+        network, errors = load_network(file), []
+        for one in judged:
+            image, direct = pairs(one)
+            made = np.concatenate([run_network(network, np.repeat(part[None, None], 3, 1))[0, :1] for part in image])
+            errors.append(float(np.mean((made - direct) ** 2)))
         rows[name] = {
-            "network": [trainer.loss_of(Patches([one]), enhanced=True) for one in judged],
-            "constant": [constant_error(one, constant) for one in judged],
+            "network": errors,
+            "constant": [constant_error(one, learnt["both"]["constant"]) for one in judged],
         }
     return {
         "cost": costs,
-        "training": curves,
+        "training": {name: {**one, "epochs": one["epochs"][4::5]} for name, one in learnt.items()},
         "gain_db": {kind: compared_gains(rows, judged, kind) for kind in ("finger", "palm")},
         "photographs": {
             kind: compared_photographs(names, kind, number, folder) for kind, number in count.items() if kind != "snk"
@@ -253,9 +332,8 @@ def compared_gains(rows: dict[str, Any], judged: Sequence[Photograph], kind: str
 
 
 def with_differences(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The figures of every network, and what it has more than the shipped one and than the control."""
-    pairs_of = [(name, "shipped") for name in list(found)[1:]] + [("trained", "control")]
-    return found | {f"{one} - {other}": found[one] - found[other] for one, other in pairs_of}
+    """The figures of every network, and what it has more than the shipped one."""
+    return found | {f"{name} - shipped": found[name] - found["shipped"] for name in list(found)[1:]}
 
 
 def compared_photographs(names: Names, kind: str, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:

@@ -12,7 +12,7 @@ import pytest
 from script_folder import scripts_of
 from splitknit.errors import BadInput
 from splitknit.model import BoolArray, FloatArray
-from splitknit.networks.unet import card_bytes, load_network, network_of, read_network, run_network
+from splitknit.networks.unet import card_bytes, network_of, read_network, run_network
 from splitknit.separation.direct import direct_light
 from splitknit_simulator.light.skin import SkinRanges
 from splitknit_simulator.training.networks import load_torch, unet, unet_reach
@@ -25,7 +25,9 @@ from splitknit_simulator.training.separation import (
     _learning_factor,
     _levelled,
     photographs,
+    stored_photographs,
 )
+from splitknit_simulator.training.trainer import TrainingRun
 
 SCRIPTS = Path(__file__).resolve().parents[4] / "validation" / "separation"
 SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
@@ -261,28 +263,14 @@ def test_the_export_computes_what_torch_does(torch: Any, tmp_path: Path) -> None
     assert len(weights) < 2.0 * parameters + 20_000  # stored in half precision
 
 
-def test_a_widened_network_computes_the_same_and_its_copies_learn_different_things(torch: Any) -> None:
-    settings = [SeparationSettings(width=width, dropout=0.0, batch=2) for width in (4, 8)]
-    narrow, trainer = (SeparationTrainer(one, PATCHES) for one in settings)
-    with scripts_of(SCRIPTS) as named:
-        named("curve").widen(narrow.network, trainer.network)
-    image = np.random.default_rng(3).random((1, 3, 64, 72), dtype=np.float32)
-    wanted = narrow.run(image)
-    np.testing.assert_allclose(trainer.run(image), wanted, atol=1e-5 * np.abs(wanted).max())
-    first = trainer.network.encoder[0][0]  # it reads the image, so its copies are the same: only training parts them
-    assert (first.weight[::2] == first.weight[1::2]).all()
-    trainer.train(2)
-    apart = (first.weight[::2] - first.weight[1::2]).detach().abs().amax(dim=(1, 2, 3))
-    assert (apart > 1e-4).sum() >= 2  # of four; a ReLU may be dead
-
-
-def test_the_shipped_weights_can_be_trained_further(torch: Any) -> None:
-    pytest.importorskip("onnx", reason="onnx (extra 'train') is not installed")
-    trainer = SeparationTrainer(SeparationSettings(width=12, dropout=0.0), PATCHES)
-    with scripts_of(SCRIPTS) as named:
-        named("curve").load_stored(trainer.network, "direct")
-    image = np.random.default_rng(3).random((1, 3, 64, 72), dtype=np.float32)
-    np.testing.assert_allclose(trainer.run(image), run_network(load_network("direct"), image), atol=1e-5)
+def test_photographs_by_two_processes_are_those_by_one(tmp_path: Path) -> None:
+    data = SeparationData(palms=2, fingers=0, patches=3, held_out=1, image_size=(160, 160), labels="truth")
+    for threads in (1, 2):
+        run = TrainingRun(tmp_path / str(threads))
+        stored_photographs(run, data, SeparationSettings(threads=threads))
+    one, two = (sorted((tmp_path / name / "data").iterdir()) for name in "12")
+    assert [file.name for file in one] == [file.name for file in two]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
 
 
 @pytest.mark.slow
@@ -299,11 +287,14 @@ def test_learning_curve_over_width_and_patches_runs(torch: Any, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_learning_curve_of_twice_the_width_runs(torch: Any, tmp_path: Path) -> None:
+def test_networks_of_the_size_of_the_thesis_are_trained_and_judged(torch: Any, tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="onnx (extra 'train') is not installed")
     with scripts_of(SCRIPTS) as named:
-        assert named("curve").main(["--scratch", str(tmp_path), "--smoke", "--widen", "1"]) == 0
-    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))["widened"]
-    widened = result["photographs"]["finger"]["widened - shipped"]
-    assert widened["psnr_linear_db"] == pytest.approx([0, 0, 0], abs=0.02)  # weights are stored in half precision
-    assert [entry["epoch"] for entry in result["training"]["24"]["epochs"]] == [0, 1]
+        assert named("curve").main(["--scratch", str(tmp_path), "--smoke", "--thesis"]) == 0
+    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))["thesis"]
+    for name in ("palms", "both"):
+        curve = json.loads((tmp_path / f"{name}-curve.json").read_text(encoding="utf-8"))["epochs"]
+        assert [entry["epoch"] for entry in curve] == [1, 2]
+        assert curve[1]["loss"] < curve[0]["loss"]
+        better = result["photographs"]["finger"][f"{name} - shipped"]["psnr_linear_db"]
+        assert better[0] < 0  # two channels, five steps

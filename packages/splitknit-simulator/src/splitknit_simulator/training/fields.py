@@ -7,6 +7,7 @@ and its mirror image are equally likely, and so are a capture and its quarter tu
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -67,8 +68,8 @@ class FieldsTask:
     min_weight: float  # patches with a smaller mean weight are not used: they hold next to no skin
     min_deviation: float  # a smaller standard deviation of a field counts as this
     scale_patches: int  # that the fields' standard deviations are taken of
-    # samples of a subject, its kind and number, for ranges of scenes
-    shoot: Callable[[str, int, Any], Sequence[Stored]]
+    # samples for ranges of scenes of a subject, its kind and number
+    shoot: Callable[[Any, str, int], Sequence[Stored]]
     of_nir: tuple[int, ...] = ()  # fields that a fraction of the patches has zero, as without near-infrared images
 
 
@@ -248,7 +249,7 @@ def train_fields(run: TrainingRun, task: FieldsTask, data: SceneRanges, settings
 
     pieces, whole, held_out = data.numbers
     subjects = [*(("pieces", number) for number in pieces), *(("finger", number) for number in (*whole, *held_out))]
-    refused = make_data(run, subjects, lambda kind, number: task.shoot(kind, number, data))
+    refused = make_data(run, subjects, functools.partial(task.shoot, data), workers=settings.threads)
     cut = load_data(run.out, "pieces", pieces, lambda shape, facts: fits(shape[1:], facts))
     crops: list[Sample] = [crop for found in cut.values() for crop in found[0][0]]
     fingers, judges = (

@@ -401,7 +401,7 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-def _shoot(kind: str, number: int, data: ReliefData) -> Sequence[Stored]:
+def _shoot(data: ReliefData, kind: str, number: int) -> Sequence[Stored]:
     if kind == "finger":
         return [training_sample(number, data)]
     pieces = training_crops(number, data)

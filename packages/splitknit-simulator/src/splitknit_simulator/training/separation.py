@@ -9,11 +9,11 @@ into batches.
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
@@ -422,14 +422,8 @@ def train_separation(run: TrainingRun, data: SeparationData, settings: Separatio
     """Build the data set and train. BadInput if torch is missing, or the folder in use or of other settings."""
     started = time.perf_counter()
     require_torch(settings)
-    open_folder(run, data, settings, SeparationTrainer.free)
-    views = [f"_{view:02d}" for view in range(data.views)]
-    subjects = _subjects(data)
-    refused = make_data(run, subjects, lambda kind, index: _shoot(kind, index, data, settings.seed), views)
-    stored = [stored_photographs(run.out, data, held_out) for held_out in (False, True)]
-    for found, purpose in zip(stored, ("train on", "judge the network on"), strict=True):
-        require_subjects(len(found), purpose, refused)
-    train, held_out = map(Patches, stored)
+    *photographed, refused = stored_photographs(run, data, settings)
+    train, held_out = map(Patches, photographed)
     trainer = SeparationTrainer(settings, train)
     lines = {
         "training": lambda entry: _psnr(entry["loss"]),
@@ -461,15 +455,25 @@ def train_separation(run: TrainingRun, data: SeparationData, settings: Separatio
     return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
 
 
-def stored_photographs(folder: Path, data: SeparationData, held_out: bool) -> list[Photograph]:
-    """The photographs that a training keeps in `folder`: those trained on, or those held out."""
-    views = [f"_{view:02d}" for view in range(data.views)]
-    found = []
-    for kind, number in _subjects(data):
-        if (number >= HELD_OUT_FROM) is held_out:
-            for pixels, facts in load_data(folder, kind, [number], _fits, views).get(number, []):
-                found.append(Photograph(pixels, np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2), facts))
-    return found
+def stored_photographs(
+    run: TrainingRun, data: SeparationData, settings: SeparationSettings
+) -> tuple[list[Photograph], list[Photograph], list[str]]:
+    """Photographs to train on and those held out, made where the folder lacks them, and why subjects were refused.
+    Raises BadInput as :func:`train_separation` does.
+    """
+    open_folder(run, data, settings, SeparationTrainer.free)
+    views, subjects = [f"_{view:02d}" for view in range(data.views)], _subjects(data)
+    shoot = functools.partial(_shoot, data=data, seed=settings.seed)
+    refused = make_data(run, subjects, shoot, views, settings.threads)
+    train: list[Photograph] = []
+    held_out: list[Photograph] = []
+    for kind, number in subjects:
+        for pixels, facts in load_data(run.out, kind, [number], _fits, views).get(number, []):
+            corners = np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2)
+            (held_out if number >= HELD_OUT_FROM else train).append(Photograph(pixels, corners, facts))
+    require_subjects(len(train), "train on", refused)
+    require_subjects(len(held_out), "judge the network on", refused)
+    return train, held_out, refused
 
 
 def _subjects(data: SeparationData) -> list[Subject]:

@@ -54,6 +54,7 @@ from splitknit_simulator.training.scenes import (
     with_sensor,
 )
 from splitknit_simulator.training.trainer import HELD_OUT_FROM, NetworkKind, files_of
+from splitknit_simulator.training.trainer import Sample as Stored
 
 _MAX_MISSING = 3.0  # slopes that are missing beyond this are cut off
 _SEEN_SLOPES = slice(20, 22)  # the shape's own slopes among the fields, over two
@@ -264,6 +265,10 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
+def _shoot(data: ShapeData, kind: str, number: int) -> list[Stored]:
+    return [shape_sample(number, data)]
+
+
 TASK = FieldsTask(
     kind=NETWORK,
     channels=CHANNELS,
@@ -282,6 +287,6 @@ TASK = FieldsTask(
     min_weight=0.15,
     min_deviation=0.05,
     scale_patches=24,
-    shoot=lambda kind, number, data: [shape_sample(number, data)],
+    shoot=_shoot,
     of_nir=OF_NIR,
 )

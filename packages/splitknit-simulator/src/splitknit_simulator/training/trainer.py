@@ -10,6 +10,7 @@ every file in its folder is whole or absent. What differs (data, loss, figures) 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import math
@@ -45,6 +46,7 @@ from splitknit import (
     read_network,
     refusing,
     require,
+    run_jobs,
     run_network,
 )
 from splitknit_simulator.training.networks import export_onnx, load_torch, unet_reach
@@ -300,21 +302,19 @@ _ONE_VIEW = ("",)
 
 
 def make_data(
-    run: TrainingRun, subjects: Sequence[Subject], shoot: Shoot, views: Sequence[str] = _ONE_VIEW
+    run: TrainingRun, subjects: Sequence[Subject], shoot: Shoot, views: Sequence[str] = _ONE_VIEW, workers: int = 1
 ) -> list[str]:
     """Photograph the subjects that are not there yet; return those that cannot be used, with the reason. `views`:
-    endings of the files' names, one for each photograph.
+    endings of the files' names, one for each photograph. By several `workers`, `shoot` is a function of a module.
     """
-    refused = []
-    for done, (kind, number) in enumerate(subjects):
-        run.progress("photographing", _DATA_PART * done / len(subjects))
-        names = [_name(run.out, kind, number, view) for view in views]
-        if not all(name.with_suffix(".json").exists() for name in names):
-            _shoot(names, kind, number, shoot)
-        facts = _facts(names[0])
-        if "refused" in facts:
-            refused.append(f"{number}: {facts['refused']}")
-    return refused
+    names = {subject: [_name(run.out, *subject, view) for view in views] for subject in subjects}
+    missing = [one for one in subjects if not all(name.with_suffix(".json").exists() for name in names[one])]
+    run.progress("photographing", _DATA_PART * (len(subjects) - len(missing)) / len(subjects))
+    work = functools.partial(_shoot, run.out, views, shoot)
+    for left, _ in enumerate(run_jobs(work, missing, workers, f"what is in '{run.out}'"), 1 - len(missing)):
+        run.progress("photographing", _DATA_PART * (len(subjects) + left) / len(subjects))
+    found = [(number, _facts(files[0])) for (_, number), files in names.items()]
+    return [f"{number}: {facts['refused']}" for number, facts in found if "refused" in facts]
 
 
 def load_data(
@@ -343,7 +343,9 @@ def require_subjects(count: int, purpose: str, refused: Sequence[str]) -> None:
     require(count > 0, f"not one finger to {purpose} could be used ({'; '.join(refused)}); take more fingers.")
 
 
-def _shoot(names: Sequence[Path], kind: str, number: int, shoot: Shoot) -> None:
+def _shoot(out: Path, views: Sequence[str], shoot: Shoot, subject: Subject) -> None:
+    kind, number = subject
+    names = [_name(out, kind, number, view) for view in views]
     try:
         samples = list(shoot(kind, number))
     except BadInput as error:
