@@ -12,9 +12,9 @@ on. Writes ``curve.json`` beside this file. Three quarters of an hour of one cor
     python validation/separation/curve.py --scratch FOLDER --thesis
 
 trains at the thesis's size, 64 channels and 37,500 patches seen 50 times, labels through checkerboards: ``palms`` as
-the thesis does, ``both`` as the shipped network, on palms and fingers. That takes a GPU: NNN of an H100 and 16 cores.
-Both are judged as above, and as in ``unet.py``, in time and memory too: ``thesis`` in ``curve.json``. What is in FOLDER
-is not trained again; judging needs no GPU.
+the thesis does, ``both`` as the shipped network, on palms and fingers. It needs a GPU: ten minutes of an H100 and 16
+cores. Both are judged as above, and as in ``unet.py``, in time and memory too: ``thesis`` in ``curve.json``. What is in
+FOLDER is not trained again; judging needs no GPU.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ RECIPES = {
     ),
 }
 AHEAD = 12  # epochs whose patches are made by other processes while one is trained on; 2.3 GB each
-COUNT = {"palm": 6, "finger": 12, "snk": 6}  # photographs judged as in ``unet.py``; fingers by ``snk``
+COUNT = {"palm": 6, "finger": 12, "snk": 8}  # photographs judged as in ``unet.py``; fingers by ``snk``
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.passes = 160
     if options.thesis:
         trained_as_thesis(options.scratch, options.smoke)
-        judged = prepared(options.scratch / "judged", replace(data, palms=1, fingers=1, labels="truth"))[1]
+        judged = prepared(options.scratch / "judged", replace(data, palms=1, fingers=1, patches=200, labels="truth"))[1]
         count = {"finger": 1} if options.smoke else COUNT
         store(target, {"thesis": report_thesis(options.scratch, judged, count)})
         return 0
@@ -300,17 +300,20 @@ def report_thesis(folder: Path, judged: Sequence[Photograph], count: dict[str, i
     with get_context("spawn").Pool(1, maxtasksperchild=1) as fresh:
         costs = {name: fresh.apply(cost, (names[name],)) for name in ("shipped", "both")} if "snk" in count else {}
     learnt = {name: json.loads((folder / f"{name}-curve.json").read_text(encoding="utf-8")) for name in RECIPES}
-    rows = {}
-    for name, file in names.items():
-        network, errors = load_network(file), []
-        for one in judged:
-            image, direct = pairs(one)
-            made = np.concatenate([run_network(network, np.repeat(part[None, None], 3, 1))[0, :1] for part in image])
-            errors.append(float(np.mean((made - direct) ** 2)))
-        rows[name] = {
-            "network": errors,
-            "constant": [constant_error(one, learnt["both"]["constant"]) for one in judged],
+
+    def error(file: str | Path, index: int) -> float:
+        image, direct = pairs(judged[index])
+        made = (run_network(load_network(file), np.repeat(one[None, None], 3, axis=1))[0] for one in image)
+        return float(np.mean([np.square(one - wanted) for one, wanted in zip(made, direct, strict=True)]))
+
+    constant = [constant_error(one, learnt["both"]["constant"]) for one in judged]
+    rows = {
+        name: {
+            "network": [kept(folder, file, f"patches_{k}", error, k) for k in range(len(judged))],
+            "constant": constant,
         }
+        for name, file in names.items()
+    }
     return {
         "cost": costs,
         "training": {name: {**one, "epochs": one["epochs"][4::5]} for name, one in learnt.items()},
@@ -332,8 +335,9 @@ def compared_gains(rows: dict[str, Any], judged: Sequence[Photograph], kind: str
 
 
 def with_differences(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The figures of every network, and what it has more than the shipped one."""
-    return found | {f"{name} - shipped": found[name] - found["shipped"] for name in list(found)[1:]}
+    """The figures of every network, and what it has more than the shipped one and than no network."""
+    bases = [name for name in ("shipped", "none") if name in found]
+    return found | {f"{name} - {base}": found[name] - found[base] for base in bases for name in found if name != base}
 
 
 def compared_photographs(names: Names, kind: str, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:
@@ -356,20 +360,22 @@ def compared_photographs(names: Names, kind: str, count: int, folder: Path) -> d
 
 
 def compared_reliefs(names: Names, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:
-    """Relief by ``snk`` with each network, on the fingers of ``ablation.py``."""
+    """Relief by ``snk`` with each network, and from all light, on the fingers of ``ablation.py``."""
     from ablation_rows import FIGURES, Bench, Options  # heavy
 
     bench = functools.cache(lambda seed: Bench(seed, Options()))
 
-    def judged(file: str | Path, seed: int) -> list[float]:
+    def judged(row: str, file: str | Path, seed: int) -> list[float]:
         bench(seed).options = Options(direct=str(file))
-        found = bench(seed).figures("snk_clahe_network")
+        found = bench(seed).figures(row)
         return [found[figure] for figure in FIGURES]
 
-    columns: dict[str, list[Any]] = {name: [] for name in names}
+    columns: dict[str, list[Any]] = {name: [] for name in (*names, "none")}
     for seed in range(1000, 1000 + count):
         for name, file in names.items():
-            columns[name].append(kept(folder, file, f"snk_{seed}", judged, seed))
+            network = functools.partial(judged, "snk_clahe_network")
+            columns[name].append(kept(folder, file, f"snk_{seed}", network, seed))
+        columns["none"].append(kept(folder, "direct", f"none_{seed}", functools.partial(judged, "snk_clahe_all"), seed))
         bench.cache_clear()
     return summed_up(columns, FIGURES)
 

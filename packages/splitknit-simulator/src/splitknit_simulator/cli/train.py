@@ -15,7 +15,7 @@ from splitknit import AnyPath, Help, Job, Outcome, Progress, Verb, options_of, p
 Task = tuple[Callable[..., dict[str, Any]], type[Any], type[Any]]
 """What trains, and the settings of its data and of itself."""
 _Seed = Annotated[int, Help("of weights and patches", "N")]
-_Threads = Annotated[int, Help("of torch on the processor; repeatable for a fixed number", "N")]
+_Threads = Annotated[int, Help("of torch, and processes that simulate; repeatable for a fixed number", "N")]
 _Device = Annotated[Literal["cpu", "cuda"], Help("default: cpu")]
 _Precision = Annotated[Literal["mixed", "float32"], Help("mixed (default): products in half precision")]
 
@@ -96,7 +96,7 @@ class TrainSeparationJob(TrainJob):
     border_px: Annotated[int, Help(
         "pixels at a patch's border that the loss leaves out", "N", "--border", group="network and training")] = 0
     seed: Annotated[int, _training("of data, weights and order")] = 0
-    threads: Annotated[int, _training("of the processor; repeatable for a fixed number")] = 1
+    threads: Annotated[int, _training("of torch, and processes that simulate; repeatable for a fixed number")] = 1
     device: Annotated[Literal["cpu", "cuda"], _training("default: cpu", "")] = "cpu"
     precision: Annotated[Literal["auto", "float32", "mixed"], _training(
         "mixed: products in half precision; auto (default): on a GPU", "")] = "auto"

@@ -79,7 +79,7 @@ class TrainerSettings(Checked):
     device: Literal["cpu", "cuda"] = "cpu"
     """``cpu`` or ``cuda``."""
     threads: Annotated[int, Limits(1, 1024)] = 1
-    """Threads of torch on the processor; a training is repeatable for a fixed number."""
+    """Threads of torch on the processor, and processes that photograph; repeatable for a fixed number."""
     precision: Literal["auto", "float32", "mixed"] = "auto"
     """``float32``; ``mixed`` (bfloat16 products, float32 weights and sums); ``auto``: mixed on a GPU only."""
 
