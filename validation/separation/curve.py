@@ -60,14 +60,8 @@ Names = dict[str, str | Path]
 """Networks by what they are: shipped ones, or files."""
 RECIPES = {
     "palms": SeparationSettings(device="cuda", threads=16),
-    "both": SeparationSettings(
-        device="cuda",
-        threads=16,
-        dropout=0.0,
-        start_fraction=0.25,
-        decay=0.48,
-        border_px=8,  # as shipped
-    ),
+    # as the shipped network
+    "both": SeparationSettings(device="cuda", threads=16, dropout=0.0, start_fraction=0.25, decay=0.48, border_px=8),
 }
 AHEAD = 12  # epochs whose patches are made by other processes while one is trained on; 2.3 GB each
 COUNT = {"palm": 6, "finger": 12, "snk": 8}  # photographs judged as in ``unet.py``; fingers by ``snk``
@@ -144,11 +138,9 @@ def trained(
 
 def trained_as_thesis(folder: Path, smoke: bool) -> None:
     """Train the networks of the thesis's size that are not in `folder` yet."""
-    data = SeparationData(palms=50, fingers=50)
+    data, recipes = SeparationData(palms=50, fingers=50), RECIPES
     if smoke:
         data = replace(data, palms=1, fingers=1, patches=70, held_out=1, labels="truth")
-    recipes = RECIPES
-    if smoke:
         recipes = {name: replace(one, width=2, epochs=2, device="cpu", threads=1) for name, one in RECIPES.items()}
     for name, settings in recipes.items():
         if (folder / f"{name}.onnx").is_file():

@@ -68,7 +68,7 @@ class FieldsTask:
     min_weight: float  # patches with a smaller mean weight are not used: they hold next to no skin
     min_deviation: float  # a smaller standard deviation of a field counts as this
     scale_patches: int  # that the fields' standard deviations are taken of
-    # samples for ranges of scenes of a subject, its kind and number
+    # from the ranges of scenes, and the kind and number of a subject, to its samples
     shoot: Callable[[Any, str, int], Sequence[Stored]]
     of_nir: tuple[int, ...] = ()  # fields that a fraction of the patches has zero, as without near-infrared images
 
