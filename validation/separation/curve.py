@@ -329,7 +329,8 @@ def compared_gains(rows: dict[str, Any], judged: Sequence[Photograph], kind: str
 def with_differences(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The figures of every network, and what it has more than the shipped one and than no network."""
     bases = [name for name in ("shipped", "none") if name in found]
-    return found | {f"{name} - {base}": found[name] - found[base] for base in bases for name in found if name != base}
+    pairs = [(name, base) for base in bases for name in found if name not in (base, "none")]
+    return found | {f"{name} - {base}": found[name] - found[base] for name, base in pairs}
 
 
 def compared_photographs(names: Names, kind: str, count: int, folder: Path) -> dict[str, dict[str, list[float]]]:
