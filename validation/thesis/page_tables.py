@@ -26,11 +26,12 @@ JUDGED = {
 }
 THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"), ("passing", "single", "all")
 THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
-SHORT = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 LIKE_ROLLS = ("gate", "averaged", "fingers")
 GATED = ("gate", "single", "all")
 UNDILUTED = (THESIS, LIKE_ROLLS, GATED, PLAIN, PASSING)
 """How the population without partial views is judged."""
+BY_PRINT = (THESIS, PLAIN, *(("none", "single", kept) for kept in ("printed", "drawn")))
+"""The same, for matchers that need no gate."""
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 Row = dict[str, str]
@@ -58,9 +59,7 @@ THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
 """Figure, what, FAR, the thesis's GAR in percent, and our row."""
 
 
-def rate_table(
-    rows: Sequence[Row], head: str, name: Callable[[Row], str], judged: Sequence[tuple[str, ...]] = SHORT
-) -> Lines:
+def rate_table(rows: Sequence[Row], head: str, name: Callable[[Row], str], judged: Sequence[tuple[str, ...]]) -> Lines:
     """Rates of several trials, each judged in some ways."""
     if not rows:
         return []
@@ -74,7 +73,7 @@ def rate_table(
     return lines
 
 
-def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SHORT) -> Lines:
+def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]]) -> Lines:
     """First minus second in points."""
     if not rows:
         return []
@@ -111,13 +110,13 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
     )
     lines = [["matcher", "judged", *(f"FAR {PERCENT[far]}" for far in FARS), "d'"]]
     for words, table, matcher, attribute in systems:
-        for key in (THESIS, PLAIN, PASSING) if table == "cases" else SHORT:
+        for key in (THESIS, PLAIN, PASSING):
 
             def mine(row: Row, key: tuple[str, ...] = key, own: tuple[str, str] = (matcher, attribute)) -> bool:
                 return variant(row) == key and (row["matcher"], row["attribute"]) == own
 
             rows, two = ([row for row in part[table] if mine(row)] for part in (tables, differ))
-            if rows:
+            if any(row["gar@0.01"] for row in rows):
                 cells = [
                     *(order(rows, two, f"gar@{far}", 100, f"accepts@{far}") for far in FARS),
                     order(rows, two, "d_prime"),

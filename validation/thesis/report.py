@@ -20,6 +20,7 @@ from pathlib import Path
 
 from page_facts import discarded_table, failures_table, figures_table, run_table, sensitivity_table
 from page_tables import (
+    BY_PRINT,
     PLAIN,
     THESIS,
     THESIS_WHOLE,
@@ -117,12 +118,14 @@ def readable(folder: Path) -> dict[str, Lines]:
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
         lambda row: f"{row['case']}, {_attribute(row)}",
-        (PLAIN, WHOLE),
+        (THESIS, PLAIN),
     )
-    made["fusion_minutiae_differences"] = difference_table(read(folder / "fusion_minutiae_differences.csv"), (WHOLE,))
+    made["fusion_minutiae_differences"] = difference_table(
+        read(folder / "fusion_minutiae_differences.csv"), (THESIS_WHOLE, WHOLE)
+    )
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"])
+        made[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
         made[f"{name}_margin"] = margin_table(rows)
     for name in ("family", "people", "people_windows"):
         made[name] = rate_table(
