@@ -429,10 +429,10 @@ def _rocs(  # noqa: PLR0917
     label: Any,
     variants: Sequence[Variant] = COMPARED,
 ) -> None:
-    """As the thesis judges, and with neither gate nor averaging."""
+    """As the thesis judges, and with neither gate nor averaging; where there are partial views, without them, too."""
     settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,))
     for ending, variant in (("", THESIS), ("-plain", PLAIN), ("-whole", WHOLE)):
-        if variant not in variants:
+        if variant not in variants or (variant == WHOLE and not work.known.partial.any()):
             continue
         scores = [
             (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing)) for trial in trials

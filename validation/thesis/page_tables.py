@@ -31,7 +31,7 @@ GATED = ("gate", "single", "all")
 UNDILUTED = (THESIS, LIKE_ROLLS, GATED, PLAIN, PASSING)
 """How the population without partial views is judged."""
 BY_PRINT = (THESIS, PLAIN, *(("none", "single", kept) for kept in ("printed", "drawn")))
-"""The same, for matchers that need no gate."""
+"""How ``ridge`` and minutiae are judged: fingers with ridges of real prints and of drawn ones apart, too."""
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 Row = dict[str, str]
@@ -65,11 +65,10 @@ def rate_table(rows: Sequence[Row], head: str, name: Callable[[Row], str], judge
         return []
     lines = [["judged", head, *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'", "pairs"]]
     for key in judged:
-        for row in rows:
-            if variant(row) == key and row["genuine"] not in ("", "0"):
-                cells = [gar_cell(row, far) for far in FARS]
-                pairs = f"{int(row['genuine']):,} / {int(row['impostors']):,}"
-                lines.append([JUDGED[key], name(row), *cells, cell(row, "eer", 100), cell(row, "d_prime", 1), pairs])
+        for row in compared(rows, key):
+            cells = [gar_cell(row, far) for far in FARS]
+            pairs = f"{int(row['genuine']):,} / {int(row['impostors']):,}"
+            lines.append([JUDGED[key], name(row), *cells, cell(row, "eer", 100), cell(row, "d_prime", 1), pairs])
     return lines
 
 
@@ -79,11 +78,10 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]]) -> 
         return []
     lines = [["judged", "difference", *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'"]]
     for key in judged:
-        for row in rows:
-            if variant(row) == key and row["genuine"] not in ("", "0"):
-                cells = [cell(row, f"gar@{far}", 100, signed=True) for far in FARS]
-                cells += [cell(row, "eer", 100, signed=True), cell(row, "d_prime", 1, signed=True)]
-                lines.append([JUDGED[key], f"{row['first']} - {row['second']}", *cells])
+        for row in compared(rows, key):
+            cells = [cell(row, f"gar@{far}", 100, signed=True) for far in FARS]
+            cells += [cell(row, "eer", 100, signed=True), cell(row, "d_prime", 1, signed=True)]
+            lines.append([JUDGED[key], f"{row['first']} - {row['second']}", *cells])
     return lines
 
 
@@ -109,14 +107,13 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
         ("minutiae", "matchers", "minutiae", ""),
     )
     lines = [["matcher", "judged", *(f"FAR {PERCENT[far]}" for far in FARS), "d'"]]
-    for words, table, matcher, attribute in systems:
+    for words, table, *own in systems:
+        rates, differences = (
+            [row for row in part[table] if [row["matcher"], row["attribute"]] == own] for part in (tables, differ)
+        )
         for key in (THESIS, PLAIN, PASSING):
-
-            def mine(row: Row, key: tuple[str, ...] = key, own: tuple[str, str] = (matcher, attribute)) -> bool:
-                return variant(row) == key and (row["matcher"], row["attribute"]) == own
-
-            rows, two = ([row for row in part[table] if mine(row)] for part in (tables, differ))
-            if any(row["gar@0.01"] for row in rows):
+            rows, two = compared(rates, key), compared(differences, key)
+            if rows:
                 cells = [
                     *(order(rows, two, f"gar@{far}", 100, f"accepts@{far}") for far in FARS),
                     order(rows, two, "d_prime"),
@@ -152,9 +149,8 @@ def margin_table(rows: Sequence[Row]) -> Lines:
     """Least and median genuine, median and largest impostor score of each case: no gate, single."""
     names = ("least_genuine", "median_genuine", "median_impostor", "largest_impostor")
     lines = [["case", *(name.replace("_", " ") for name in names)]]
-    for row in rows:
-        if variant(row) == PLAIN and row["genuine"] not in ("", "0"):
-            lines.append([row["case"], *(f"{float(row[name]):.3g}" for name in names)])
+    for row in compared(rows, PLAIN):
+        lines.append([row["case"], *(f"{float(row[name]):.3g}" for name in names)])
     return lines if len(lines) > 1 else []
 
 
@@ -182,6 +178,11 @@ def cell(row: Row, figure: str, factor: float, *, signed: bool = False) -> str:
 def variant(row: Row) -> tuple[str, str, str]:
     """How a row was judged."""
     return row["gate"], row["sessions"], row["kept"]
+
+
+def compared(rows: Sequence[Row], key: tuple[str, ...]) -> list[Row]:
+    """Rows judged in one way, without those that had no pairs to judge."""
+    return [row for row in rows if variant(row) == key and row["genuine"] not in ("", "0")]
 
 
 def digits(value: float, sign: str = "") -> str:
