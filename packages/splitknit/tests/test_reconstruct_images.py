@@ -1,5 +1,6 @@
 """Arrays in, a surface out; a photograph that spoils it is named, and lights may differ in brightness."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -115,3 +116,41 @@ def test_a_photograph_of_something_else_is_named_by_its_index(sound):
     stack[5] = stack[5, ::-1, ::-1]
     result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
     assert any(warning.startswith("image 5 ") for warning in result.warnings)
+
+
+def coin(rim_deg, size=300):
+    """Heights in pixels of a coin whose rim falls at `rim_deg`, its eight photographs, lights and outline."""
+    rng = np.random.default_rng(4)
+    i, j = np.mgrid[0:size, 0:size] - (size - 1) / 2
+    radius, wide = np.hypot(i, j), 20 / np.tan(np.deg2rad(rim_deg))
+    text = cv2.GaussianBlur(((np.abs(i) < 60) & (np.abs(j) % 40 < 12) & (radius < 80)) * 2.5, (0, 0), 2.0)
+    inside = radius < 0.46 * size
+    height = text + 3 * np.exp(-(((radius - 0.42 * size) / 5) ** 2))
+    height -= 20 * np.clip((radius - (0.46 * size - wide)) / wide, 0, 1)
+    down, right = np.gradient(height)
+    normals = np.dstack([-right, down, np.ones_like(height)])
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    angles = 2 * np.pi * np.arange(8) / 8
+    lights = np.column_stack([0.75 * np.cos(angles), 0.75 * np.sin(angles), np.full(8, 0.66)])
+    patina = np.exp(0.15 * cv2.GaussianBlur(rng.standard_normal((size, size)), (0, 0), 15) * 15)
+    half = lights + np.array([0, 0, 1])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    stack = 0.6 * patina * np.clip(normals @ lights.T, 0, 1).transpose(2, 0, 1)
+    stack += 0.2 * np.clip(normals @ half.T, 0, 1).transpose(2, 0, 1) ** 25
+    stack = np.where(inside, stack, 0.03) + 0.004 * rng.standard_normal(stack.shape)
+    stack = np.clip(stack, 0, 1)
+    srgb = np.where(stack <= 0.0031308, 12.92 * stack, 1.055 * stack ** (1 / 2.4) - 0.055)
+    return height, np.rint(255 * srgb).astype(np.uint8), lights, inside
+
+
+@pytest.mark.parametrize("rim_deg", [70, 85, 89])
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_coin_with_a_steep_rim(rim_deg, masked):
+    height, stack, lights, inside = coin(rim_deg)
+    result = splitknit.reconstruct_images(stack, lights, inside if masked else None, 10.0)
+    both = result.mask & inside & (np.hypot(*(np.mgrid[0:300, 0:300] - 149.5)) < 0.43 * 300)
+    error = (10.0 * result.height_mm - height)[both]
+    assert np.std(error) < 0.6  # px; the rim is 20 px high
+    assert np.ptp(result.height_mm[result.mask]) < 3.5  # mm; it is 2.6 high
+    steep = any("steep rim" in warning for warning in result.warnings)
+    assert steep == (rim_deg > 81)

@@ -74,6 +74,13 @@ def test_what_is_in_front_hides_what_is_behind() -> None:
     assert columns.min() > 20  # only to the right
 
 
+def test_a_picture_grows_with_the_surface_s_width_not_with_its_heights() -> None:
+    """A wall of a kilometre, as a failed integration made one."""
+    bump = _bump()
+    view = oblique_view(_fields(bump.height_mm * np.float32(3e5), bump.weight), tilt_deg=60.0)
+    assert view.shape[0] < 3 * bump.weight.shape[0]
+
+
 def test_a_gap_between_two_parts_stays_empty() -> None:
     """Columns that show nothing, between others that do."""
     bump = _bump()

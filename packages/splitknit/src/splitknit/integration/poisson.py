@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
@@ -15,6 +16,8 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
+
+_LOG = logging.getLogger(__name__)
 
 # Geometric multigrid for the graph Laplacian of a masked, weighted pixel grid.
 #
@@ -151,12 +154,24 @@ class _Grid:
         return total
 
     def apply(self, height: Floats) -> Floats:
-        """Laplacian (positive semidefinite) of `height`, in the precision of `height`."""
-        around = self.neighbours(height)
+        """Laplacian (positive semidefinite) of `height`, in the precision of `height`.
+
+        Unequal weights act on differences: a degree less weighted neighbours has a rounding error that grows with the
+        height, and makes the operator indefinite once weights differ by a thousand.
+        """
         if self.unit:
+            around = self.neighbours(height)
             around *= self.inside
-        np.subtract(self.degree * height, around, out=around)
-        return around
+            np.subtract(self.degree * height, around, out=around)
+            return around
+        result = np.zeros_like(height)
+        flow = self.right[:, :-1] * (height[:, 1:] - height[:, :-1])
+        result[:, :-1] -= flow
+        result[:, 1:] += flow
+        flow = self.down[:-1] * (height[1:] - height[:-1])
+        result[:-1] -= flow
+        result[1:] += flow
+        return result
 
     def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> None:
         """One damped Jacobi step in place."""
@@ -222,7 +237,7 @@ class _DirectSolver:
             values.append(weight.ravel()[start].astype(np.float64))
         first, second = np.concatenate([e[0] for e in ends]), np.concatenate([e[1] for e in ends])
         value = -np.concatenate(values)
-        degree = grid.degree.ravel()[self.pixels].astype(np.float64)
+        degree = -np.bincount(np.concatenate([first, second]), np.tile(value, 2), minlength=self.pixels.size)
         own = np.arange(self.pixels.size)
         from scipy.sparse.csgraph import connected_components  # slow to import
         from scipy.sparse.linalg import splu  # slow to import
@@ -237,9 +252,9 @@ class _DirectSolver:
         self.size = np.bincount(self.part, minlength=parts)
         self.factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
-    def __call__(self, right_side: FloatArray) -> FloatArray:
-        """Solve for one right side (H, W)."""
-        height = np.zeros(right_side.size, dtype=np.float32)
+    def __call__(self, right_side: Floats) -> Floats:
+        """Solve for one right side (H, W), in its precision."""
+        height = np.zeros(right_side.size, dtype=right_side.dtype)
         balanced = self._balance(right_side.ravel()[self.pixels].astype(np.float64))
         height[self.pixels] = self._balance(self.factor.solve(balanced))
         return height.reshape(right_side.shape)
@@ -294,6 +309,12 @@ def _padded_size(rows: int, columns: int) -> tuple[int, int]:
 
 _TOLERANCE = 1e-5
 """Stop when the estimated rms error of the solver falls below this part of the rms height."""
+_EXCESS, _ROUNDING = 1e-4, 1e-12
+"""The energy of a weighted solution may exceed its minimum by this part of itself, or of the gradients' own energy."""
+_SMALL = 30_000
+"""Unknowns up to which factorising weighted equations takes less time than iterating."""
+_RESTARTS = 3
+"""Runs of conjugate gradients at most: each starts from the true residual, from which its own drifts."""
 _WEIGHT_FLOOR = 1e-3
 """Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
 
@@ -442,42 +463,101 @@ def _solve_masked(
     target_right, target_down = _predicted_differences(
         np.pad(slope_x, frame), np.pad(slope_y, frame), inside, trust, settings.quadrature
     )
+    edges = _Edges(weight_right, weight_down, target_right, target_down)
+    if weights is not None and np.count_nonzero(mask) <= _SMALL:
+        return _factorised(_Grid(weight_right, weight_down, unit=False), edges)[:rows, :columns]
     grid = _build_grids(weight_right, weight_down, unit=weights is None)
     height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
-    # The residual of edges, not of heights: differences of neighbouring heights are exact in single precision.
-    step_right, step_down = _difference(height)
-    residual = _difference_adjoint(
-        (weight_right * (target_right - step_right)).astype(np.float64),
-        (weight_down * (target_down - step_down)).astype(np.float64),
-    )
-    del target_right, target_down, step_right, step_down
-    height += _conjugate_gradients(grid, residual, _rms(height), settings)
-    return height[:rows, :columns]
+    if weights is None:
+        height += _conjugate_gradients(grid, edges, height, settings)[0].astype(np.float32)
+        return height[:rows, :columns]
+    exact = height.astype(np.float64)
+    for _ in range(_RESTARTS):
+        correction, eigenvalue = _conjugate_gradients(grid, edges, exact, settings)
+        exact += correction
+        residual, energy = edges.residual(exact)
+        excess = _dot(residual, grid.cycle(residual.astype(np.float32))) / eigenvalue
+        if excess <= edges.tolerated(energy):
+            return exact[:rows, :columns].astype(np.float32)
+    other = _other_solution(grid, edges, settings)
+    best = min(exact, other, key=lambda one: edges.residual(one)[1])
+    return best[:rows, :columns].astype(np.float32)
+
+
+def _other_solution(grid: _Grid, edges: _Edges, settings: PoissonSettings) -> NDArray[Any]:
+    """Solve without conjugate gradients, which have not converged: by factorisation; many pixels without weights."""
+    if np.count_nonzero(grid.inside) <= _DIRECT:
+        return _factorised(grid, edges)
+    _LOG.warning("the weighted integration has not converged; heights may be off where the surface is steep.")
+    unit = _build_grids(*_edge_weights(grid.inside > 0, None), unit=True)
+    even = replace(edges, weight_right=unit.right, weight_down=unit.down)
+    height = unit.solve_nested(even.residual(np.zeros_like(unit.right))[0].astype(np.float32))
+    return height + _conjugate_gradients(unit, even, height, settings)[0]
+
+
+def _factorised(grid: _Grid, edges: _Edges) -> FloatArray:
+    """Height by sparse factorisation in double precision, refined once."""
+    solver = _DirectSolver(grid)
+    height = solver(edges.residual(np.zeros(grid.inside.shape))[0])
+    return np.asarray(height + solver(edges.residual(height)[0]), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    """Weights of the edges, and the differences of height that the gradients predict along them; (H, W) each."""
+
+    weight_right: FloatArray
+    weight_down: FloatArray
+    target_right: FloatArray
+    target_down: FloatArray
+
+    def residual(self, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+        """Half the negative gradient of the energy, and the energy: the weighted sum of squared residuals of edges.
+
+        Differences of neighbouring heights are exact in single precision, differences of their Laplacian are not.
+        """
+        step_right, step_down = _difference(height)
+        left_right, left_down = self.target_right - step_right, self.target_down - step_down
+        flow_right = (self.weight_right * left_right).astype(np.float64)
+        flow_down = (self.weight_down * left_down).astype(np.float64)
+        energy = _dot(flow_right, left_right) + _dot(flow_down, left_down)
+        return _difference_adjoint(flow_right, flow_down), energy
+
+    def tolerated(self, energy: float) -> float:
+        """How far an energy may lie above its minimum: a part of it, or what the targets' precision makes of zero."""
+        power = _dot(self.weight_right, self.target_right**2) + _dot(self.weight_down, self.target_down**2)
+        return _EXCESS * energy + _ROUNDING * power
 
 
 def _conjugate_gradients(
-    grid: _Grid, residual: NDArray[np.float64], scale: float, settings: PoissonSettings
-) -> FloatArray:
-    """Solve for the correction until the estimated rms error is small.
+    grid: _Grid, edges: _Edges, height: NDArray[Any], settings: PoissonSettings
+) -> tuple[NDArray[np.float64], float]:
+    """Correction of the height, until its rms error and the excess of the energy are small; the smallest eigenvalue.
 
     Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few
     pixels shift against each other by the rounding of the residual, divided by a very small stiffness. For the same
-    reason the preconditioned residual is divided by the smallest eigenvalue that the iteration has met (Lanczos).
+    reason the preconditioned residual is divided by the smallest eigenvalue of the preconditioned operator that the
+    iteration has met (Lanczos). With the residual r and the preconditioner M the energy exceeds its minimum by
+    r^T A^-1 r, at most r^T M^-1 r over that eigenvalue.
     """
-    correction = np.zeros(residual.shape, dtype=np.float32)
+    residual, left = edges.residual(height)
+    small, tolerated = _TOLERANCE * _rms(height), edges.tolerated(left)
+    correction = np.zeros_like(residual)
     direction = np.zeros_like(residual)
     lengths: list[float] = []
     ratios: list[float] = []
-    energy = 1.0
+    energy, eigenvalue = 1.0, 1.0
     for _ in range(settings.max_iterations):
         estimate = grid.cycle(residual.astype(np.float32))
         previous, energy = energy, _dot(residual, estimate)
         if energy <= 0:
             break
         ratios.append(energy / previous)
-        if lengths and _rms(estimate) <= _TOLERANCE * scale * _smallest_eigenvalue(lengths, ratios):
-            correction += estimate
-            break
+        if lengths:
+            eigenvalue = _smallest_eigenvalue(lengths, ratios)
+            if _rms(estimate) <= small * eigenvalue and energy <= tolerated * eigenvalue:
+                correction += estimate
+                break
         direction *= ratios[-1]
         direction += estimate
         image = grid.apply(direction)
@@ -488,7 +568,7 @@ def _conjugate_gradients(
         image *= lengths[-1]
         residual -= image
         correction += np.multiply(direction, lengths[-1], out=image)
-    return correction
+    return correction, eigenvalue
 
 
 def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:

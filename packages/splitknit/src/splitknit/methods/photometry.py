@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
 from splitknit.imaging.view import view_of
@@ -27,6 +28,14 @@ Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 SLOW_MM = 0.32
 """Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
+LEAST_CERTAINTY = 0.01
+"""Certainty of slopes beyond 3 (72 deg), which shadows and the longest slope bend more than noise does. On simulated
+coins (rims of 60 to 89 deg) heights are the same from 1e-4 to 0.01, and at 0.01 the integration is four times as fast
+as at 0.001."""
+IMPOSSIBLE = (
+    "the integrated heights exceed what the slopes allow over the width of the surface; give a `mask` that ends inside "
+    "the steep rim."
+)
 OPAQUE = "none (opaque material)"
 
 CLIPPED = 0.985
@@ -97,8 +106,13 @@ def integrated(slopes: Slopes, photographs: FingerBand, p: HeightSettings) -> Fl
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
     if p.method == "frankot_chellappa":
         return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
+    inside = photographs.inside
     certainty = 1.0 / np.square(1.0 + slopes[0] ** 2 + slopes[1] ** 2)  # 1 / variance of a slope, of a normal's noise
-    return poisson(*slopes, photographs.inside, certainty, p.poisson) * photographs.pitch_mm
+    height = poisson(*slopes, inside, np.maximum(certainty, LEAST_CERTAINTY), p.poisson)
+    steepest = float(np.hypot(*slopes).max())
+    depth, across = np.nanmax(height) - np.nanmin(height), sum(inside.any(axis=k).sum() for k in (0, 1))
+    require(depth <= max(steepest * across, 1.0), IMPOSSIBLE)
+    return height * photographs.pitch_mm
 
 
 @step("surface")

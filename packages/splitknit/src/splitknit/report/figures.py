@@ -346,7 +346,9 @@ def oblique_view(surface: _SmallFields, *, turn_deg: float = 0.0, tilt_deg: floa
     # the staircase of the mask's edge is rounded, inside it: steep flanks would end in a fringe
     blurred = cv2.GaussianBlur(weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
     edge = np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
-    height, hole = surface.height_mm, (weight <= 0) & (edge > 0)
+    hole = (weight <= 0) & (edge > 0)
+    deepest = max(weight.shape) * surface.frame.pitch_mm  # the picture's memory follows its width, not the heights
+    height = surface.height_mm * np.float32(min(1.0, deepest / max(float(np.ptp(surface.height_mm)), 1e-9)))
     if hole.any():  # of a ragged surface: its zeros would stand out of the neighbours as spikes
         around = cv2.GaussianBlur(height * weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
         height, edge[hole] = np.where(hole, around / np.maximum(blurred, 1e-6), height), 0.0

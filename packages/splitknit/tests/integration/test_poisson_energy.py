@@ -1,0 +1,128 @@
+"""Weighted integration reaches the least energy: random masks, rims and weights against a sparse direct solver."""
+
+from __future__ import annotations
+
+import logging
+
+import cv2
+import numpy as np
+import pytest
+import scipy.sparse
+import scipy.sparse.linalg
+
+from splitknit.integration.poisson import poisson
+
+FLOOR = 1e-3
+"""Smaller weights are raised to this, and their slopes are not used."""
+
+
+def random_mask(rng, rows, columns):
+    i, j = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    size = min(rows, columns)
+    row, column = rows * rng.uniform(0.3, 0.7), columns * rng.uniform(0.3, 0.7)
+    radius, angle = np.hypot(i - row, j - column), np.arctan2(i - row, j - column)
+    sigma = float(rng.uniform(0.8, max(1.0, size / 6)))
+    noise = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), sigma)
+    shapes = (
+        radius < 0.48 * size,
+        noise > np.quantile(noise, rng.uniform(0.2, 0.7)),
+        np.ones((rows, columns), dtype=bool),
+        (radius - angle * 12 / (2 * np.pi)) % 12 < rng.uniform(2, 9),
+        (j % rng.integers(3, 9) < 2) | (i < rng.integers(1, 4)),
+        (radius < 0.48 * size) & (radius > 0.3 * size),
+        (np.abs(i - j * rows / columns) < rng.uniform(1, 5)) | (radius < 0.15 * size),
+    )
+    mask = shapes[rng.integers(len(shapes))]
+    for _ in range(rng.integers(0, 5)):  # holes
+        mask = mask & (np.hypot(i - rng.uniform(0, rows), j - rng.uniform(0, columns)) > rng.uniform(0, 0.2) * size)
+    if rng.random() < 0.3:
+        mask = mask & (rng.random((rows, columns)) > rng.uniform(0, 0.4))
+    mask[rows // 2, columns // 2] = True
+    return mask
+
+
+def random_slopes(rng, mask):
+    """Slopes of a surface with rims of 60 to 89.9 deg, noise and gross errors; weights down to the floor and zero."""
+    rows, columns = mask.shape
+    size = min(rows, columns)
+    rim = np.tan(np.deg2rad(rng.uniform(60, 89.9)))
+    hills = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), max(1.0, size / 8))
+    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    height = 0.1 * size * hills / np.abs(hills).max() + rim * np.minimum(depth, rng.uniform(1, 6))
+    down, right = np.gradient(height)
+    slopes = np.stack([right, -down]) + 10 ** rng.uniform(-6, 0) * rng.standard_normal((2, rows, columns))
+    if rng.random() < 0.6:
+        wrong = rng.random((rows, columns)) < rng.uniform(0, 0.1)
+        angle = rng.uniform(0, 2 * np.pi, (rows, columns))
+        slopes[:, wrong] = rim * np.stack([np.cos(angle), np.sin(angle)])[:, wrong]
+    longest = (6.0, 1e9)[rng.integers(2)]
+    slopes *= np.minimum(1, longest / np.maximum(np.hypot(*slopes), 1e-9))
+    weights = [
+        1 / (1 + (slopes**2).sum(axis=0)) ** 2,
+        np.maximum(1 / (1 + (slopes**2).sum(axis=0)) ** 2, 0.01),
+        10 ** rng.uniform(-5, 0, (rows, columns)),
+        np.where(hills > np.quantile(hills, rng.uniform(0.1, 0.95)), 1.0, 0.0),
+    ][rng.integers(4)]
+    return slopes.astype(np.float32), weights.astype(np.float32)
+
+
+def edges_of(slopes, weights, mask):
+    """First and second pixel of every edge, its weight, and the difference of height that its slopes predict."""
+    index, floored = np.full(mask.shape, -1), np.maximum(weights, np.float32(FLOOR)).astype(float)
+    index[mask] = np.arange(mask.sum())
+    used, parts = (weights > FLOOR).astype(float), []
+    for axis, slope in ((1, slopes[0]), (0, -slopes[1])):
+        one = [slice(None, -1) if k == axis else slice(None) for k in range(2)]
+        two = [slice(1, None) if k == axis else slice(None) for k in range(2)]
+        one, two = tuple(one), tuple(two)
+        both = mask[one] & mask[two]
+        weight = 0.5 * (floored[one] + floored[two])[both]
+        count = used[one] + used[two]
+        target = (used[one] * slope[one] + used[two] * slope[two]) / np.maximum(count, 1)
+        parts.append((index[one][both], index[two][both], weight, target[both]))
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def energy_above_the_least(seed, largest):
+    """Energy of `poisson` and of a direct solution, and that of the slopes themselves."""
+    rng = np.random.default_rng(seed)
+    rows = np.exp(rng.uniform(np.log(10), np.log(largest)))
+    mask = random_mask(rng, int(rows), int(np.clip(rows * np.exp(rng.uniform(-1, 1)), 10, largest)))
+    slopes, weights = random_slopes(rng, mask)
+    first, second, weight, target = edges_of(slopes, weights, mask)
+    count, edge = int(mask.sum()), np.arange(len(first))
+    ends = np.tile(edge, 2), np.concatenate([first, second])
+    operator = scipy.sparse.csr_matrix((np.repeat([-1.0, 1.0], len(edge)), ends), shape=(len(edge), count))
+    normal = operator.T @ scipy.sparse.diags(weight) @ operator
+    ground = 1e-12 * max(float(normal.diagonal().mean()), 1e-9)
+    factors = scipy.sparse.linalg.splu(
+        (normal + ground * scipy.sparse.identity(count)).tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True}
+    )
+    best = factors.solve(operator.T @ (weight * target))
+    best += factors.solve(operator.T @ (weight * (target - operator @ best)))
+    height = poisson(*slopes, mask, weights)[mask].astype(float)
+    energies = (float(weight @ (target - operator @ one) ** 2) for one in (height, best))
+    return *energies, float(weight @ target**2)
+
+
+def assert_least(seeds, largest, caplog):
+    with caplog.at_level(logging.WARNING):
+        for seed in seeds:
+            energy, least, power = energy_above_the_least(seed, largest)
+            assert energy <= 1.001 * least + 1e-10 * power, (seed, energy, least)  # heights are in single precision
+    assert not caplog.records
+
+
+def test_weighted_integration_reaches_the_least_energy(caplog):
+    assert_least(range(150), 120, caplog)
+
+
+def test_large_weighted_integration_reaches_the_least_energy(caplog):
+    assert_least((20_036, 20_039), 600, caplog)
+
+
+@pytest.mark.slow
+def test_ten_thousand_weighted_integrations_reach_the_least_energy(caplog):
+    assert_least(range(1_000, 10_900), 200, caplog)
+    assert_least(range(20_000, 20_090), 1_000, caplog)
+    assert_least(range(30_000, 30_010), 3_000, caplog)
