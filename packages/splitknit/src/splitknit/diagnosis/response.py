@@ -3,8 +3,8 @@
 Under L lights a matt pixel obeys I_k = l_k . b with its albedo times normal b (3 numbers); what is left over is the
 same for all pixels where it is a gain of an image. Gains that differ between colours are the camera's white balance.
 Gains that follow the stated brightness of the lights are its tone: where a light twice as bright gives 2^p times the
-value, the gain of light k is (p - 1) log(brightness). Lights of equal brightness show no tone, but values that are not
-in proportion to the light flatten or steepen the whole surface, which the finger's outline shows.
+value, the gain of light k is (p - 1) log(brightness). Under lights of equal brightness the shading of the flanks shows
+p; values that are not in proportion to the light also flatten or steepen the whole surface, as the outline shows.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
 def shading_exponent(stack: Any, vectors: Any) -> float:
     """The exponent p, value = light^p, at which shading fits matt surfaces best, under equal lights.
 
-    Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours that scatter little in the skin. It
-    does not show light that is added to all images, which looks like a surface that faces the camera.
+    Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours that scatter
+    little in the skin. Light that is added to all images does not show: it looks like a surface that faces the camera.
     """
     lights = np.asarray(vectors, dtype=np.float32)
     best = []
