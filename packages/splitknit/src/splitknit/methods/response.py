@@ -60,9 +60,9 @@ _TONE, _TONE_SPOILS, _SURE = 0.07, 0.1, 7.0
 under unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added; its least t value."""
 _SHADED = 0.85, 1.22
 """Exponents between which shading under equal lights is sound."""
-_FLAT = 0.5
-"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63 to 0.75 on
-path-traced ones, 0.34 to 0.45 with local contrast."""
+_FLAT, _HOLLOW = 0.5, 0.1
+"""Height over half width below which a finger is too flat, and is none (lights in another order): 0.61 to 1.06 on 144
+sound fingers, 0.63 to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast."""
 _SIDE = 300
 """Pixels of the coarse images' longer side, at least."""
 _DEPTH_MM, _PLANE_MM = 0.6, 1.0
@@ -123,7 +123,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         doubt = ResponseDoubt(TONE.format(tone), abs(tone - 1) > _TONE_SPOILS)
     elif np.isnan(tone) and not (np.isnan(exponent) or _SHADED[0] < exponent < _SHADED[1]):
         doubt = ResponseDoubt(TONE.format(exponent), False, False)
-    elif height < _FLAT:
+    elif _HOLLOW < height < _FLAT:
         doubt = ResponseDoubt(FLAT.format(height), False, False)
     if doubt is not None and others:
         other = "linear" if capture.encoding == "srgb" else "srgb"
