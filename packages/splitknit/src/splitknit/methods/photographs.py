@@ -19,6 +19,7 @@ from splitknit.imaging.band import bin_mean, linear_channels, linear_stack, pick
 from splitknit.imaging.light_field import flat_promised
 from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, without_films, without_side_lights
 from splitknit.integration.knit import place
+from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
 from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
@@ -33,10 +34,6 @@ if TYPE_CHECKING:
 NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
     "reflection bend it."
-)
-ENCODING = (
-    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}: check how they were "
-    "stored; heights are wrong otherwise."
 )
 _CURVED = 0.05
 """Light left unexplained from which the other encoding is tried: of linear photographs declared sRGB 0.07 to 0.1."""
@@ -148,7 +145,7 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    kinds = ("view", "width", "jpeg", *(band.name for band in bands))
+    kinds = ("view", "width", "response", "jpeg", *(band.name for band in bands))
     doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
@@ -177,9 +174,11 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
+    response = doubt_of_response(steady, finger) if steady.material == "skin" else None
+    doubts |= {"response": (response.words, response.worthless)} if response is not None and response.sure else {}
     for band in (steady.bands[name] for name in ("white", "nir") if name in steady.bands):
         known = fit if band is white else None
-        found, doubt = ({}, None) if band.colours else _doubt_of_lights(steady, band, finger, known)
+        found, doubt = ({}, None) if band.colours else _doubt_of_lights(steady, band, finger, known, response)
         gains = found.get("light_brightness", ()) if steady.material == "skin" else ()  # of others see `_compared`
         if gains and len({led.intensity for led in steady.rig.select(band.lights).leds}) == 1:  # nobody measured it
             bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
@@ -314,10 +313,10 @@ def _fault_words(name: str, fault: PhotographFault, binning: int) -> str:
 
 
 def _doubt_of_lights(
-    capture: Capture, band: Band, finger: Finger, fit: LightFit | None
+    capture: Capture, band: Band, finger: Finger, fit: LightFit | None, response: ResponseDoubt | None
 ) -> tuple[dict[str, Any], tuple[str, bool] | None]:
     """How well a band's photographs fit their lights (`fit`, where it is known), and a warning where another order or
-    frame fits better, or one does not belong to the others."""
+    frame fits better, one does not belong to the others, or the camera's response is wrong."""
     try:
         fit = fit or _fit(capture, band, finger)
     except BadInput:
@@ -332,8 +331,13 @@ def _doubt_of_lights(
         facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
     skin = capture.material == "skin"
     doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
-    in_order = fit.strange is None and fit.frame == "right-up" and fit.order == tuple(range(len(fit.order)))
-    if skin and in_order and (doubts or fit.residual > _CURVED):
+    in_order = fit.frame == "right-up" and fit.order == tuple(range(len(fit.order)))
+    strange = fit.strange is not None
+    worse = strange or (bool(doubts) and doubts[0][1] and not fit.brightness)
+    if in_order and response is not None and (response.sure or not worse):  # it explains the rest
+        said_here = band.name == "white" and not response.sure
+        return facts, (response.words, response.worthless) if said_here else None
+    if skin and in_order and not strange and (doubts or fit.residual > _CURVED):
         other = "linear" if capture.encoding == "srgb" else "srgb"
         stored = _fit(replace(capture, encoding=other), band, finger)  # unequal lights stay so, a wrong curve does not
         explained = doubts and not doubts_of_lights(stored, band.image_names, capture.material)

@@ -1,0 +1,79 @@
+"""A camera that does not answer in proportion to the light is named, on simulated fingers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import splitknit_simulator
+from splitknit.finger.locate import FingerSettings
+from splitknit.methods.photographs import locate_finger
+from splitknit.model import Capture
+
+Light = np.ndarray[Any, np.dtype[np.float32]]
+GAINS = 1 + np.random.default_rng(61).uniform(-0.15, 0.15, (8, 3)).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def sound(equal: bool) -> Capture:
+    """A finger under seven lights, whose brightness differs by 10 % or not."""
+    settings = {"scale": 0.1} | ({"rig_seed": None} if equal else {})
+    return splitknit_simulator.simulate_capture(6101, settings=settings)[0]
+
+
+def stored(change: Callable[[Light, int], Light], *, ambient: bool = True, equal: bool = False) -> Capture:
+    """The capture with every image (H, W, 3) in [0, 1], and its number, changed; the ambient one is -1, or left out."""
+
+    def bytes_of(image: Any, k: int) -> Any:
+        return np.clip(np.rint(255 * change(image.astype(np.float32) / 255, k)), 0, 255).astype(np.uint8)
+
+    bands = {}
+    for name, band in sound(equal).bands.items():
+        pixels = np.stack([bytes_of(image, k) for k, image in enumerate(band.pixels)])
+        room = None if band.ambient is None or not ambient else bytes_of(band.ambient, -1)
+        bands[name] = replace(band, pixels=pixels, ambient=room)
+    return replace(sound(equal), bands=bands)
+
+
+def local_contrast(image: Light, _: int) -> Light:
+    """Divided by the root of what surrounds each pixel, in 2 mm."""
+    around = cv2.GaussianBlur(image.mean(axis=2), (0, 0), 15)[..., None]
+    return np.asarray(image * np.sqrt(0.3 / np.maximum(around, 0.05)))
+
+
+MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
+    "sound": (lambda x, _: x, ""),
+    "BGR": (lambda x, _: x[..., ::-1], "blue, green, red"),
+    "white balance": (lambda x, k: x * GAINS[k], "balanced white"),
+    "gamma 0.8": (lambda x, _: x**0.8, "value = light^0.80"),
+    "sRGB": (lambda x, _: 1.055 * np.maximum(x, 0.0031) ** (1 / 2.4) - 0.055, "but as srgb"),
+    "S curve": (lambda x, _: x * x * (3 - 2 * x), "tone curve"),
+    "local contrast": (local_contrast, "local contrast"),
+    "lamp": (lambda x, _: x + 0.15 * (x > 0.02), "light of the room"),
+    "haze": (lambda x, _: 0.8 * cv2.GaussianBlur(x, (0, 0), 1.2) + 0.12, "haze"),
+    "clipped": (lambda x, _: 1.6 * x, "clipped"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_the_cause_is_named(name: str) -> None:
+    """First of all doubts; of the sound capture there is none."""
+    change, words = MISTAKES[name]
+    capture = stored(change, ambient=name not in {"lamp", "haze"})
+    doubts = locate_finger(capture, FingerSettings())[1].doubts
+    said = [doubts[kind][0] for kind in ("response", "white", "nir") if kind in doubts]
+    assert (words in said[0]) if words else not said
+
+
+@pytest.mark.parametrize("name", ["sound", "gamma 0.8", "S curve", "local contrast"])
+def test_equal_lights_show_a_curve_by_their_shading(name: str) -> None:
+    """Light that is added to all images does not show there."""
+    change, words = MISTAKES[name]
+    doubts = locate_finger(stored(change, equal=True), FingerSettings())[1].doubts
+    assert ("tone curve" in doubts["white"][0]) if words else not doubts
