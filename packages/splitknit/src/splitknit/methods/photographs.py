@@ -11,13 +11,15 @@ import cv2
 import numpy as np
 
 from splitknit import steps
+from splitknit.diagnosis.lights import doubt_of_places, fitted_places
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.regions import erode
 from splitknit.finger.steady import find_steady_finger, without_moved_side
-from splitknit.imaging.band import bin_mean, linear_channels, linear_stack, pick_channel, saturation_levels
+from splitknit.imaging.band import bin_mean, has_colour, linear_channels, linear_stack, pick_channel, saturation_levels
 from splitknit.imaging.light_field import flat_promised
 from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, without_films, without_side_lights
+from splitknit.imaging.view import view_of
 from splitknit.integration.knit import place
 from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
@@ -62,6 +64,8 @@ FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
 _COMPARED_VALUES = 4_000_000
 """Values of all photographs that are compared with each other, at most; larger ones are binned."""
+_SAMPLED_MM, PLACES_MM = 0.1, 0.8
+"""Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
 _FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
 _EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
@@ -145,7 +149,7 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    kinds = ("view", "width", "response", "jpeg", *(band.name for band in bands))
+    kinds = ("view", "width", "response", "places", "jpeg", *(band.name for band in bands))
     doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
@@ -193,6 +197,8 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             doubt = None
         if doubt is not None:
             doubts[band.name] = doubt
+    if steady.material == "skin" and response is None and "white" not in doubts:
+        doubts |= _doubt_of_places(steady, finger)
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
         doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
@@ -374,6 +380,30 @@ def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, 
     other = f"nir band: {100 * nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * white:.0f} % in white"
     check = "check that both bands are of one finger in one place."
     return {"nir": (f"{other}: {check}", nir - white > OTHER_OUTLINE[1])} if nir - white > OTHER_OUTLINE[0] else {}
+
+
+def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
+    """A doubt where the white LEDs seem to stand elsewhere than the rig states."""
+    band, camera = capture.bands["white"], capture.rig.camera
+    if band.colours or any(led.position_mm is None for led in capture.rig.leds):
+        return {}
+    every = max(1, round(_SAMPLED_MM * camera.px_per_mm))
+    binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
+    names = ("red", "green", "blue") if has_colour(band) else ("grey",)
+    images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
+    inside = np.asarray(bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99)
+    rows, columns = (n // (every * binning) for n in capture.shape)
+    images, inside = images[..., :rows, :columns], inside[:rows, :columns]
+    if not inside.any():
+        return {}
+    stack = sum((one / max(float(one[:, inside].mean()), 1e-9) for one in images), np.zeros_like(images[0]))
+    pitch_mm = every * binning * camera.pitch_mm
+    depth_mm = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
+    view = view_of(camera, binning=every * binning, along_rays=True)
+    rig = capture.rig.select(band.lights)
+    places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
+    words = "" if places is None else doubt_of_places(places, rig)
+    return {"places": (words, False)} if words else {}
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
