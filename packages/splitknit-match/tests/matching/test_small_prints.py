@@ -147,14 +147,8 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
     assert main(["match", *sides, "--decision", str(own), "--method", "ridge"]) == 2
     sound, huge = own_rates_document(rng.normal(size=200), "", "fusion", 0.0), 10**400
     wrong = [{"fmr": [1.0, 2.0]}, {"impostors": huge}, {"least_mm2": huge}, {"similarity": [huge, 2 * huge]}]
-    for change in (
-        *wrong,
-        {"impostors": -1},
-        {"impostors": 10**30},
-        {"similarity": [[[0.0]]]},
-        {"fmr": {"a": 1}},
-        {"least_mm2": None},
-    ):
+    wrong += [{"impostors": -1}, {"impostors": 10**30}, {"similarity": [[[0.0]]]}, {"fmr": {"a": 1}}]
+    for change in wrong:
         own.write_text(json.dumps(sound | change))
         with pytest.raises(BadInput, match="is not a file of false match rates"):
             read_own_rates(own)
