@@ -145,9 +145,16 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
     assert facts["fmr_basis"]["population"] == "scores of scores"
     assert main(["match", *sides, "--decision", str(own), "--json", "--exit-code"]) == 11
     assert main(["match", *sides, "--decision", str(own), "--method", "ridge"]) == 2
-    own.write_text(json.dumps(own_rates_document(rng.normal(size=200), "", "fusion", 0.0) | {"fmr": [1.0, 2.0]}))
-    with pytest.raises(BadInput, match="is not a file of false match rates"):
-        read_own_rates(own)
+    sound, huge = own_rates_document(rng.normal(size=200), "", "fusion", 0.0), 10**400
+    wrong = [{"fmr": [1.0, 2.0]}, {"impostors": huge}, {"least_mm2": huge}, {"similarity": [huge, 2 * huge]}]
+    wrong += [{"impostors": -1}, {"impostors": 10**30}, {"similarity": [[[0.0]]]}, {"fmr": {"a": 1}}]
+    for change in wrong:
+        own.write_text(json.dumps(sound | change))
+        with pytest.raises(BadInput, match="is not a file of false match rates"):
+            read_own_rates(own)
+    own.write_text(json.dumps([sound]))
+    assert main(["match", *sides, "--decision", str(own)]) == 2
+    assert "must be an object, but it is a list of 1" in capsys.readouterr().err
 
 
 def test_own_rates_of_dissimilarities_are_refused(tmp_path: Path, capsys) -> None:

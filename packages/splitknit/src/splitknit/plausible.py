@@ -39,6 +39,8 @@ class _Plausible:
 ANY = float("inf")
 VIEW = _Plausible("the longer side of the pictures of a finger", "mm", (10.0, 200.0), (3.0, 400.0))
 """From a part of a fingertip to a whole hand."""
+OBJECT_VIEW = _Plausible("the longer side of the pictures", "mm", (0.2, 3000.0), (0.0, ANY))
+"""From a coin's letter under a microscope to a wall painting; a scale in mm a pixel lies outside."""
 FINGER_WIDTH = _Plausible("the finger's width", "mm", (6.0, 30.0), (2.0, 60.0))
 """Adults' fingers are 14 to 25 mm wide (T. M. Greiner, Hand anthropometry of U.S. Army personnel, 1991)."""
 RIDGE_PERIOD = _Plausible("the distance of the ridges", "mm", (0.3, 0.7), (0.2, 1.0))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -348,3 +349,51 @@ def test_one_photograph_under_three_coloured_lights(tmp_path: Path) -> None:
     write_image(tmp_path / "frame.png", image[..., 0])
     with pytest.raises(BadInput, match=r"frame\.png is grey"):
         capture_from_photographs(tmp_path, lights)
+
+
+def _ball(folder: Path, count: int = 4) -> np.ndarray:
+    """Photographs of a matt half ball of 80 x 90 pixels on black, 16 bits; its mask."""
+    y, x = np.mgrid[1:-1:80j, -1.1:1.1:90j]
+    z2 = 0.8 - x**2 - y**2
+    normals = np.dstack([x, y, np.sqrt(np.maximum(z2, 0.0))]) / np.sqrt(0.8)
+    lights = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
+    for k in range(count):
+        light = np.where(z2 > 0, np.clip(normals @ lights[k], 0, 1), 0.0)
+        write_image(folder / f"{k}.png", np.rint(50000 * light).astype(np.uint16))
+    np.savetxt(folder / "lights.txt", lights)
+    return z2 > 0
+
+
+def test_a_mask_is_transparency_an_outline_or_all(tmp_path: Path) -> None:
+    inside = _ball(tmp_path)
+    picture = np.tile(np.linspace(60, 250, 90).astype(np.uint8)[None, :, None], (80, 1, 3))
+    alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
+    Image.fromarray(alpha).save(tmp_path / "mask.png")
+    found = capture_from_photographs(tmp_path, px_per_mm=5.0)
+    np.testing.assert_array_equal(found.capture.mask, inside)
+    assert any("not transparent" in note for note in found.notes)
+    Image.fromarray(alpha).save(tmp_path / "mask.tif")
+    options = PhotographOptions(mask=tmp_path / "mask.tif", encoding="linear")
+    np.testing.assert_array_equal(capture_from_photographs(tmp_path, None, 5.0, options).capture.mask, inside)
+    Image.fromarray(picture).save(tmp_path / "mask.png")
+    with pytest.raises(BadInput, match="is a picture and no mask"):
+        capture_from_photographs(tmp_path, px_per_mm=5.0)
+    rim = inside & ~cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    Image.fromarray(np.where(rim[..., None], np.uint8([255, 0, 0]), picture)).save(tmp_path / "mask.png")
+    found = capture_from_photographs(tmp_path, px_per_mm=5.0)
+    assert any("closed line" in note for note in found.notes)
+    assert not (found.capture.mask & ~inside).any() and found.capture.mask.sum() > 0.85 * inside.sum()
+    options = PhotographOptions(mask="all", encoding="linear")
+    assert capture_from_photographs(tmp_path, None, 5.0, options).capture.mask.all()
+
+
+def test_cut_out_photographs_have_their_mask(tmp_path: Path) -> None:
+    inside = _ball(tmp_path)
+    for k in range(4):
+        grey = np.asarray(Image.open(tmp_path / f"{k}.png")).astype(np.uint16) >> 8
+        alpha = np.where(inside, 255, 0)
+        Image.fromarray(np.dstack([grey, alpha]).astype(np.uint8), "LA").save(tmp_path / f"{k}.png")
+    found = capture_from_photographs(tmp_path, None, 0.002, PhotographOptions(encoding="linear"))
+    np.testing.assert_array_equal(found.capture.mask, inside)
+    result = splitknit.reconstruct(found.capture)
+    assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)

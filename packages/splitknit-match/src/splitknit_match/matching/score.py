@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from splitknit import BadInput, read_json, require
+from splitknit import read_json, refusing, require
 
 _TAIL = 50
 """Impostors by which rates are extrapolated."""
@@ -146,15 +146,14 @@ def read_own_rates(path: Path) -> OwnRates:
     """Read what ``evaluate --calibrate`` wrote. Raises BadInput if it is something else."""
     wrong = f"'{path}' is not a file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
     document, _ = read_json(path)
-    require(isinstance(document, dict) and document.get("format") == DECISION_FORMAT, wrong)
+    require(document.get("format") == DECISION_FORMAT, wrong)
     require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
-    try:
+    with refusing(wrong):  # also integers beyond all floats
         scores, rates = (np.array(document[name], dtype=np.float64) for name in ("similarity", "fmr"))
-        table = FmrTable(scores, rates, int(document["impostors"]), str(document["what"]))
+        table = FmrTable(scores, rates, int(float(document["impostors"])), str(document["what"]))
         found = OwnRates(table, str(document["method"]), float(document["least_mm2"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(wrong) from error
     sound = scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1 and found.least_mm2 >= 0
+    sound = sound and table.impostors < 1e12
     require(sound and bool((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all()), wrong)
     require(bool(((rates > 0) & (rates <= 1)).all()) and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
     return found

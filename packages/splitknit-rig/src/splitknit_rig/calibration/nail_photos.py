@@ -170,8 +170,8 @@ def _listed(folder: Path) -> Files:
         place = Fields(entry, str(folder / LISTING), f"nails[{nail - 1}]")
         for band in [band for band in BANDS if place.has(band)]:
             names = place.items(band)
-            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) for name in names)
-            paths = [folder / str(name) for name in names]
+            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) and "\0" not in name for name in names)
+            paths = [folder / name for name in names] if sound else []
             inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
             if not (sound and inside):
                 place.refuse(band, f"a list of {LEDS_PER_BAND} file names inside the folder")

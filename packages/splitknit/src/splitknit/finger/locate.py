@@ -202,6 +202,7 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: 
         if capture.material == "opaque":
             words = words.replace("no finger", "no object").replace("the finger", "the object")
             words = words.replace("its tip and both sides are", "all of it is")
+            words = words.replace("or give a mask", "or give a mask (`mask` all, where the object fills the view)")
         if not camera.scale_known or not isinstance(error, NoFinger):
             raise type(error)(words) from error
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)

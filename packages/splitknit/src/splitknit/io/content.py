@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from math import ceil, sqrt
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,13 @@ _SATURATED_FRACTION = 0.2
 """Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
 _SATURATED_AREA = 0.005
 """It must be more than this part of the whole image too: a dark object with a small highlight is not overexposure."""
+_GREY = 0.7
+"""Part of what is not black that is not white either, from which a mask is a picture: 0.05 at the rim of sharp masks,
+up to 0.65 of small, thin ones that are feathered; 0.8 and more of photographs."""
+_PURE = 0.4, 0.6
+"""Channels of a pure colour are below and above these parts of the full scale; JPEG blurs the colour of thin lines."""
+_LINE_PX, _LINE = 6.0, 0.03
+"""A drawn line is at most as wide as these pixels and this part of the side of its inside."""
 _SAMPLE_PIXELS = 200_000
 """About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
 
@@ -99,13 +107,42 @@ def _ambient_light(band: Band) -> NDArray[np.float32] | None:
 
 
 def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
-    """Mask (H, W) of an image (H, W, C): above half the scale, or 1 in an image of 0, 1; BadInput if none is."""
+    """Mask (H, W) of an image (H, W, C): above half the scale, or 1 in an image of 0, 1; BadInput if none is, or if it
+    is a picture, most of whose pixels are neither dark nor bright."""
     bright = pixels.max(axis=2)
     top = int(bright.max())
     half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
     mask: BoolArray = np.asarray(bright > half)
     require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
+    shown, between = bright > 0.1 * top, (bright > 0.1 * top) & (bright < 0.9 * top)
+    part = float(between.sum()) / float(shown.sum())
+    grey = f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either"
+    remedy = "paint the object white and all else black, or draw a closed line of one pure colour around it."
+    require(part < _GREY, f"{grey}; {remedy}")
     return mask
+
+
+def drawn_outline(pixels: PixelArray) -> BoolArray | None:
+    """Inside (H, W) of a thin closed line of a pure colour in a picture (H, W, C), or of a white one on black, without
+    the line. None where there is none, or it encloses less than twice its own area.
+    """
+    full, best = float(np.iinfo(pixels.dtype).max), None
+    on, off = pixels > _PURE[1] * full, pixels < _PURE[0] * full
+    grey = float((~(on.all(axis=2) | off.all(axis=2))).mean())
+    for hue in np.ndindex(*(2,) * pixels.shape[2]):
+        line = np.logical_and.reduce([(on if lit else off)[..., k] for k, lit in enumerate(hue)])
+        if not any(hue) or not line.any() or (all(hue) and grey > float(line.mean())):
+            continue  # black is none, nor is white in a picture
+        line = cv2.dilate(np.pad(line, 2).astype(np.uint8), np.ones((3, 3), np.uint8))  # JPEG leaves gaps
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(line, connectivity=8)
+        line = (parts == 1 + int(np.argmax(stats[1:, 2] * stats[1:, 3]))).astype(np.uint8)
+        _, parts = cv2.connectedComponents(1 - line, connectivity=4)
+        inside = np.asarray((parts != parts[0, 0]) & (line == 0))[2:-2, 2:-2]
+        area, width = float(inside.sum()), 2.0 * float(cv2.distanceTransform(line, cv2.DIST_L2, 5).max())
+        thin = area > 2.0 * float(line.sum()) and width < _LINE_PX + _LINE * np.sqrt(area)
+        if thin and (best is None or area > float(best.sum())):
+            best = inside
+    return best
 
 
 def _sample(image: PixelArray) -> NDArray[Any]:

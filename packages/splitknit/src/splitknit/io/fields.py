@@ -15,12 +15,14 @@ MAX_JSON_BYTES = 16_000_000
 
 
 def read_json(path: Path, damaged: str | None = None) -> tuple[Any, bytes]:
-    """Read a UTF-8 JSON file strictly; return the document and its bytes. `damaged`: message where it cannot be read.
-    Raises BadInput if it is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, 1e999 or a key twice.
+    """Read a UTF-8 JSON file of one object strictly; return it and its bytes. `damaged`: message where it cannot be
+    read. Raises BadInput if it is missing, too long, not UTF-8, no JSON object, or holds NaN, 1e999 or a key twice.
     """
     try:
         data = read_bytes(path, MAX_JSON_BYTES)
-        return parse_json(data, str(path)), data
+        document = parse_json(data, str(path))
+        Fields(document, str(path))
+        return document, data
     except BadInput as error:
         raise error if damaged is None else BadInput(damaged) from error
 

@@ -44,7 +44,8 @@ class PhotographOptions(Job):
 
     # fmt: off
     mask: Annotated[AnyPath | None, Help(
-        "image, white = object (default: mask.png beside the images, if any)", "FILE")] = None
+        "image, white = object, or transparent elsewhere; all: it fills the photographs (default: mask.png beside the "
+        "images, or their transparency, if any)", "FILE")] = None
     material: Annotated[Literal["skin", "opaque"] | None, Help(
         "skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies")] = None
     tip_direction_deg: Annotated[float | None, Help(

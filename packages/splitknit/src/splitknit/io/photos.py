@@ -21,6 +21,7 @@ from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
 from splitknit.io import png, tiff
 from splitknit.io.images import APP1, MAX_BYTES, MAX_PIXELS, decode_image, jpeg_segments
 from splitknit.io.png import check_size
+from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
 SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
@@ -45,6 +46,8 @@ class Photo:
     """EXIF's, 1 to 8, which has been obeyed: 1 = stored as it is seen."""
     sha256: str
     """Hash of the file."""
+    opaque: BoolArray | None = None
+    """(H, W) what is not transparent, by half or more; None where all is opaque."""
 
 
 def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Photo:
@@ -80,7 +83,22 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     else:
         what = "is empty" if not data else f"is none of {FORMATS}"
         raise BadInput(f"{name} {what}; export it as PNG or TIFF.")
-    return Photo(_upright(pixels, orientation), orientation, hashlib.sha256(data).hexdigest())
+    opaque = _opaque(data, name)
+    if opaque is not None:
+        opaque = None if opaque.all() else _upright(opaque, orientation)
+    return Photo(_upright(pixels, orientation), orientation, hashlib.sha256(data).hexdigest(), opaque)
+
+
+def _opaque(data: bytes, name: str) -> BoolArray | None:
+    """Where a PNG, TIFF or WEBP file that was decoded is opaque, as it is stored; None for others."""
+    if data.startswith(png.SIGNATURE):
+        return png.png_opaque(data, name)
+    if data.startswith(tiff.SIGNATURES) and Path(name).suffix.lower() not in RAW_SUFFIXES:
+        return tiff.tiff_opaque(data, name)
+    place = {b"WEBPVP8X": 20, b"WEBPVP8L": 24}.get(data[8:16])
+    if place is not None and data[place] & 16:  # the header states alpha
+        return np.asarray(png.codecs().webp_decode(data)[..., 3] > 127)
+    return None
 
 
 def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[str, str]:
@@ -136,7 +154,7 @@ def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | No
 
 
 def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """`pixels` (H, W, C) as they are to be seen (EXIF 2.32, tag 274)."""
+    """`pixels` (H, W) or (H, W, C) as they are to be seen (EXIF 2.32, tag 274)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):

@@ -26,7 +26,7 @@ from splitknit.imaging.band import (
 )
 from splitknit.imaging.light_field import few_lights
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
-from splitknit.io.content import check_contents, mask_from_image
+from splitknit.io.content import check_contents, drawn_outline, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.photographs import PhotographOptions
@@ -36,6 +36,7 @@ from splitknit.io.rig import read_rig
 from splitknit.model import (
     UNKNOWN_SCALE,
     Band,
+    BoolArray,
     Camera,
     Capture,
     FloatArray,
@@ -61,6 +62,7 @@ _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, o
 
 _LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
+MASK_ALL = "all"  # in place of a mask: the object fills the photographs
 UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
 _NO_OPTIONS = PhotographOptions()
 
@@ -374,7 +376,7 @@ def _assembled(  # noqa: PLR0917
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
     every = [*files, *crossed]
     different = _each_once(every, options)
-    encoding, mask, background = cast("str | None", options.encoding), options.mask, options.background
+    encoding, background = cast("str | None", options.encoding), options.background
     raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
     require(raw is None or encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
     counts = f"{len(rig.leds)} lights for {len(files)} images"
@@ -396,19 +398,18 @@ def _assembled(  # noqa: PLR0917
         announce(cost)
     stack, turn, hashes = reading.stack()
     stack = _of_white_light(stack, colours, reading, options)
-    others = {}
-    for what, file in (("mask", mask), ("background", options.background_image)):
-        if file is not None:
-            photo = read_photo(Path(file))
-            others[what] = reading.reduced(photo, Path(file))
-            if what == "mask" and others[what].dtype.kind == "f":
-                others[what] = (others[what] > 0.5).astype(np.uint8) * np.uint8(255)
-            hashes[Path(file).name] = photo.sha256
+    ambient = None
+    if options.background_image is not None:
+        photo = read_photo(Path(options.background_image))
+        ambient = reading.reduced(photo, Path(options.background_image))
+        hashes[Path(options.background_image).name] = photo.sha256
+    inside, how = _inside(options.mask, reading, hashes)
+    notes += [how] if how else []
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     count, series = len(groups), len(stack) // len(files)
     groups += [[len(files) + k for k in group] for group in groups] if series == 2 else []
     flat, hashes = _flat_of(options, groups[:count], encoding, hashes)
-    pixels, ambient, black = _as_integers(stack, others.get("background"), black, groups)
+    pixels, ambient, black = _as_integers(stack, ambient, black, groups)
     notes += reading.notes()
     band = Band(
         name="white",
@@ -436,11 +437,38 @@ def _assembled(  # noqa: PLR0917
         encoding=reading.encoding_after,
         material=options.material or ("opaque" if options.nir is None else "skin"),  # by near-infrared light a finger
         tip_direction_deg=options.tip_direction_deg,
-        mask=None if mask is None else mask_from_image(others["mask"], str(mask)),
+        mask=inside,
         hashes=hashes,
         shading=None if options.shading is None else Path(options.shading),
     )
     return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
+
+
+def _inside(
+    mask: str | os.PathLike[str] | None, reading: _Reading, hashes: dict[str, str]
+) -> tuple[BoolArray | None, str]:
+    """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None without any; and a note
+    where it was found in a picture. The file's SHA-256 joins `hashes`.
+    """
+    if mask is not None and os.fspath(mask) == MASK_ALL:
+        return np.ones(reading.small, dtype=np.bool_), ""
+    if mask is None and reading.opaque is None:
+        return None, ""
+    photo = reading.first if mask is None else read_photo(Path(mask))
+    white = reading.opaque if mask is None else photo.opaque
+    name = "the photographs" if mask is None else os.fspath(mask)
+    if mask is not None:
+        hashes[Path(mask).name] = photo.sha256
+    pixels = photo.pixels if white is None else white.astype(np.uint8)[..., None] * np.uint8(255)
+    if pixels.dtype.kind == "f":
+        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
+    note = "" if white is None else f"the mask is what is not transparent in {name}."
+    enclosed = drawn_outline(pixels)
+    if enclosed is not None:
+        note = f"{name} shows a closed line: the mask is what it encloses."
+    white = mask_from_image(pixels, name) if enclosed is None else enclosed
+    small = reading.reduced(replace(photo, pixels=white.astype(np.uint8)[..., None] * np.uint8(255)), Path(name))
+    return mask_from_image(small, name), note
 
 
 def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Path]:
@@ -580,6 +608,8 @@ class _Reading:
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
+        self.opaque: BoolArray | None = None
+        """(H, W) what is transparent in none of the photographs, once they are read; None where all is opaque."""
 
     def photos(self, file: Path, room: int) -> list[Photo]:
         """The photograph of a file; of a mosaic the parallel and the crossed one."""
@@ -646,6 +676,8 @@ class _Reading:
                 other = f"{turned} {self.files[0].name} ({first.orientation}), {guess}"
                 require(photo.orientation == first.orientation, other)
                 pixels = self.reduced(photo, file)
+                if photo.opaque is not None and self.series == 1:
+                    self.opaque = photo.opaque if self.opaque is None else self.opaque & photo.opaque
                 kinds = f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}"
                 alike = photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype
                 require(alike, f"{kinds}; all must agree.")

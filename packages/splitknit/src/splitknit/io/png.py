@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import refusing, require
-from splitknit.model import PixelArray
+from splitknit.model import BoolArray, PixelArray
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -100,6 +100,21 @@ def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelAr
     else:
         _decode(header, image_data, name, out)
     return out
+
+
+def png_opaque(data: bytes, name: str) -> BoolArray | None:
+    """Where a sound PNG file is opaque by half or more (H, W); None where it has no transparency."""
+    header = png_header(data, name)
+    palette, image_data = _walk(data, name)
+    if header.colour in (4, 6):
+        whole = np.empty((header.rows, header.columns, _CHANNELS[header.colour]), dtype=header.dtype)
+        _decode(header, image_data, name, whole)
+        return np.asarray(whole[..., -1] > np.iinfo(header.dtype).max // 2)
+    alpha = next((content for kind, content in chunks_of(data) if kind == b"tRNS"), b"")
+    if header.colour != 3 or not alpha:  # one transparent colour of grey or RGB is left as it is
+        return None
+    opaque = np.frombuffer(alpha[:256].ljust(256, b"\xff"), dtype=np.uint8) > 127
+    return np.asarray(opaque[_palette_index(header, palette, image_data, name)])
 
 
 def _walk(data: bytes, name: str) -> tuple[bytes, list[memoryview]]:
@@ -198,12 +213,16 @@ def _decode_plain(header: _PngHeader, image_data: list[memoryview], out: NDArray
 def _decode_palette(
     header: _PngHeader, palette: bytes, image_data: list[memoryview], name: str, out: PixelArray
 ) -> None:
-    """As grey values, which are looked up here: libpng takes any colour for one beyond the palette."""
+    index = _palette_index(header, palette, image_data, name)
+    np.frombuffer(palette, dtype=np.uint8).reshape(-1, 3).take(index, axis=0, out=out)
+
+
+def _palette_index(header: _PngHeader, palette: bytes, image_data: list[memoryview], name: str) -> NDArray[np.uint8]:
+    """Numbers (H, W) of colours, decoded as grey values: libpng takes any colour for one beyond the palette."""
     require(len(palette) > 0, f"{name} is damaged: a PNG image with a palette that is missing.")
     require(len(palette) % 3 == 0 and len(palette) <= 768, f"{name} is damaged: its palette has an impossible length.")
-    index = np.empty((*out.shape[:2], 1), dtype=np.uint8)
+    index = np.empty((header.rows, header.columns, 1), dtype=np.uint8)
     _decode(replace(header, colour=0), image_data, name, index)
     index //= np.uint8(255 // (2**header.depth - 1))  # libpng stretches 1, 2 and 4 bits to the full scale
-    table = np.frombuffer(palette, dtype=np.uint8).reshape(-1, 3)
-    require(int(index.max()) < len(table), f"{name} is damaged: it refers to a colour beyond its palette.")
-    table.take(index[..., 0], axis=0, out=out)
+    require(int(index.max()) < len(palette) // 3, f"{name} is damaged: it refers to a colour beyond its palette.")
+    return index[..., 0]

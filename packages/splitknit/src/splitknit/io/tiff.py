@@ -25,7 +25,7 @@ from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import write_file
 from splitknit.io.png import DEFLATE_RATIO, check_held, check_size, codecs
 from splitknit.io.provenance import canonical_json
-from splitknit.model import PixelArray
+from splitknit.model import BoolArray, PixelArray
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296
@@ -33,7 +33,8 @@ _COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER = 256, 257, 258, 
 _SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH = 277, 278, 284, 317, 339, 32997
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 322, 323, 324, 325
 _ORIENTATION, _SHORT = 274, 3
-_OPTIONAL = {DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT}
+_EXTRA_SAMPLES, _ALPHA = 338, (1, 2)
+_OPTIONAL = {DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT, _EXTRA_SAMPLES}
 _READ = _OPTIONAL | {
     *(_COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER),
     *(_SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH),
@@ -199,6 +200,16 @@ def decode_page(data: bytes, page: TiffPage, name: str, out: NDArray[Any]) -> No
         if page.separate:
             values = np.moveaxis(values.reshape(page.samples, page.rows, page.columns), 0, -1)
         out[...] = values.reshape(page.rows, page.columns, page.samples)[..., : out.shape[2]]
+
+
+def tiff_opaque(data: bytes, name: str) -> BoolArray | None:
+    """Where the first page of a sound file is opaque by half or more (H, W); None where it has no transparency."""
+    page = tiff_page(data, name)
+    if page.samples == page.channels or _EXTRA_SAMPLES not in page.tags or page.tags[_EXTRA_SAMPLES][0] not in _ALPHA:
+        return None
+    values = np.empty((page.rows, page.columns, page.samples), page.dtype.newbyteorder("="))
+    decode_page(data, page, name, values)
+    return np.asarray(values[..., -1] > (0.5 if page.dtype.kind == "f" else np.iinfo(page.dtype).max // 2))
 
 
 def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple[int, int, int, int]]]:

@@ -11,7 +11,7 @@ from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.methods.photographs import FingerPhotographs, locate_finger, placed
 from splitknit.methods.thesis import thesis_surface
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
-from splitknit.plausible import DEPTH, LED_DISTANCE, RIDGE_PERIOD, VIEW
+from splitknit.plausible import DEPTH, LED_DISTANCE, OBJECT_VIEW, RIDGE_PERIOD, VIEW
 from splitknit.presets import PRESETS
 
 USUAL_PERIOD_MM = 0.45
@@ -89,20 +89,20 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
 
 
 def with_working_scale(capture: Capture) -> tuple[Capture, tuple[str, ...]]:
-    """Skin at a plausible scale, and a note where its scale is odd: methods for skin work in mm.
+    """Skin at a plausible scale, and a note where the scale is odd, also an object's: methods for skin work in mm.
 
-    Where the scale is unknown, that at which the ridges lie as usual; it is still marked as unknown.
+    Where the scale of skin is unknown, that at which the ridges lie as usual; it is still marked as unknown.
     """
     camera = capture.rig.camera
+    view_mm = max(capture.shape) / camera.px_per_mm
+    check = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`)"
     if capture.material != "skin":
-        return capture, ()
+        return capture, OBJECT_VIEW.notes(view_mm, f"{check}, as all lengths follow it") if camera.scale_known else ()
     away = [float(np.linalg.norm(led.position_mm)) for led in capture.rig.leds if led.position_mm is not None]
     remedy = "check the unit of position_mm, millimetres, in the rig file"
     far = [LED_DISTANCE.notes(one, remedy) for one in (min(away), max(away))] if away else []
     if camera.scale_known:
-        view_mm = max(capture.shape) / camera.px_per_mm
-        view = VIEW.notes(view_mm, f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`)")
-        return capture, (*view, *sum(far, ()))
+        return capture, (*VIEW.notes(view_mm, check), *sum(far, ()))
     found = ridge_period(*_plain_normals(capture))
     camera = replace(camera, px_per_mm=found.period_px / USUAL_PERIOD_MM)
     return replace(capture, rig=replace(capture.rig, camera=camera)), sum(far, ())
