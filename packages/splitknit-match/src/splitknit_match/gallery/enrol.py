@@ -281,7 +281,7 @@ def _made_of(
         raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
     empty = side.template.empty
     area = 0.0 if empty else round(side.template.area_mm2, 2)
-    failure = "too little skin with ridges" if empty else ""
+    failure = (side.template.lacks or "too little skin with ridges") if empty else ""
     return Made(side.kind, side.payload, area, source_hash(path), failure, kept, side.note)
 
 

@@ -24,13 +24,14 @@ from splitknit import (
     require,
     sampled_at,
 )
+from splitknit_match.matching.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
 """Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
-_LARGEST_PX = 8_000_000
-"""Largest ridge band with its margins, 280 x 280 mm; it takes 100 bytes a pixel."""
+_LARGEST_PX = 4_000_000
+"""Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +111,12 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         )
         mask = mask & np.isfinite(shape_mm)
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
+    area_mm2 = float(mask.sum()) * pitch_mm**2
+    require(
+        area_mm2 <= LARGEST_MM2,
+        f"the surface shows {area_mm2:.0f} mm², more than a finger's {LARGEST_MM2:.0f}; check its pitch "
+        f"({pitch_mm:g} mm).",
+    )
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
         deep = field is not None and bool((np.abs(field[mask]) > _LONGEST_MM).any())
         require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")

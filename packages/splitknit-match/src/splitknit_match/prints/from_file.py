@@ -250,6 +250,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
     require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
+    require(not pressed.lacks, f"the picture shows {pressed.lacks}; name a print.")
     ppi = item.resolution_ppi or PPI
     rows, columns = item.image.shape
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
