@@ -38,7 +38,15 @@ from splitknit_match.matching.minutiae_record import (
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.surface import MatchingSettings, surface_template
-from splitknit_match.matching.template import VERSION, Template, failed_template, make_template, pack, unpack, with_minutiae
+from splitknit_match.matching.template import (
+    VERSION,
+    Template,
+    failed_template,
+    make_template,
+    pack,
+    unpack,
+    with_minutiae,
+)
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:
@@ -49,7 +57,7 @@ _MOST_TOUCHES = 40
 """Files of a folder of touches."""
 _ENDS, _JUDGED_MM2 = (0.015, 1.0), 100.0
 """Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41, squares
-of 9 mm of them 0.025 to 0.72 (validation/prints/not_prints.py)."""
+of 9 mm of them 0.025 to 0.72."""
 _LEAST_OF_PRINTS = 1 / 3
 """Of a print so much of the area suffices that surfaces need: small sensors show little, and show it sharply."""
 

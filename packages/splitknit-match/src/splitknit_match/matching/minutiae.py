@@ -173,6 +173,11 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, len(order)) + body
 
 
+def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:
+    """Whether a print (H, W) is no larger than one finger's."""
+    return print_image.size * (25.4 / ppi) ** 2 <= LARGEST_MM2
+
+
 def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
@@ -187,7 +192,7 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
     high, wide = (side * 25.4 / ppi for side in image.shape)
     require(
-        high * wide <= LARGEST_MM2,
+        is_a_fingers(image, ppi),
         f"a print of {wide:.0f} x {high:.0f} mm is larger than a finger's ({LARGEST_MM2:.0f} mm²); crop one finger, or "
         "correct the resolution.",
     )

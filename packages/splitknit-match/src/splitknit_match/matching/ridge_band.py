@@ -111,12 +111,6 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         )
         mask = mask & np.isfinite(shape_mm)
         require(bool(mask.any()), "shape_mm is NaN all over the mask.")
-    area_mm2 = float(mask.sum()) * pitch_mm**2
-    require(
-        area_mm2 <= LARGEST_MM2,
-        f"the surface shows {area_mm2:.0f} mm², more than a finger's {LARGEST_MM2:.0f}; check its pitch "
-        f"({pitch_mm:g} mm).",
-    )
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
         deep = field is not None and bool((np.abs(field[mask]) > _LONGEST_MM).any())
         require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
@@ -131,6 +125,12 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         grid[0] * grid[1] <= _LARGEST_PX,
         f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
         f"surface ({pitch_mm:g} mm).",
+    )
+    area_mm2 = float(mask.sum()) * pitch_mm**2
+    require(
+        area_mm2 <= LARGEST_MM2,
+        f"the surface shows {area_mm2:.0f} mm², more than a finger's {LARGEST_MM2:.0f}; check its pitch "
+        f"({pitch_mm:g} mm).",
     )
     columns, rows, slant_cos = band_places(
         mask, shape_mm, transform, (size[0], size[1]), pitch_mm=pitch_mm, settings=settings

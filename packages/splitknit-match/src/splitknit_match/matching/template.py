@@ -134,6 +134,16 @@ def scaled(template: Template, scale: float) -> Template:
     return replace(larger, minutiae=replace(found, x_px=x, y_px=y, size=sizes))
 
 
+def mirrored(template: Template) -> Template:
+    """The template of the same picture seen in a mirror."""
+    found = template.minutiae
+    if found is not None and found.count:
+        x, turned = found.size[1] - 1 - found.x_px, (np.pi - found.direction_rad) % (2 * np.pi)
+        found = replace(found, x_px=x.astype(np.int32), direction_rad=turned)
+    level, valid = (np.ascontiguousarray(one[:, ::-1]) for one in (template.level, template.valid))
+    return replace(template, level=level, valid=valid, minutiae=found)
+
+
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
     """`template` with the minutiae of its print, on a grid of 500 ppi whose middle is the template's, as they are kept.
 
@@ -197,11 +207,6 @@ def unpack(payload: bytes) -> Template:
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)
     require(height > 0 and width > 0 and pitch_um > 0, wrong)
-    require(
-        _is_a_fingers((height, width), pitch_um),
-        f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width} pixels, more than a "
-        f"finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
-    )
     require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
     short = np.frombuffer(payload, "<u2", count, _HEAD.size).tolist()
     runs, position = ([], _HEAD.size) if _LONG in short else (short, _HEAD.size + 2 * count)
@@ -215,6 +220,11 @@ def unpack(payload: bytes) -> Template:
             position += 4
         runs.append(length)
     require(sum(runs) == height * width and all(runs[1:]), wrong)
+    require(
+        _is_a_fingers((height, width), pitch_um),
+        f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width} pixels, more than a "
+        f"finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
+    )
     flat = np.repeat(np.arange(count) % 2 == 1, runs)
     known = int(flat.sum())
     end = position + (known + 3) // 4

@@ -68,8 +68,7 @@ _CLOSED_PX, _OPENED_PX = 14, 10
 _BENDS_DEG, _BREAKS, _JUDGED = 1.5, 0.12, 500
 """Lines that are no ridges of a finger turn less than so many degrees a mm (median), or more often than in this part of
 the places by 25 deg and more from a window to the next; and pairs of windows (40 mm2) from which on that is judged.
-280 real prints have 2.9 to 7.8, at most 0.04; squares of 7 mm of them 1.7, at most 0.09
-(validation/prints/not_prints.py)."""
+280 real prints have 2.9 to 7.8, at most 0.04; squares of 7 mm of them 1.7, at most 0.09."""
 _FRAME_STEP = 20
 """Grey levels between a constant border and what is beside it, where that is the sensor's frame, no paper."""
 
@@ -197,11 +196,14 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
     for k in range(1, count):
         if stats[k, cv2.CC_STAT_AREA] < 400:
             continue
-        area = (labels == k).astype(np.uint8)
+        left, top, wide, high = stats[k, :4].tolist()
+        box = slice(max(0, top - 6), top + high + 6), slice(max(0, left - 6), left + wide + 6)
+        area = (labels[box] == k).astype(np.uint8)
         near, beside = (cv2.dilate(area, np.ones((side, side), np.uint8)) > 0 for side in (5, 11))
         ring = beside & ~near
-        if int(ring.sum()) > 20 and np.percentile(np.abs(image[ring].astype(np.float32) - level), 20) > _FRAME_STEP:
-            found |= near
+        levels = image[box][ring].astype(np.float32)
+        if int(ring.sum()) > 20 and np.percentile(np.abs(levels - level), 20) > _FRAME_STEP:
+            found[box] |= near
     return found
 
 
