@@ -109,7 +109,7 @@ def test_a_large_print_is_refused_before_anything_is_made_of_it(
 def test_a_large_template_is_refused() -> None:
     side, packed = 2048, bytes(2048 * 2048 // 4)
     head = struct.pack("<HHIH", side, side, 2, 100) + struct.pack("<HHI", 0, 65535, side * side)
-    with pytest.raises(BadInput, match="41943 mm².*more than a finger's"):
+    with pytest.raises(BadInput, match=r"41943 mm².*more than a finger's"):
         unpack(head + packed)
 
 

@@ -129,7 +129,8 @@ def enroll_files(
     """Enrol sources of one finger, as :func:`splitknit_match.enroll` does.
 
     `session`: by default that of the very same source if it is enrolled already, else the next number. `examine`:
-    called with each finger before anything is written; may refuse it, or return a note. A source other than a template from which nothing
+    called with each finger before anything is written; may refuse it, or return a note. A source other than a
+    template from which nothing
     was acquired is refused.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")

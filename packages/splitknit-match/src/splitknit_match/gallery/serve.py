@@ -84,7 +84,7 @@ def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
     return {"openapi": "3.1.0", "info": about, "paths": paths, "components": security, "security": [{"token": []}]}
 
 
-def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:
+def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:  # noqa: PLR0915
     """Make the ASGI application.
 
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not installed.

@@ -184,7 +184,8 @@ def enroll(
     resolution_ppi : float, optional
         Pixels per inch of arrays.
     duplicates : {"refuse", "warn", "allow"}
-        What to do about one that matches another person's (of the person's own fingers it is only said), at a false match rate of 1 in 10,000 a comparison:
+        What to do about one that matches another person's (of the person's own fingers it is only said),
+        at a false match rate of 1 in 10,000 a comparison:
         refuse it, report it (the default), or not look. Where both are prints, only the twentieth whose minutiae
         support it best is compared, so that about 2 in 100 such fingers are missed.
     how : Enrolling, optional
@@ -215,8 +216,8 @@ def enroll(
         others = [one for one in like if one.person != person]
         if others and duplicates == "refuse":
             raise BadInput(
-                f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', at a "
-                "false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
+                f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', at "
+                "a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
             )
         return _unlike_itself(warm, side, (person, finger), chosen.matching)
 

@@ -56,8 +56,8 @@ TOUCHES = (".png", ".tif", ".tiff", ".bmp", ".wsq", ".skt")
 _MOST_TOUCHES = 40
 """Files of a folder of touches."""
 _ENDS, _JUDGED_MM2 = (0.015, 1.0), 100.0
-"""Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41, squares
-of 9 mm of them 0.025 to 0.72."""
+"""Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41,
+squares of 9 mm of them 0.025 to 0.72."""
 _LEAST_OF_PRINTS = 1 / 3
 """Of a print so much of the area suffices that surfaces need: small sensors show little, and show it sharply."""
 
