@@ -140,7 +140,7 @@ def mirrored(template: Template) -> Template:
     if found is not None and found.count:
         x, turned = found.size[1] - 1 - found.x_px, (np.pi - found.direction_rad) % (2 * np.pi)
         found = replace(found, x_px=x.astype(np.int32), direction_rad=turned)
-    level, valid = (np.ascontiguousarray(one[:, ::-1]) for one in (template.level, template.valid))
+    level, valid = np.ascontiguousarray(template.level[:, ::-1]), np.ascontiguousarray(template.valid[:, ::-1])
     return replace(template, level=level, valid=valid, minutiae=found)
 
 
