@@ -219,3 +219,13 @@ def test_a_pipe_in_place_of_a_log_holds_nobody(tmp_path: Path, reader: bool) -> 
         make_app(OpenGallery(tmp_path / "g.skg"), TOKEN, tmp_path / "audit")
     if held is not None:
         os.close(held)
+
+
+def test_work_that_takes_too_long_is_answered(service, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = threading.Event()
+    monkeypatch.setattr(serve, "WORK_S", 0.05)
+    monkeypatch.setattr(serve, "_done", lambda *_: ended.wait(30))
+    answer = service.post("/quality", json={"print": "AAAA"})
+    ended.set()
+    assert answer.status_code == 503
+    assert "took more than" in answer.json()["error"]

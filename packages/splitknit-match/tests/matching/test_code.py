@@ -27,7 +27,7 @@ from splitknit_match.matching.code import (
     sampled,
 )
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.matching.template import Template, _failed_template, make_template
+from splitknit_match.matching.template import Template, failed_template, make_template
 
 
 def straight(period_mm: float, direction_deg: float, shape: tuple[int, int] = (220, 200)) -> Template:
@@ -133,11 +133,11 @@ def test_a_code_is_a_direction_of_bytes(templates) -> None:
 
 
 def test_failures_to_acquire() -> None:
-    assert not code_of(_failed_template()).any()
+    assert not code_of(failed_template()).any()
     with pytest.raises(BadInput, match="failure to acquire"):
-        probe_codes(_failed_template())
+        probe_codes(failed_template())
     with pytest.raises(BadInput, match="failure to acquire"):
-        code_field(_failed_template())
+        code_field(failed_template())
 
 
 @pytest.mark.parametrize("wrong", [{"turn_deg": -1.0}, {"right_mm": float("nan")}, {"right_mm": 1e4}])

@@ -186,7 +186,7 @@ def test_nfiq2_tells_good_from_bad(nbis, prints: list[np.ndarray]) -> None:
         (np.zeros((0, 90), np.uint8), 500.0, "uint8"),
         (np.zeros((90, 90), np.uint8), 20.0, "ppi must"),
         (np.zeros((90, 90), np.uint8), float("nan"), "ppi must"),
-        (np.zeros((2000, 90), np.uint8), 100.0, "larger than 8192"),
+        (np.zeros((2000, 90), np.uint8), 100.0, "larger than a finger"),
     ],
 )
 def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> None:

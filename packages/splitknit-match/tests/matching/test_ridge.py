@@ -16,7 +16,7 @@ from splitknit_match.matching import ridge
 from splitknit_match.matching.elastic import PatchSettings
 from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, _median, peaks, ridge_match
 from splitknit_match.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_band
-from splitknit_match.matching.template import Template, _failed_template, make_template
+from splitknit_match.matching.template import Template, failed_template, make_template
 
 
 def test_same_fingers_are_more_similar_than_any_others(impressions, templates) -> None:
@@ -133,7 +133,7 @@ def test_unrolling_helps_against_roll(impressions) -> None:
 
 
 def test_a_failure_to_acquire_is_compared_with_nothing(templates) -> None:
-    found = ridge_match(_failed_template(), templates[0])
+    found = ridge_match(failed_template(), templates[0])
     assert not found.compared
     assert found.similarity == -1.0
 

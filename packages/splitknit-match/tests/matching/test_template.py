@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
 from splitknit_match.matching.ridge_band import ridge_band
-from splitknit_match.matching.template import Template, _failed_template, make_template, pack, unpack
+from splitknit_match.matching.template import Template, failed_template, make_template, pack, unpack
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -71,7 +71,7 @@ def test_a_head_that_promises_much_costs_nothing() -> None:
 
 
 def test_failures_to_acquire_are_empty() -> None:
-    assert pack(_failed_template()) == b""
+    assert pack(failed_template()) == b""
     assert unpack(b"").empty
     rng = np.random.default_rng(0)
     tiny = ridge_band(rng.random((40, 40)).astype(np.float32), np.ones((40, 40), np.bool_), 0.1)

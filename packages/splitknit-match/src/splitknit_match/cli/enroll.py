@@ -98,7 +98,10 @@ class EnrollJob(Job):
             duplicates=self.duplicates, progress=progress,
         )  # fmt: skip
         facts = {**known_json(found.content), "enrolled": known_json(found.enrolled), "alike": known_json(found.alike)}
-        return facts, [*(_words(one, self.keep_images) for one in found.enrolled), *map(_alike, found.alike)]
+        return facts, [
+            *(_words(one, self.keep_images) for one in found.enrolled),
+            *(_alike(one, self.person) for one in found.alike),
+        ]
 
     def _population(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
         from splitknit_match.batch.enrol import enroll_population
@@ -123,9 +126,10 @@ class EnrollJob(Job):
 ENROLL = Verb(EnrollJob)
 
 
-def _alike(one: RankedCandidate) -> str:
+def _alike(one: RankedCandidate, person: str) -> str:
     who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
-    return f"Please note: it matches {who}; is that the same person under another name?"
+    asked = "the same finger, named wrong" if one.person == person else "the same person under another name"
+    return f"Please note: it matches {who}; is that {asked}?"
 
 
 def _words(one: EnrolledCapture, keep: str) -> str:

@@ -164,6 +164,8 @@ def _failure_notes(method: str, *sides: ComparedSide) -> list[str]:
     lacks = "fewer than ten minutiae" if method in (*_MINUTIAE, *_IN_SPACE) else "no ridges"
 
     def note(side: ComparedSide) -> str:
+        if side.note is not None and side.note.startswith("no print of a finger"):
+            return side.note
         small = lacks == "no ridges" and side.kind == "print"
         return "less than 10 mm² of ridges, which a print must show" if small else lacks
 

@@ -101,7 +101,7 @@ class EnrolledCapture:
     new: bool
     """False: the very same source was there already."""
     note: str | None = None
-    """What was changed of a print on reading."""
+    """What was changed of a print on reading, and whether it differs from the finger's earlier captures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ class Enrolment:
     content: GalleryContent
     enrolled: tuple[EnrolledCapture, ...]
     alike: tuple[RankedCandidate, ...] = ()
-    """Other people's fingers that match what was enrolled, best first: is it one person under two names?"""
+    """Other fingers, also of the same person, that match what was enrolled, best first: is one of them named wrong?"""
 
 
 def enroll_files(
@@ -124,12 +124,13 @@ def enroll_files(
     settings: Enrolling,
     key: Key | None = None,
     progress: Progress = no_progress,
-    examine: Callable[[Side], None] | None = None,
+    examine: Callable[[Side], str] | None = None,
 ) -> Enrolment:
     """Enrol sources of one finger, as :func:`splitknit_match.enroll` does.
 
     `session`: by default that of the very same source if it is enrolled already, else the next number. `examine`:
-    called with each finger before anything is written; may refuse it. A source other than a template from which nothing
+    called with each finger before anything is written; may refuse it, or return a note. A source other than a
+    template from which nothing
     was acquired is refused.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
@@ -263,26 +264,25 @@ def _made_of(
     settings: Enrolling,
     of_minutiae: bool = False,
     progress: Progress = no_progress,
-    examine: Callable[[Side], None] | None = None,
+    examine: Callable[[Side], str] | None = None,
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
     side = undoubted(
         read_side(path, settings.preset, settings.matching, progress, settings.input_ppi, where=settings.where)
     )
-    if examine is not None:
-        examine(side)
+    note = " ".join(filter(None, (side.note, "" if examine is None else examine(side)))) or None
     kept = None if settings.keep == "none" else _kept(path, side, settings.keep)
     if of_minutiae:
         minutiae = side_minutiae(side)
         failure = "" if minutiae.acquired else "fewer than ten minutiae"
         payload = pack_minutiae(minutiae) if minutiae.acquired else b""
-        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, side.note)
+        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, note)
     if side.template is None:
         raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
     empty = side.template.empty
     area = 0.0 if empty else round(side.template.area_mm2, 2)
-    failure = "too little skin with ridges" if empty else ""
-    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, side.note)
+    failure = (side.template.lacks or "too little skin with ridges") if empty else ""
+    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, note)
 
 
 def made_or_failed(path: Path, settings: Enrolling) -> Made | str:

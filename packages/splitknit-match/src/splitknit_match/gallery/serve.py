@@ -33,6 +33,8 @@ MAX_BODY = 10_000_000
 """Bytes of a request, at most: a print of 7 MB as base64."""
 PATIENCE_S = 20.0
 """So long may a body take to arrive, and a connection wait without a request that is complete."""
+WORK_S = 60.0
+"""So long may the work of a request take, with its waiting for a free core."""
 MIN_TOKEN = 16
 _FINGER: dict[str, tuple[type, str]] = {
     "print": (str, "file of a print or record (PNG, WSQ, ISO 19794, ISO 39794, ANSI/NIST-ITL ...), base64"),
@@ -62,7 +64,7 @@ def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
         "400": "a bad request, in one sentence",
         "401": "no token",
         "413": "too large",
-        "503": "the audit file cannot be written",
+        "503": "the audit file cannot be written, or the work took too long",
     }
     json_of = {"content": {"application/json": {"schema": {"type": "object"}}}}
     paths = {}
@@ -82,7 +84,7 @@ def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
     return {"openapi": "3.1.0", "info": about, "paths": paths, "components": security, "security": [{"token": []}]}
 
 
-def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:
+def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:  # noqa: PLR0915
     """Make the ASGI application.
 
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not installed.
@@ -92,7 +94,7 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
     log = _Audit(audit)
     require(log.put_down(_line({"act": "start"}, {})), f"the audit file '{audit}' cannot be written; name another one.")
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
-        from anyio import CapacityLimiter, fail_after, to_thread
+        from anyio import CapacityLimiter, fail_after, move_on_after, to_thread
         from starlette.applications import Starlette
         from starlette.requests import ClientDisconnect, Request
         from starlette.responses import JSONResponse
@@ -124,8 +126,12 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
                     code, said = 413, {"error": f"the request has more than {max_body} bytes"}
                 else:
                     about = _asked(name, body)
-                    said = await to_thread.run_sync(_done, name, about, gallery, limiter=limiter)
-                    code = 200
+                    code, said = 503, {"error": f"the work took more than {WORK_S:g} s; it may be done yet: try later"}
+                    with move_on_after(WORK_S):
+                        said = await to_thread.run_sync(
+                            _done, name, about, gallery, abandon_on_cancel=True, limiter=limiter
+                        )
+                        code = 200
             except BadInput as error:
                 code, said = 400, {"error": str(error)}
             except TimeoutError:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +23,7 @@ from splitknit_match.matching.code import CODE_VERSION
 from splitknit_match.matching.inputs import Side, held
 from splitknit_match.matching.match_job import Finger
 from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.template import mirrored
 
 Duplicates = Literal["refuse", "warn", "allow"]
 
@@ -183,7 +184,8 @@ def enroll(
     resolution_ppi : float, optional
         Pixels per inch of arrays.
     duplicates : {"refuse", "warn", "allow"}
-        What to do about a finger that matches another person's, at a false match rate of 1 in 10,000 a comparison:
+        What to do about one that matches another person's (of the person's own fingers it is only said),
+        at a false match rate of 1 in 10,000 a comparison:
         refuse it, report it (the default), or not look. Where both are prints, only the twentieth whose minutiae
         support it best is compared, so that about 2 in 100 such fingers are missed.
     how : Enrolling, optional
@@ -208,13 +210,16 @@ def enroll(
     warm = OpenGallery(gallery, key) if opened is None else opened
     alike: list[RankedCandidate] = []
 
-    def examine(side: Side) -> None:
-        alike.extend(_like_others(warm, side, person, chosen.matching))
-        if alike and duplicates == "refuse":
+    def examine(side: Side) -> str:
+        like = _like_others(warm, side, (person, finger), chosen.matching)
+        alike.extend(like)
+        others = [one for one in like if one.person != person]
+        if others and duplicates == "refuse":
             raise BadInput(
-                f"{side.path} matches {alike[0].finger.replace('_', ' ')} of another person, '{alike[0].person}', at a "
-                "false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
+                f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', at "
+                "a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
             )
+        return _unlike_itself(warm, side, (person, finger), chosen.matching)
 
     try:
         done = enroll_files(
@@ -228,17 +233,43 @@ def enroll(
 
 
 def _like_others(
-    gallery: OpenGallery, side: Side, person: str, matching: MatchingSettings
-) -> Iterable[RankedCandidate]:
-    """Candidates beyond the limit that are of other people; none where no rates are known for what is compared."""
+    gallery: OpenGallery, side: Side, who: tuple[str, str], matching: MatchingSettings
+) -> list[RankedCandidate]:
+    """Candidates beyond the limit that are other fingers; none where no rates are known for what is compared.
+
+    `who`: person and finger.
+    """
     kept = gallery._content()
     of_minutiae = kept.settings_sha256 == MINUTIAE_HASH
     if (
         matching != MatchingSettings()
-        or all(one.entry.person == person for one in kept.kept.values())
+        or all((one.entry.person, one.entry.finger) == who for one in kept.kept.values())
         or (not of_minutiae and side.template is None)
     ):
         return []
-    found = identify_finger(IdentifyJob(kept.path, b"", top=5, search="minutiae"), warm=kept, side=side)
+    found = identify_finger(IdentifyJob(kept.path, b"", top=5, search="minutiae", merge="finger"), warm=kept, side=side)
     limit = found.decision.threshold if found.decision is not None else float("inf")
-    return [one for one in found.candidates if one.person != person and one.similarity >= limit]
+    return [one for one in found.candidates if (one.person, one.finger) != who and one.similarity >= limit]
+
+
+_UNLIKE_FMR = 0.01
+"""Of captures that are called unlike each other: so often other fingers are at least as similar, or more often."""
+
+
+def _unlike_itself(gallery: OpenGallery, side: Side, who: tuple[str, str], matching: MatchingSettings) -> str:
+    """A note where a finger matches none of its earlier captures; person and finger are `who`."""
+    kept = gallery._content()
+    same = [one for one in kept.kept.values() if (one.entry.person, one.entry.finger) == who and one.template_bytes]
+    if not same or matching != MatchingSettings() or side.template is None or kept.settings_sha256 == MINUTIAE_HASH:
+        return ""
+
+    def asked(shown: Side) -> Identification:
+        return identify_finger(IdentifyJob(kept.path, b"", person=who[0], finger=who[1]), warm=kept, side=shown)
+
+    found = asked(side)
+    best = found.candidates[0].fmr if found.candidates else None
+    if found.answer != "no match" or best is None or best < _UNLIKE_FMR:
+        return ""
+    if asked(replace(side, template=mirrored(side.template))).answer == "match":
+        return "it matches its earlier captures only in a mirror: the picture is mirrored; turn it round."
+    return f"it is unlike the {len(same)} earlier captures of this finger: is it another finger?"

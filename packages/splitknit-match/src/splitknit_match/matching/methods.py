@@ -22,7 +22,7 @@ from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings, surface_images
-from splitknit_match.matching.template import VERSION, Template
+from splitknit_match.matching.template import VERSION, Template, mirrored
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:
@@ -221,7 +221,10 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
     }
     found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
     if method == "fusion" and "photo" not in (first.kind, second.kind) and found.fmr is not None:
-        doubt = None if found.answer == "match" else scale_doubt(_template(first), _template(second), job.fmr, own)
+        sides = _template(first), _template(second)
+        doubt = None if found.answer == "match" else scale_doubt(*sides, job.fmr, own)
+        if found.answer == "no match" and doubt is None and _prints_match(mirrored(sides[0]), sides[1], job.fmr, own):
+            doubt = "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
         found = found if doubt is None else replace(found, answer="undecided", undecided=doubt, decision=None)
     written = None if template is None else _written(template, first)
     progress("done", 1.0)
@@ -308,13 +311,18 @@ def doubt_of(side: Side | ComparedSide) -> str | None:
     return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
 
 
+def _prints_match(a: Template, b: Template, fmr: float | None, own: OwnRates | None) -> bool:
+    """Whether two prints match by ridges and minutiae."""
+    found = fused_match(a, b)
+    scores = scores_of("fusion", (a.area_mm2, b.area_mm2), found.minutiae)
+    return rate(found.similarity, scores, found.ridge.overlap_mm2, fmr, own).answer == "match"
+
+
 def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
     """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
     if (sides := at_one_scale(a, b)) is None:
         return None
-    found = fused_match(*sides[:2])
-    scores = scores_of("fusion", (sides[0].area_mm2, sides[1].area_mm2), found.minutiae)
-    if rate(found.similarity, scores, found.ridge.overlap_mm2, fmr, own).answer != "match":
+    if not _prints_match(*sides[:2], fmr, own):
         return None
     apart = 100 * (sides[2] - 1)
     return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
@@ -474,7 +482,9 @@ def _side(side: Side) -> ComparedSide:
     if template is None:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
-    said = ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty, note=side.note)
+    said = ComparedSide(
+        str(side.path), side.kind, template.area_mm2, not template.empty, note=template.lacks or side.note
+    )
     return replace(said, quality=side.quality, doubt=side.doubt)
 
 

@@ -18,7 +18,7 @@ from splitknit import BoolArray, FloatArray, importing, require
 from splitknit_match.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
-    LARGEST_SIDE_PX,
+    LARGEST_MM2,
     MAX_MINUTIAE,
     PPI,
     Minutiae,
@@ -173,10 +173,15 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, len(order)) + body
 
 
+def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:
+    """Whether a print (H, W) is no larger than one finger's."""
+    return print_image.size * (25.4 / ppi) ** 2 <= LARGEST_MM2
+
+
 def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
-    Raises BadInput if the image or the resolution is of another kind, or the print were larger than 8192 pixels.
+    Raises BadInput if the image or the resolution is of another kind, or the print is larger than a finger's.
     """
     image = np.asarray(print_image)
     require(
@@ -185,9 +190,11 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     )
     require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
+    high, wide = (side * 25.4 / ppi for side in image.shape)
     require(
-        max(rows, columns) <= LARGEST_SIDE_PX,
-        f"a print of {rows} x {columns} pixels at 500 ppi is larger than {LARGEST_SIDE_PX}; check its resolution.",
+        is_a_fingers(image, ppi),
+        f"a print of {wide:.0f} x {high:.0f} mm is larger than a finger's ({LARGEST_MM2:.0f} mm²); crop one finger, or "
+        "correct the resolution.",
     )
     if (rows, columns) == image.shape or min(rows, columns) < 1:
         return np.ascontiguousarray(image)

@@ -81,6 +81,9 @@ MIN_MINUTIAE = 10
 MAX_MINUTIAE = 200
 """bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE)."""
 LARGEST_SIDE_PX = 8192
+LARGEST_MM2 = 3600.0
+"""Of one finger: a print with what is white about it, a template's box, a surface. A rolled print has 1,600 (40 x 40
+mm); four fingers side by side have 6,200 and are no print of one. Work and memory (0.4 GB) grow with it."""
 _PACKING = Packing("minutiae", b"SKMI", MINUTIAE_VERSION, "HHH", "extract them from the print again.")
 _ROW = np.dtype([("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")])
 _STEP_RAD = 2 * np.pi / 256

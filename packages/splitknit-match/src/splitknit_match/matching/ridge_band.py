@@ -24,13 +24,14 @@ from splitknit import (
     require,
     sampled_at,
 )
+from splitknit_match.matching.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
 """Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
-_LARGEST_PX = 8_000_000
-"""Largest ridge band with its margins, 280 x 280 mm; it takes 100 bytes a pixel."""
+_LARGEST_PX = 4_000_000
+"""Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,12 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         grid[0] * grid[1] <= _LARGEST_PX,
         f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
         f"surface ({pitch_mm:g} mm).",
+    )
+    area_mm2 = float(mask.sum()) * pitch_mm**2
+    require(
+        area_mm2 <= LARGEST_MM2,
+        f"the surface shows {area_mm2:.0f} mm², more than a finger's {LARGEST_MM2:.0f}; check its pitch "
+        f"({pitch_mm:g} mm).",
     )
     columns, rows, slant_cos = band_places(
         mask, shape_mm, transform, (size[0], size[1]), pitch_mm=pitch_mm, settings=settings

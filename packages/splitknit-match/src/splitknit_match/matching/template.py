@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, require
 from splitknit_match.matching.minutiae_record import (
+    LARGEST_MM2,
     PPI,
     Minutiae,
     holds_minutiae,
@@ -35,7 +36,8 @@ _THRESHOLD, _LEVELS = 0.98, (-1.51, -0.45, 0.45, 1.51)
 _LONG = 65535
 _NO_MINUTIAE = b"SKMI"
 """In place of the minutiae of a print that has none."""
-_LARGEST_SIDE = 2048
+_LARGEST_SIDE, _FINEST_UM = 2048, 50
+"""Rows or columns at most; finer pixels count as if they were so large: work grows with their number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,8 @@ class Template:
     pitch_mm: float
     minutiae: Minutiae | None = None
     """Minutiae of a print; None where none were sought or found."""
+    lacks: str = ""
+    """Why nothing could be acquired, where it is known; not kept."""
 
     @property
     def empty(self) -> bool:
@@ -87,14 +91,21 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     """
     settings = settings or TemplateSettings()
     if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
-        return _failed_template(band.pitch_mm)
+        return failed_template(band.pitch_mm)
     box = bounding_box(band.valid)
     value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
     require(
-        max(valid.shape) <= _LARGEST_SIDE,
+        _is_a_fingers(valid.shape, round(1000 * band.pitch_mm)),
         f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch ({band.pitch_mm:g} mm).",
     )
     return leveled(value, valid, band.pitch_mm)
+
+
+def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
+    """Whether a template of some rows and columns is no larger than one finger's."""
+    rows, columns = shape
+    area_mm2 = rows * columns * max(pitch_um, _FINEST_UM) ** 2 / 1e6
+    return max(shape) <= _LARGEST_SIDE and 0 < area_mm2 <= LARGEST_MM2
 
 
 def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:
@@ -121,6 +132,16 @@ def scaled(template: Template, scale: float) -> Template:
         for one, new, old in zip((found.x_px, found.y_px), sizes[::-1], found.size[::-1], strict=True)
     )
     return replace(larger, minutiae=replace(found, x_px=x, y_px=y, size=sizes))
+
+
+def mirrored(template: Template) -> Template:
+    """The template of the same picture seen in a mirror."""
+    found = template.minutiae
+    if found is not None and found.count:
+        x, turned = found.size[1] - 1 - found.x_px, (np.pi - found.direction_rad) % (2 * np.pi)
+        found = replace(found, x_px=x.astype(np.int32), direction_rad=turned)
+    level, valid = np.ascontiguousarray(template.level[:, ::-1]), np.ascontiguousarray(template.valid[:, ::-1])
+    return replace(template, level=level, valid=valid, minutiae=found)
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
@@ -153,7 +174,7 @@ def print_size(template: Template) -> tuple[int, int]:
     return rows, columns
 
 
-def _failed_template(pitch_mm: float = 0.1) -> Template:
+def failed_template(pitch_mm: float = 0.1) -> Template:
     """Return the template of a failure to acquire."""
     return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
 
@@ -180,12 +201,12 @@ def pack(template: Template) -> bytes:
 def unpack(payload: bytes) -> Template:
     """Read what :func:`pack` wrote. Raises BadInput if the payload is damaged."""
     if not payload:
-        return _failed_template()
+        return failed_template()
     require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")
     wrong = "the template's content contradicts itself; enroll the finger again."
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)
-    require(0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE and pitch_um > 0, wrong)
+    require(height > 0 and width > 0 and pitch_um > 0, wrong)
     require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
     short = np.frombuffer(payload, "<u2", count, _HEAD.size).tolist()
     runs, position = ([], _HEAD.size) if _LONG in short else (short, _HEAD.size + 2 * count)
@@ -199,6 +220,11 @@ def unpack(payload: bytes) -> Template:
             position += 4
         runs.append(length)
     require(sum(runs) == height * width and all(runs[1:]), wrong)
+    require(
+        _is_a_fingers((height, width), pitch_um),
+        f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width} pixels, more than a "
+        f"finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
+    )
     flat = np.repeat(np.arange(count) % 2 == 1, runs)
     known = int(flat.sum())
     end = position + (known + 3) // 4

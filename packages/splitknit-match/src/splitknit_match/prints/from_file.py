@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit import BadInput, BoolArray, FloatArray, PrintFile, fill_holes, largest_component, read_print_png, require
-from splitknit_match.matching.minutiae import at_500_ppi
+from splitknit_match.matching.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
@@ -27,6 +27,8 @@ USUAL_PERIOD_MM = 0.46
 """Between ridges of adults' fingers; people differ by 8 %."""
 MIN_PPI, MAX_PPI = 200.0, 5080.0
 """Below there are no ridges (telephones and browsers state 72 and 96, of screens); no scanner is above."""
+_FINE_PPI = 1000.0
+"""Above, the level of ridges is sought in a copy of 500 ppi."""
 _MIN_SIDE_PX = 40
 _TILE_PX = 32
 """Side of a tile in whose spectrum ridges are sought."""
@@ -250,6 +252,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
     require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
+    require(not pressed.lacks, f"the picture shows {pressed.lacks}; name a print.")
     ppi = item.resolution_ppi or PPI
     rows, columns = item.image.shape
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
@@ -264,13 +267,18 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
 
     Where a finger does not touch, a picture looks as its valleys do; its rim fades out towards that.
     """
-    side = max(2, round(8 * (item.resolution_ppi or PPI) / PPI))
-    n, m = (size // side for size in item.image.shape)
+    ppi, image = item.resolution_ppi or PPI, item.image
+    if not is_a_fingers(image, ppi):  # is refused where it is used
+        return item
+    if ppi > _FINE_PPI:  # work grows with the pixels
+        image, ppi = at_500_ppi(image, ppi), PPI
+    side = max(2, round(8 * ppi / PPI))
+    n, m = (size // side for size in image.shape)
     in_doubt = dataclasses.replace(item, note=" ".join(filter(None, (item.note, _DOUBT))))
     if min(n, m) < 8:
         return in_doubt
-    framed = frame(item.image)
-    image = item.image[: n * side, : m * side].astype(np.float32)
+    framed = frame(image)
+    image = image[: n * side, : m * side].astype(np.float32)
     mean, square = (cv2.resize(one, (m, n), interpolation=cv2.INTER_AREA) for one in (image, image * image))
     there = ~framed[: n * side, : m * side].reshape(n, side, m, side).any(axis=(1, 3))
     deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * there

@@ -30,6 +30,8 @@ from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
 SIGNATURES = (PNG[:4], JPEG_SIGNATURE, *TIFFS, BMP_SIGNATURE)
 """First bytes of the files that :func:`decode_print_image` reads."""
 KINDS = "PNG, TIFF, JPEG and BMP"
+_MAX_PIXELS = 64_000_000
+"""Of a print or a page of prints at most: A4 at 1000 ppi, nearly; larger ones fill the memory."""
 _METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
 _APP0 = 0xE0
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
@@ -115,6 +117,9 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     photo = decode_photo(data, name)
+    rows, columns = photo.pixels.shape[:2]
+    large = f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of prints; reduce it."
+    require(rows * columns <= _MAX_PIXELS, large)
     text: dict[str, str] = {}
     if data.startswith(PNG):
         stated, text = _png_facts(data)
@@ -131,6 +136,7 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     ppi = max(x, y)
     size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
     require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
+    require(size[0] * size[1] <= _MAX_PIXELS, large)
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
     return PrintFile(square, ppi, text, note=note)
@@ -141,7 +147,7 @@ def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
     require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
     require(not is_coloured(pixels), f"{name} is a colour image, not an 8-bit grey image; save the print as one.")
     grey = pixels[..., pixels.shape[2] // 2]
-    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey.astype(np.uint32) + 128) // 257, np.uint8)
+    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else grey // 257 + (grey % 257 > 128), np.uint8)
 
 
 def is_coloured(pixels: NDArray[Any]) -> bool:

@@ -1,0 +1,141 @@
+"""What is no print of a finger is not acquired, and what is larger than one costs nothing: refused before its band."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import splitknit_match
+from splitknit.errors import BadInput
+from splitknit.io.prints import write_print_png
+from splitknit_match.matching import inputs
+from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.template import mirrored, unpack
+
+from test_open_gallery import press  # isort: skip
+
+Grid = np.ndarray
+
+
+def picture(wave: Callable[[Grid, Grid], Grid], seed: int = 0) -> np.ndarray:
+    """A wave of -1 to 1 on 400 x 400 pixels, with noise."""
+    y, x = np.mgrid[:400, :400].astype(np.float32)
+    noise = 6 * np.random.default_rng(seed).standard_normal(x.shape)
+    return np.clip(127 + 100 * wave(x, y) + noise, 0, 255).astype(np.uint8)
+
+
+def bars(x: Grid, y: Grid) -> Grid:
+    widths = np.random.default_rng(3).integers(1, 4, 400) * 4
+    return np.broadcast_to(2.0 * np.repeat(np.arange(400) % 2, widths)[:400] - 1, x.shape)
+
+
+def blocks(x: Grid, y: Grid) -> Grid:
+    return np.kron(np.random.default_rng(4).integers(0, 2, (50, 50)) * 2.0 - 1, np.ones((8, 8)))
+
+
+def labyrinth(x: Grid, y: Grid) -> Grid:
+    values = np.random.default_rng(5).standard_normal(x.shape).astype(np.float32)
+    for _ in range(30):
+        narrow, wide = (cv2.GaussianBlur(values, (0, 0), 9 * sigma) for sigma in (0.2, 0.45))
+        values = np.tanh(3 * (narrow - wide) / (narrow - wide).std())
+    return values
+
+
+@pytest.mark.parametrize(
+    ("wave", "words"),
+    [
+        (lambda x, y: np.sin(0.7 * x + 0.3 * y), "run straight on"),
+        (bars, "run straight on"),
+        (lambda x, y: np.sin(0.7 * np.hypot(x - 200, y - 260)), "lines end or fork"),
+        (labyrinth, "break off"),
+        (blocks, ""),
+    ],
+)
+def test_lines_that_are_no_ridges_are_not_acquired(wave: Callable[[Grid, Grid], Grid], words: str) -> None:
+    found = print_template(picture(wave))
+    assert found.empty
+    assert words in found.lacks
+
+
+def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
+    stripes = picture(lambda x, y: np.sin(0.7 * x))
+    with pytest.raises(BadInput, match="no print of a finger: its lines run straight on"):
+        splitknit_match.enroll(tmp_path / "g.skg", stripes, "Ann", "right_index", resolution_ppi=500)
+    assert not (tmp_path / "g.skg").exists()
+    found = splitknit_match.match(stripes, press(1), resolution_ppi=500)
+    assert found.answer == "not acquired"
+    assert found.a.note is not None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_prints_of_fingers_are_acquired(seed: int) -> None:
+    assert not print_template(press(seed)).empty
+
+
+def test_small_prints_are_not_judged_by_their_lines() -> None:
+    small = picture(lambda x, y: np.sin(0.7 * x))[:110, :110]
+    assert not print_template(small).lacks
+
+
+@pytest.mark.parametrize("verb", ["match", "make_template", "enroll", "identify"])
+def test_a_large_print_is_refused_before_anything_is_made_of_it(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("a band was made")
+
+    file, gallery = tmp_path / "stripes.png", tmp_path / "g.skg"
+    write_print_png(file, np.tile(picture(lambda x, y: np.sin(0.7 * x)), (5, 5)), 500.0)
+    if verb == "identify":
+        splitknit_match.enroll(gallery, press(1), "Ann", "right_index", resolution_ppi=500)
+    monkeypatch.setattr(inputs, "print_band", never)
+    monkeypatch.setattr("splitknit_match.prints.pressed.pressed_ridges", never)
+    monkeypatch.setattr("splitknit_match.prints.from_file.pressed_ridges", never)
+    calls = {
+        "match": lambda: splitknit_match.match(file, file),
+        "make_template": lambda: splitknit_match.make_template(file),
+        "enroll": lambda: splitknit_match.enroll(gallery, file, "Ann", "right_index"),
+        "identify": lambda: splitknit_match.identify(gallery, file),
+    }
+    with pytest.raises(BadInput, match="larger than a finger's"):
+        calls[verb]()
+
+
+def test_a_large_template_is_refused() -> None:
+    side, packed = 2048, bytes(2048 * 2048 // 4)
+    head = struct.pack("<HHIH", side, side, 2, 100) + struct.pack("<HHI", 0, 65535, side * side)
+    with pytest.raises(BadInput, match=r"41943 mm².*more than a finger's"):
+        unpack(head + packed)
+
+
+def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
+    one, other = press(1), press(1, 9, 12.0)
+    template = print_template(one)
+    twice = mirrored(mirrored(template))
+    assert np.array_equal(twice.level, template.level)
+    assert twice.minutiae is not None and template.minutiae is not None
+    assert np.array_equal(twice.minutiae.x_px, template.minutiae.x_px)
+    flipped = np.ascontiguousarray(other[:, ::-1])
+    found = splitknit_match.match(one, flipped, resolution_ppi=500)
+    assert found.answer == "undecided"
+    assert "mirrored" in str(found.undecided)
+    gallery = tmp_path / "g.skg"
+    splitknit_match.enroll(gallery, one, "Ann", "right_index", resolution_ppi=500)
+    done = splitknit_match.enroll(gallery, flipped, "Ann", "right_index", resolution_ppi=500)
+    assert "only in a mirror" in str(done.enrolled[0].note)
+
+
+def test_a_finger_named_wrong_gets_a_note(tmp_path: Path) -> None:
+    gallery = tmp_path / "g.skg"
+    splitknit_match.enroll(gallery, press(1), "Ann", "right_index", resolution_ppi=500)
+    same = splitknit_match.enroll(gallery, press(1), "Ann", "left_index", resolution_ppi=500, duplicates="refuse")
+    assert [(one.person, one.finger) for one in same.alike] == [("Ann", "right_index")]
+    again = splitknit_match.enroll(gallery, press(1, 9, 12.0), "Ann", "right_index", resolution_ppi=500)
+    assert again.enrolled[0].note is None or "unlike" not in again.enrolled[0].note
+    other = splitknit_match.enroll(gallery, press(2), "Ann", "right_index", resolution_ppi=500)
+    assert "unlike" in str(other.enrolled[0].note)
