@@ -141,8 +141,8 @@ def run_batch(
 
     A population that is still being filled is taken as far as it is complete, and a later run takes the rest. A run may
     be killed at any time; the next one goes on. Raises Refused, when all else is done, if captures cannot be read: they
-    get no row, and the next run looks at them again. Raises BadInput if the population holds no capture, the store is of
-    something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
+    get no row, and the next run looks at them again. Raises BadInput if the population holds no capture, the store is
+    of something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
     must not be used.
 
     population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
