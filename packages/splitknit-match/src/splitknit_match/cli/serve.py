@@ -41,15 +41,19 @@ class ServeJob(Job):
         cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
         require(self.host in LOCAL or self.certificate is not None, f"'{self.host}' is not this machine alone; {cure}")
         token = read_token(path(self.token_file))
-        for what, file in (("token", self.token_file), ("key file", self.key_file), ("key", self.certificate_key)):
-            if file is not None and os.name == "posix" and path(file).stat().st_mode & 0o077:
-                fault = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
-                print(printable(f"Please note: {fault}"), file=sys.stderr)
         scheme = "http" if self.certificate is None else "https"
-        words = printable(f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it.")
+
+        def ready() -> None:
+            for what, file in (("token", self.token_file), ("key file", self.key_file), ("key", self.certificate_key)):
+                if file is not None and os.name == "posix" and path(file).stat().st_mode & 0o077:
+                    fault = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
+                    print(printable(f"Please note: {fault}"), file=sys.stderr)
+            words = f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it."
+            print(printable(words), file=sys.stderr, flush=True)
+
         with OpenGallery.open(path(self.gallery), key_of(path(self.key_file))) as gallery:
             app, tls = make_app(gallery, token, path(self.audit)), (path(self.certificate), path(self.certificate_key))
-            serve(app, impatient(), (self.host, self.port), tls, lambda: print(words, file=sys.stderr, flush=True))
+            serve(app, impatient(), (self.host, self.port), tls, ready)
         return {}, []
 
 
@@ -57,6 +61,7 @@ def impatient() -> type:
     """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s, or take no answer for 20 s,
     are closed.
     """
+    import h11
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     from splitknit_match.gallery import serve
@@ -70,6 +75,8 @@ def impatient() -> type:
         def data_received(self, data: bytes) -> None:
             if not self.transport.is_closing():
                 super().data_received(data)
+                if self.conn.their_state is h11.DONE and self.conn.trailing_data[0]:
+                    self.cycle.keep_alive = False  # more was asked before the answer: one is given, not thousands
 
         def pause_writing(self) -> None:
             super().pause_writing()
@@ -80,8 +87,9 @@ def impatient() -> type:
             self.untaken.cancel()
 
         def shutdown(self) -> None:
-            """End without a request that has not come as a whole."""
-            if self.cycle is not None and self.cycle.more_body and not self.cycle.response_complete:
+            """End without a request that has not come as a whole, or an answer that is not taken."""
+            coming = self.cycle is not None and self.cycle.more_body and not self.cycle.response_complete
+            if coming or self.transport.get_write_buffer_size():
                 self.transport.abort()
             else:
                 super().shutdown()

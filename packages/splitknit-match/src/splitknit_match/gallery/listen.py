@@ -19,7 +19,7 @@ from splitknit import UNFINISHED, BadInput, importing
 from splitknit_match.gallery.serve import PATIENCE_S
 
 MOST = 64
-"""Connections at a time. Beyond them the oldest is let go that waits for no answer."""
+"""Connections at a time. Beyond them the oldest that waits for no answer is let go; where all wait, 16 more come in."""
 STOP_S = 10.0
 """So long may what is at work take when the service is to end (a search of 10,000 fingers: 0.03 s, the first 18 s)."""
 FAREWELL_S = 1.0
@@ -36,7 +36,7 @@ def serve(
     with importing("serving needs uvicorn: pip install 'splitknit-match[serve]'."):
         import uvicorn
     config = uvicorn.Config(
-        app, log_level="warning", access_log=False, server_header=False, limit_concurrency=MOST + 1,
+        app, log_level="warning", access_log=False, server_header=False, limit_concurrency=MOST + 16,
         timeout_keep_alive=5, timeout_graceful_shutdown=round(STOP_S), http=protocol,
         h11_max_incomplete_event_size=65_536, ssl_certfile=tls[0], ssl_keyfile=tls[1],
         ssl_keyfile_password="none",  # else OpenSSL asks at the terminal
@@ -75,11 +75,16 @@ class _Door(socket.socket):
     """A socket that listens, of a service whose `state` knows who waits for an answer."""
 
     state: Any = None
+    full = False
 
     def accept(self) -> tuple[socket.socket, Any]:
+        if self.full:  # asyncio takes all that wait at once: first it closes who was let go
+            self.full = False
+            raise BlockingIOError
         accepted, client = super().accept()
         taken: list[socket.socket] = [one for one in self.state.taken if one.fileno() >= 0]
-        if len(taken) >= MOST:
+        self.full = len(taken) >= MOST
+        if self.full:
             waiting = {
                 one.transport.get_extra_info("socket").fileno()
                 for one in self.state.connections
