@@ -88,7 +88,8 @@ def impatient() -> type:
 
         def shutdown(self) -> None:
             """End without a request that has not come as a whole, or an answer that is not taken."""
-            coming = self.cycle is not None and self.cycle.more_body and not self.cycle.response_complete
+            cycle: Any = self.cycle  # None before the first request
+            coming = cycle is not None and cycle.more_body and not cycle.response_complete
             if coming or self.transport.get_write_buffer_size():
                 self.transport.abort()
             else:
