@@ -15,6 +15,7 @@ from batch_stores import EA, chunks, pairs_of
 from splitknit.errors import BadInput
 from splitknit.finger.ridges import relief_print
 from splitknit.io.capture import read_capture
+from splitknit.io.images import read_image, write_image
 from splitknit.io.prints import read_print_png
 from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
@@ -161,14 +162,14 @@ def test_a_growing_population_is_taken_as_it_comes(people: Path, store: Path, tm
 def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> None:
     spoiled = tmp_path / "people"
     shutil.copytree(people, spoiled)
-    document = spoiled / "S01" / "session_1" / "right_index" / "capture.json"
-    (document.parent / "white_0.png").unlink()
+    image = spoiled / "S01" / "session_1" / "right_index" / "white_0.png"
+    write_image(image, np.zeros_like(read_image(image)))
     small = replace(EA, matching=MatchingSettings(template=TemplateSettings(least_area_mm2=1e6)))
     facts = run_batch(spoiled, tmp_path / "out", small, jobs=1)
     assert len(facts["failures"]) == 4
     table = Store(tmp_path / "out").features("ea")
     assert table.column("acquired").to_pylist() == [False] * 4
-    assert table.column("failure")[0].as_py().startswith("S01/session_1/right_index/white_0.png")
+    assert table.column("failure")[0].as_py().startswith("white_0.png is black")
     assert "too small" in table.column("failure")[1].as_py()
     assert table.column("print")[0].as_py() is None
     assert table.column("print")[1].as_py() is not None

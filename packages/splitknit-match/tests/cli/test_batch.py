@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,53 @@ def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: 
     for option in ("--cases", "--matchers"):
         assert main([*words, option, " , "]) == 2
         assert f"{option} needs a name at least" in capsys.readouterr().err
+
+
+def test_a_damaged_copy_is_named_and_done_again(
+    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copy that broke off is no failure to acquire: the others are done, and the next run finds it whole."""
+    copies, store = tmp_path / "people", tmp_path / "store"
+    shutil.copytree(people, copies)
+    words = ["batch", str(copies), "--out", str(store), "--cases", "ea", "--jobs", "1", "--matchers", "ridge", "--json"]
+    whole = {}
+    for name in ("S01/session_1/right_index/white_0.png", "S02/session_2/right_index/white_3.png"):
+        whole[copies / name] = (copies / name).read_bytes()
+        (copies / name).write_bytes(whole[copies / name][:5000])
+    for done in (2, 0):  # and once more, while nothing was repaired
+        assert main(words) == 2
+        out, err = capsys.readouterr()
+        facts = json.loads(out)
+        assert (facts["captures"], facts["reconstructed"], facts["failures"]) == (4, done, [])
+        named = [one["capture"] for one in facts["unreadable"]]
+        assert named == ["S01/session_1/right_index", "S02/session_2/right_index"]
+        assert err.count("\n") == 1 and "2 of 4 captures cannot be read (first: S01/session_1/right_index" in err
+        assert str(tmp_path) not in err and "the others are done" in err
+        assert [one["compared"] for one in facts["scores"]] == [done // 2]
+    for file, content in whole.items():
+        file.write_bytes(content)
+    assert main(words) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["reconstructed"], facts["found"], facts["unreadable"]) == (2, 2, [])
+    assert facts["scores"][0]["compared"] == 3
+    words[3] = str(tmp_path / "another")
+    assert main(words) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert Path(again["csv"][0]).read_bytes() == Path(facts["csv"][0]).read_bytes()
+
+
+def test_of_damaged_copies_alone_nothing_is_kept(
+    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copies = tmp_path / "people"
+    shutil.copytree(people, copies)
+    for file in copies.rglob("white_1.png"):
+        file.write_bytes(b"")
+    assert main(["batch", str(copies), "--out", str(tmp_path / "store"), "--cases", "ea", "--jobs", "1"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1
+    assert "4 of 4 captures cannot be read" in err and "not compared" in err
+    assert list(tmp_path.rglob("*.parquet")) == []
 
 
 def test_cases_of_ones_own() -> None:

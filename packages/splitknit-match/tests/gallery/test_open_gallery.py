@@ -97,6 +97,91 @@ def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypat
         assert "ann" not in [one.person for one in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates]
 
 
+@pytest.mark.parametrize("how", ["moved over it", "copied over it", "removed and written"])
+def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, how: str) -> None:
+    file, other = tmp_path / "people.skg", tmp_path / "other.skg"
+    for place, names in ((file, ("ann", "zoe")), (other, ("bob", "zoe"))):  # as many changes, and of one size
+        for name in names:
+            finger = prints[name] if name != "zoe" else press(3)
+            splitknit_match.enroll(place, finger, name if name == "zoe" else "x", "right_index", resolution_ppi=PPI)
+    with splitknit_match.OpenGallery.open(file) as gallery:
+        assert gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
+        content = other.read_bytes()
+        if how == "moved over it":
+            other.rename(file)
+        else:
+            if how.startswith("removed"):
+                file.unlink()
+            file.write_bytes(content)
+        assert not gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
+        assert gallery.identify(prints["bob again"], resolution_ppi=PPI).decision.match
+
+
+def test_a_file_that_is_gone_is_not_searched(prints, tmp_path: Path) -> None:
+    file = tmp_path / "people.skg"
+    splitknit_match.enroll(file, prints["ann"], "ann", "right_index", resolution_ppi=PPI)
+    with splitknit_match.OpenGallery.open(file) as gallery:
+        file.rename(tmp_path / "away")
+        for call in (
+            lambda: gallery.identify(prints["ann again"], resolution_ppi=PPI),
+            lambda: gallery.enroll(prints["bob"], "bob", "right_index", resolution_ppi=PPI),
+            lambda: len(gallery),
+        ):
+            with pytest.raises(BadInput, match="is gone"):
+                call()
+        assert not file.exists()
+        (tmp_path / "away").rename(file)
+        assert gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
+
+
+@pytest.mark.parametrize("duplicates", ["refuse", "warn"])
+def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: str) -> None:
+    """Whoever comes first: of several who look at the same time one is enrolled, and the others hear of it."""
+    template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI).payload
+    told: list[object] = []
+
+    def enrol(gallery, name: str) -> None:
+        start.wait()
+        try:
+            told.append(len(gallery.enroll(template, name, "right_index", duplicates=duplicates).alike))
+        except BadInput as error:
+            told.append(str(error))
+
+    for trial in range(3):
+        with splitknit_match.OpenGallery.open(tmp_path / f"{trial}.skg") as gallery:
+            if trial > 0:
+                gallery.enroll(prints["bob"], "bob", "left_thumb", resolution_ppi=PPI)
+            told.clear()
+            start = threading.Barrier(3)
+            threads = [threading.Thread(target=enrol, args=(gallery, name)) for name in ("eve", "ivy", "kim")]
+            for one in threads:
+                one.start()
+            for one in threads:
+                one.join()
+            if duplicates == "warn":
+                assert sorted(told) == [0, 1, 2]
+            else:
+                assert told.count(0) == 1 and sum("of another person" in str(one) for one in told) == 2, told
+                assert len(gallery) == (1 if trial == 0 else 2)
+
+
+def test_what_is_put_down_comes_before_the_finger(prints, tmp_path: Path) -> None:
+    file, seen = tmp_path / "people.skg", list[int]()
+    splitknit_match.enroll(file, prints["bob"], "bob", "right_index", resolution_ppi=PPI)
+
+    def refuse() -> None:
+        raise BadInput("no line, no finger.")
+
+    with splitknit_match.OpenGallery.open(file) as gallery, splitknit_match.OpenGallery.open(file) as another:
+        with pytest.raises(BadInput, match="no line"):
+            gallery.enroll(prints["ann"], "ann", "right_index", resolution_ppi=PPI, put_down=refuse)
+        assert len(gallery) == 1
+        gallery.enroll(
+            prints["ann"], "ann", "right_index", resolution_ppi=PPI, put_down=lambda: seen.append(len(another))
+        )
+        assert (seen, len(another)) == ([1], 2)
+
+
 def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
     with splitknit_match.OpenGallery.open(tmp_path / "g.skg") as gallery:
         for name in ("ann", "bob"):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import datetime
 import json
 import os
 import random
 import socket
+import ssl
+import struct
 import subprocess
 import sys
 import threading
@@ -209,6 +212,172 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
     assert service.post("/quality", json={"print": good["print"]}).status_code == 200
     acts = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()]
     assert [(act["act"], act.get("person")) for act in acts] == [("start", None), ("enroll", "Ann"), ("quality", None)]
+
+
+def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(service, tmp_path: Path) -> None:
+    good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
+    probe = {"print": sent(press(1, 9, 12.0))}
+    answers = [service.post("/identify", json=probe), service.post("/enroll", json=good)]
+    answers += [service.post("/identify", json=probe), service.post("/verify", json={**probe, "person": "Bob"})]
+    answers += [service.post("/enroll", json={**good, "print": sent(press(2)), "session": "1"})]
+    (tmp_path / "people.skg").rename(tmp_path / "away")
+    answers += [service.post("/identify", json=probe), service.post("/enroll", json=good)]
+    assert not (tmp_path / "people.skg").exists()
+    (tmp_path / "away").rename(tmp_path / "people.skg")
+    answers += [service.post("/identify", json=probe)]
+    assert [one.status_code for one in answers] == [400, 200, 200, 400, 400, 503, 503, 200]
+    assert answers[2].json()["gallery"] == "people.skg" and answers[-1].json()["decision"]["match"]
+    assert "'people.skg' is gone" in answers[5].json()["error"]
+    assert not [one.text for one in answers if str(tmp_path) in one.text or str(tmp_path.resolve()) in one.text]
+
+
+def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
+    name = "\N{MUSICAL SYMBOL G CLEF}" * 100_000
+    fields = {"finger": "right_index", "template": base64.b64encode(b"x").decode(), "person": name}
+    answers = [service.post("/enroll", json=fields)]
+    answers += [service.post("/verify", json={"person": name, "template": fields["template"]})]
+    assert [one.status_code for one in answers] == [400, 400]
+    lines = (tmp_path / "audit").read_bytes().splitlines()
+    assert len(lines) == 3 and max(map(len, lines)) < 1500 and max(len(one.content) for one in answers) < 500
+
+
+@contextlib.contextmanager
+def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] = ()):
+    """The command as a process of its own; its port, and where it writes."""
+    with socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        port = place.getsockname()[1]
+    command = [*before, sys.executable, "-m", "splitknit", "serve", "--gallery", str(folder / "people.skg")]
+    command += ["--port", str(port), *words, *(certificate(folder) if tls else [])]
+    environment = {**os.environ, "SPLITKNIT_SERVE_TOKEN": TOKEN}
+    with (folder / "said").open("wb") as said, subprocess.Popen(command, env=environment, stderr=said) as process:
+        try:
+            for _ in range(600):
+                if b"Serving" in (folder / "said").read_bytes() or process.poll() is not None:
+                    break
+                time.sleep(0.1)
+            yield process, port
+        finally:
+            process.kill()
+
+
+def certificate(folder: Path) -> list[str]:
+    """Options for TLS with a certificate that is valid for an hour."""
+    x509 = pytest.importorskip("cryptography.x509")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key, name = ec.generate_private_key(ec.SECP256R1()), x509.Name([])
+    now = datetime.datetime.now(datetime.UTC)
+    made = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(1)
+    made = made.not_valid_before(now).not_valid_after(now + datetime.timedelta(hours=1)).sign(key, hashes.SHA256())
+    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    (folder / "chain.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    (folder / "key.pem").write_bytes(key.private_bytes(*form))
+    (folder / "key.pem").chmod(0o600)
+    return ["--certificate", str(folder / "chain.pem"), "--certificate-key", str(folder / "key.pem")]
+
+
+def connected(port: int, tls: bool) -> socket.socket:
+    plain = socket.create_connection(("127.0.0.1", port), 10)
+    if not tls:
+        return plain
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context.wrap_socket(plain)
+
+
+@pytest.mark.parametrize("tls", [True, False])
+def test_clients_that_are_silent_or_deaf_keep_nobody_out_and_do_not_hold_the_end(tmp_path: Path, tls: bool) -> None:
+    with served(tmp_path, tls=tls) as (process, port), contextlib.ExitStack() as stack:
+        for _ in range(200):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), 10))
+        started = time.monotonic()
+        with connected(port, tls) as client:
+            client.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n")
+            assert client.recv(15) == b"HTTP/1.1 200 OK"
+        assert time.monotonic() - started < 5
+        with connected(port, tls) as deaf, pytest.raises(OSError):  # let go, not waited for
+            for _ in range(3000):
+                deaf.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n" * 100)
+        idle, half = connected(port, tls), connected(port, tls)
+        head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: 90000\r\n\r\n"
+        half.sendall(head.encode() + b"{" * 70_000)
+        time.sleep(0.3)
+        process.terminate()
+        assert process.wait(8) == 0
+        idle.close()
+        half.close()
+    said = (tmp_path / "said").read_text()
+    assert len(said) < 1000 and "Traceback" not in said
+
+
+def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> None:
+    body = json.dumps({"print": sent(press(1))}).encode()
+    head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: {len(body)}\r\n\r\n"
+    with served(tmp_path) as (process, port):
+        for _ in range(4):
+            client = connected(port, True)
+            client.sendall(head.encode() + body)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # as of one that is killed
+            client.close()
+        process.terminate()
+        assert process.wait(20) == 0
+    assert "Traceback" not in (tmp_path / "said").read_text()
+
+
+def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
+    """A certificate that does not fit, a key that is locked, a port that is taken; a note of an open token."""
+    options, token = certificate(tmp_path), tmp_path / "token"
+    (tmp_path / "locked.pem").write_bytes(
+        b"-----BEGIN ENCRYPTED PRIVATE KEY-----\n"
+        + base64.b64encode(bytes(99))
+        + b"\n-----END ENCRYPTED PRIVATE KEY-----\n"
+    )
+    token.write_text(TOKEN)
+    token.chmod(0o644)
+    for words in (
+        [*options[:3], str(tmp_path / "locked.pem")],
+        [*options[:3], str(token)],
+        ["--certificate", "none", *options[2:]],
+    ):
+        with served(tmp_path, *words, tls=False) as (process, _):
+            assert process.wait(20) == 2
+        said = (tmp_path / "said").read_text()
+        assert said.count("\n") == 1 and "name PEM files" in said, said
+    with served(tmp_path, "--token-file", str(token), tls=False) as (first, port):
+        assert "Please note: the token" in (tmp_path / "said").read_text()
+        (tmp_path / "second").mkdir()
+        with served(tmp_path / "second", "--port", str(port), tls=False) as (second, _):
+            assert second.wait(20) == 2
+        said = (tmp_path / "second" / "said").read_text()
+        assert said.count("\n") == 1 and "cannot listen at port" in said and "Serving" not in said
+        first.terminate()
+        assert first.wait(8) == 0
+
+
+def test_a_full_disk_is_no_fault_of_the_client(tmp_path: Path) -> None:
+    mounted = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size=80k none {tmp_path / "small"} && exec "$@"', "sh")
+    (tmp_path / "small").mkdir()
+    try:
+        subprocess.run([*mounted, "true"], check=True, capture_output=True, timeout=20)
+    except (OSError, subprocess.SubprocessError):
+        pytest.skip("no small disk can be mounted here")
+    gallery = ("--gallery", str(tmp_path / "small" / "people.skg"), "--audit", str(tmp_path / "audit"))
+    with served(tmp_path, *gallery, tls=False, before=mounted) as (_, port), httpx.Client() as client:
+        client.base_url, client.headers["Authorization"] = f"http://127.0.0.1:{port}", f"Bearer {TOKEN}"
+        answers = []
+        for seed in range(1, 20):
+            fields = {"person": str(seed), "finger": "right_index", "print": sent(press(seed))}
+            answers.append(client.post("/enroll", json=fields, timeout=60))
+            if answers[-1].status_code != 200:
+                break
+        assert answers[-1].status_code == 503 and "is full" in answers[-1].json()["error"], answers[-1].text
+        assert str(tmp_path) not in answers[-1].text
+        found = client.post("/identify", json={"print": sent(press(1, 9, 12.0))}, timeout=60)
+        assert found.status_code == 200 and found.json()["searched"]["captures"] == len(answers) - 1
+    acts = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()][1:-1]
+    assert [one["status"] for one in acts if one["person"] == str(len(answers))][-1] == 503
 
 
 @pytest.mark.parametrize("reader", [False, True])

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from splitknit import (
     BadInput,
     Progress,
+    Refused,
     check_file,
     given_folders,
     hold,
@@ -139,8 +140,9 @@ def run_batch(
     """Do what the store lacks; return the facts.
 
     A population that is still being filled is taken as far as it is complete, and a later run takes the rest. A run may
-    be killed at any time; the next one goes on. Raises BadInput if the population holds no capture, the store is of
-    something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
+    be killed at any time; the next one goes on. Raises Refused, when all else is done, if captures cannot be read: they
+    get no row, and the next run looks at them again. Raises BadInput if the population holds no capture, the store is
+    of something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
     must not be used.
 
     population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
@@ -175,12 +177,27 @@ def run_batch(
             sweep(folder)
             stack.callback(sweep, folder)  # of a worker that an interrupt ended
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
-        facts = _reconstruct(run) | {"scores": _match(run)}
-        for (case, name), file in tables.items():
-            progress(f"{case}: {name}, CSV", 1.0)
-            _write_csv(file, run.store.scores(case, name))
+        facts = {"out": str(out), **_reconstruct(run)}
+        try:
+            facts["scores"] = _match(run)
+            for (case, name), file in tables.items():
+                progress(f"{case}: {name}, CSV", 1.0)
+                _write_csv(file, run.store.scores(case, name))
+        except BadInput as error:
+            _require_readable(facts, f"the others are reconstructed, but not compared ({str(error).rstrip('.')})")
+            raise
     facts |= {"csv": [str(file) for file in tables.values()], "peak_memory_mb": max(run.peaks_mb, default=None)}
-    return {"out": str(out), **facts, "seconds": time.perf_counter() - started}
+    facts["seconds"] = time.perf_counter() - started
+    _require_readable(facts, "the others are done")
+    return facts
+
+
+def _require_readable(facts: dict[str, Any], others: str) -> None:
+    unread = facts["unreadable"]
+    if unread:
+        first = f"{unread[0]['capture']}: {unread[0]['reason'].rstrip('.')}"
+        fault = f"{len(unread)} of {facts['captures']} captures cannot be read (first: {first}), {others}"
+        raise Refused(f"{fault}; copy them again, or remove them, and run the same again.", facts)
 
 
 def _reconstruct(run: _Run) -> dict[str, Any]:
@@ -188,13 +205,15 @@ def _reconstruct(run: _Run) -> dict[str, Any]:
     tasks = _feature_tasks(run.store, run.population, run.settings)
     sizes = [sum(len(names) for _, names in task.cases) for task in tasks]
     results = run.done(reconstruct_group, tasks, "reconstructing", sizes)
+    unread = sorted(one for result in results for one in result.unreadable)
     return {
         "captures": len(run.population.captures),
         "planned": run.population.planned,
         "cases": [case.name for case in run.settings.cases],
-        "reconstructed": sum(sizes),
+        "reconstructed": sum(result.size for result in results),
         "found": len(run.population.captures) * len(run.settings.cases) - sum(sizes),
         "failures": sorted(failure for result in results for failure in result.failures),
+        "unreadable": [{"capture": capture, "reason": reason} for capture, reason in unread],
         "reconstruction_s": time.perf_counter() - started,
     }
 

@@ -125,6 +125,7 @@ class TaskDone:
     size: int  # reconstructions, comparisons, or chunks
     seconds: float = 0.0  # time of one core, where it is counted
     failures: tuple[str, ...] = ()  # case, capture and sentence of each failure to acquire
+    unreadable: tuple[tuple[str, str], ...] = ()  # name and sentence of each capture that could not be read
     peak_memory_mb: float = field(default_factory=peak_memory_mb)  # peak memory of the process that did it
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import (
+    BadExposure,
     BadInput,
     Memory,
     encode_print_png,
@@ -63,10 +64,15 @@ def _feature_schema() -> Any:
 
 
 def reconstruct_group(task: FeatureTask) -> TaskDone:
-    """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk."""
+    """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk.
+
+    A capture that cannot be read gets no row, so that a later run looks at it again; one whose sound images are black
+    or overexposed is a failure to acquire.
+    """
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
     seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
-    failures = []
+    failures: list[str] = []
+    unreadable: list[tuple[str, str]] = []
     threads = running().threads
     with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
         for ref, folder in zip(task.captures, folders, strict=True):
@@ -75,6 +81,9 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
                 memory = Memory(read_capture(folder / ref.name, threads=threads))
             except BadInput as error:
                 memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
+                if not isinstance(error, BadExposure):
+                    unreadable.append((ref.name, memory))
+                    continue
             cases = [case for case, wanted in task.cases if ref.name in wanted]
             for case in cases:
                 started = time.perf_counter()
@@ -85,9 +94,11 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
                     failures.append(f"{case.name}, {ref.name}: {row['failure']}")
             del memory  # before the next capture is read
     schema = _feature_schema()
-    for case, wanted in task.cases:
-        document = case.document()
-        name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], list(wanted)])
+    for case, _ in task.cases:
+        document, names = case.document(), [row["capture"] for row in rows[case.name]]
+        if not names:
+            continue
+        name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], names])
         columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
@@ -101,11 +112,11 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
             found = [(row["capture"], bool(row.get(kind)), row.get(kind, b"")) for row in rows[case.name]]
             write_extracted(file, kind, found, origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
-    return TaskDone(sum(map(len, rows.values())), failures=tuple(failures))
+    return TaskDone(sum(map(len, rows.values())), failures=tuple(failures), unreadable=tuple(unreadable))
 
 
 def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:
-    """Row of one case of a capture, or of why it could not be read; `last`: the images may go once they are read."""
+    """Row of one case of a capture, or of why it shows no finger; `last`: the images may go once they are read."""
     row: dict[str, Any] = {
         "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
         "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",

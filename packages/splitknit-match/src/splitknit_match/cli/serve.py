@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any
 
-from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, importing, path, require
+from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, path, printable, require
 
 LOCAL = ("127.0.0.1", "::1", "localhost")
 
@@ -31,6 +32,7 @@ class ServeJob(Job):
     def run(self, progress: Progress) -> Outcome:
         """Serve until a signal ends it."""
         from splitknit_match.gallery.key import key_of  # verbs import what they need
+        from splitknit_match.gallery.listen import serve
         from splitknit_match.gallery.serve import make_app, read_token
         from splitknit_match.gallery.warm import OpenGallery
 
@@ -39,22 +41,27 @@ class ServeJob(Job):
         cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
         require(self.host in LOCAL or self.certificate is not None, f"'{self.host}' is not this machine alone; {cure}")
         token = read_token(path(self.token_file))
-        with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
-            import uvicorn
+        scheme = "http" if self.certificate is None else "https"
+
+        def ready() -> None:
+            for what, file in (("token", self.token_file), ("key file", self.key_file), ("key", self.certificate_key)):
+                if file is not None and os.name == "posix" and path(file).stat().st_mode & 0o077:
+                    fault = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
+                    print(printable(f"Please note: {fault}"), file=sys.stderr)
+            words = f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it."
+            print(printable(words), file=sys.stderr, flush=True)
+
         with OpenGallery.open(path(self.gallery), key_of(path(self.key_file))) as gallery:
-            app = make_app(gallery, token, path(self.audit))
-            scheme = "http" if self.certificate is None else "https"
-            print(f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it.", file=sys.stderr)
-            uvicorn.run(
-                app, host=self.host, port=self.port, log_level="warning", access_log=False, server_header=False,
-                limit_concurrency=64, timeout_keep_alive=5, http=impatient(), h11_max_incomplete_event_size=65_536,
-                ssl_certfile=path(self.certificate), ssl_keyfile=path(self.certificate_key),
-            )  # fmt: skip
+            app, tls = make_app(gallery, token, path(self.audit)), (path(self.certificate), path(self.certificate_key))
+            serve(app, impatient(), (self.host, self.port), tls, ready)
         return {}, []
 
 
 def impatient() -> type:
-    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s are closed."""
+    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s, or take no answer for 20 s,
+    are closed.
+    """
+    import h11
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     from splitknit_match.gallery import serve
@@ -62,7 +69,31 @@ def impatient() -> type:
     class Impatient(H11Protocol):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
+            self.untaken: Any = None
             self.loop.call_later(serve.PATIENCE_S, self._look, None)
+
+        def data_received(self, data: bytes) -> None:
+            if not self.transport.is_closing():
+                super().data_received(data)
+                if self.conn.their_state is h11.DONE and self.conn.trailing_data[0]:
+                    self.cycle.keep_alive = False  # more was asked before the answer: one is given, not thousands
+
+        def pause_writing(self) -> None:
+            super().pause_writing()
+            self.untaken = self.loop.call_later(serve.PATIENCE_S, self.transport.abort)
+
+        def resume_writing(self) -> None:
+            super().resume_writing()
+            self.untaken.cancel()
+
+        def shutdown(self) -> None:
+            """End without a request that has not come as a whole, or an answer that is not taken."""
+            cycle: Any = self.cycle  # None before the first request
+            coming = cycle is not None and cycle.more_body and not cycle.response_complete
+            if coming or self.transport.get_write_buffer_size():
+                self.transport.abort()
+            else:
+                super().shutdown()
 
         def _look(self, last: Any) -> None:
             cycle: Any = self.cycle

@@ -12,7 +12,7 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,14 +124,15 @@ def enroll_files(
     settings: Enrolling,
     key: Key | None = None,
     progress: Progress = no_progress,
-    examine: Callable[[Side], str] | None = None,
+    examine: Callable[[Sequence[Side]], Sequence[str]] | None = None,
+    put_down: Callable[[], None] = lambda: None,
 ) -> Enrolment:
     """Enrol sources of one finger, as :func:`splitknit_match.enroll` does.
 
     `session`: by default that of the very same source if it is enrolled already, else the next number. `examine`:
-    called with each finger before anything is written; may refuse it, or return a note. A source other than a
-    template from which nothing
-    was acquired is refused.
+    called with the fingers before anything is written, once beforehand and once while no other program can change the
+    gallery; may refuse them, and returns a note on each. `put_down`: called before what was written is final. A source
+    other than a template from which nothing was acquired is refused.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
     require(len(sources) == 1 or session is None, "`session` goes with one source; several are numbered by themselves.")
@@ -145,13 +146,13 @@ def enroll_files(
         if found is not None:
             earlier = stack.enter_context(found).entries(name, finger)
             of_minutiae = found.settings_sha256 == MINUTIAE_HASH
-        made = []
+        made, sides = [], list[Side]()
         for k, source in enumerate(sources):
             made.append(
                 _made_of(
                     source, settings, of_minutiae,
                     lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
-                    examine if found is not None else None,
+                    None if examine is None else sides.append,
                 )
             )  # fmt: skip
             lacks = made[-1].failure
@@ -170,15 +171,24 @@ def enroll_files(
         sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching)
         target = found or stack.enter_context(Gallery.create(gallery, sha256, key))
         target.require_comparable(sha256)
-        added = target.add(new, replace=settings.replace)
+        notes: Sequence[str] = [""] * len(made)
+        if examine is not None:
+            notes = examine(sides)  # the first look may take long, and holds nobody up
+        added = target.add(
+            new,
+            replace=settings.replace,
+            first=lambda: None if examine is None else (examine(sides), None)[1],
+            last=put_down,
+        )
         content = content_of(target, created=found is None)
     progress("done", 1.0)
     enrolled = tuple(
         EnrolledCapture(
             one.entry.person, one.entry.finger, one.entry.session, one.entry.kind, one.entry.area_mm2,
-            bool(one.template), len(one.template), one.entry.images or "none", one.entry.source_sha256, is_new, of.note,
+            bool(one.template), len(one.template), one.entry.images or "none", one.entry.source_sha256, is_new,
+            " ".join(filter(None, (of.note, note))) or None,
         )
-        for one, is_new, of in zip(new, added, made, strict=True)
+        for one, is_new, of, note in zip(new, added, made, notes, strict=True)
     )  # fmt: skip
     return Enrolment(content, enrolled)
 
@@ -264,25 +274,27 @@ def _made_of(
     settings: Enrolling,
     of_minutiae: bool = False,
     progress: Progress = no_progress,
-    examine: Callable[[Side], str] | None = None,
+    examine: Callable[[Side], None] | None = None,
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
     side = undoubted(
         read_side(path, settings.preset, settings.matching, progress, settings.input_ppi, where=settings.where)
     )
-    note = " ".join(filter(None, (side.note, "" if examine is None else examine(side)))) or None
     kept = None if settings.keep == "none" else _kept(path, side, settings.keep)
+    minutiae = side_minutiae(side) if of_minutiae else side.minutiae
+    if examine is not None:  # of the finger, what is compared
+        examine(replace(side, surface=None, picture=None, minutiae=minutiae))
     if of_minutiae:
-        minutiae = side_minutiae(side)
+        assert minutiae is not None
         failure = "" if minutiae.acquired else "fewer than ten minutiae"
         payload = pack_minutiae(minutiae) if minutiae.acquired else b""
-        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, note)
+        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, side.note)
     if side.template is None:
         raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
     empty = side.template.empty
     area = 0.0 if empty else round(side.template.area_mm2, 2)
     failure = (side.template.lacks or "too little skin with ridges") if empty else ""
-    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, note)
+    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, side.note)
 
 
 def made_or_failed(path: Path, settings: Enrolling) -> Made | str:

@@ -12,7 +12,8 @@ from splitknit import BadInput, require
 
 _STEP = 256
 """Names are padded to multiples of this, so that their length does not reveal them."""
-_LONGEST_NAME = 100
+LONGEST_NAME = 100
+"""Characters of a person's name, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +91,9 @@ class NewCapture:
 def check_person(text: str) -> str:
     """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
     name = unicodedata.normalize("NFC", text).strip()
-    sound = 0 < len(name) <= _LONGEST_NAME and name.isprintable()
+    sound = 0 < len(name) <= LONGEST_NAME and name.isprintable()
     shown = text.encode("unicode_escape").decode("ascii")[:60]
-    require(sound, f"'{shown}' cannot be a person's name: 1 to {_LONGEST_NAME} printable characters are expected.")
+    require(sound, f"'{shown}' cannot be a person's name: 1 to {LONGEST_NAME} printable characters are expected.")
     return name
 
 

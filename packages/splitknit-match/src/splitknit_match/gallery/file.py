@@ -52,6 +52,10 @@ _MAGIC = b"SQLite format 3\0"
 _BUSY, _READONLY, _FULL, _CANTOPEN = (5, 6), 8, 13, 14
 
 
+class Unavailable(BadInput):
+    """The file of a gallery cannot be used now, whatever is asked of it: gone, locked, on a full disk, damaged."""
+
+
 def create_file(path: Path, about: str, state: bytes) -> bool:
     """Make an empty gallery; False if there is a file of that name already."""
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
@@ -67,11 +71,20 @@ def create_file(path: Path, about: str, state: bytes) -> bool:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-    except BadInput:
+    except BadInput as error:
         if path.exists():
             return False
-        raise
+        raise Unavailable(str(error)) from error
     return True
+
+
+def place_of(path: Path) -> tuple[int, int] | None:
+    """Device and inode of a file, by which another one of the same name is told apart; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def connect(path: Path, *, wait_s: float = WAIT_S, shared: bool = False) -> sqlite3.Connection:
@@ -108,7 +121,7 @@ def _put_down(path: Path) -> None:
     try:
         append_line(file, line)
     except OSError as error:
-        raise BadInput(
+        raise Unavailable(
             f"the access log '{file}' cannot be written ({error.strerror}), and without it '{path}' is not opened."
         ) from error
 
@@ -167,7 +180,7 @@ def _told(path: Path) -> Iterator[None]:
             message = f"the gallery '{path}' cannot be opened, or its folder cannot be written; check the permissions."
         else:
             message = damaged(path, shown_path(str(error)))
-        raise BadInput(message) from error
+        raise Unavailable(message) from error
 
 
 def damaged(path: Path, what: str) -> str:
@@ -298,7 +311,7 @@ def write_counter(file: Path, gallery: str, change: int) -> None:
             stream.flush()
             os.fsync(stream.fileno())
     except BadInput as error:
-        raise BadInput(f"the gallery is changed, but its counter is not: {error}") from error
+        raise Unavailable(f"the gallery is changed, but its counter is not: {error}") from error
 
 
 def describe(path: Path) -> dict[str, Any]:

@@ -9,14 +9,14 @@ for another, and every change happens whole or not at all, also under ``kill -9`
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace as replace_field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from splitknit import require
 from splitknit_match.gallery.entry import Enrolled, NewCapture, encode_entry
-from splitknit_match.gallery.file import VERSION, WAIT_S, connect, create_file
+from splitknit_match.gallery.file import VERSION, WAIT_S, connect, create_file, place_of
 from splitknit_match.gallery.key import Key, ScryptSettings, box_of, document_of, lock
 from splitknit_match.gallery.rows import GalleryRows, GalleryState, Row
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
@@ -42,9 +42,12 @@ class Gallery(GalleryRows):
         wanted.
         """
         file = Path(path)
+        place = place_of(file)
         database = connect(file, wait_s=wait_s, shared=shared)
         try:
-            return cls(file, database, key)
+            opened = cls(file, database, key)
+            opened.place = place
+            return opened
         except BaseException:
             database.close()
             raise
@@ -109,13 +112,24 @@ class Gallery(GalleryRows):
         with self.reading(verified=False) as database:
             return int(database.execute("SELECT count(*) FROM finger NOT INDEXED").fetchone()[0])
 
-    def add(self, captures: Iterable[NewCapture], *, replace: bool = False) -> list[bool]:
+    def add(
+        self,
+        captures: Iterable[NewCapture],
+        *,
+        replace: bool = False,
+        first: Callable[[], None] = lambda: None,
+        last: Callable[[], None] = lambda: None,
+    ) -> list[bool]:
         """Put captures in, all or none; of each, whether it is new (False: the very same is there already).
+
+        `first` and `last` are called while no other program can change it, before anything is written, and before what
+        was written is final: what they raise undoes it.
 
         Raises BadInput if another capture has these names (person, finger, session) and `replace` is false.
         """
         new, replaced = [], False
         with self.changing():
+            first()
             for one in captures:
                 for earlier in self.rows("tag = ?", self.box.tag(one.entry.names)):
                     if self._is_same(earlier, one):
@@ -134,6 +148,7 @@ class Gallery(GalleryRows):
                     new.append(True)
             if replaced:
                 self.rewrite()
+            last()
         return new
 
     def _is_same(self, row: Row, one: NewCapture) -> bool:

@@ -23,7 +23,9 @@ from splitknit_match.gallery.file import (
     ROWS,
     STATE,
     VERSION,
+    Unavailable,
     damaged,
+    place_of,
     read_about,
     read_counter,
     read_record,
@@ -96,6 +98,7 @@ class GalleryRows:
     def __init__(self, path: Path, database: sqlite3.Connection, key: Key | None) -> None:
         """Take over the database; raises :class:`BadInput` if the key does not fit."""
         self.path, self.database, self.key = path, database, key
+        self.place = place_of(path)
         with transaction(database, path, write=False):
             self.version, self.about = read_about(database, path)
         self.box = box_of(self.about, key, path, self.version)
@@ -124,6 +127,8 @@ class GalleryRows:
                     self.verify()
                 before = self.version, self.about, self.state
                 yield self.database
+                same = self.place == place_of(self.path)
+                require(same, f"'{self.path}' was replaced or removed meanwhile; run the same again.", Unavailable)
                 if (self.version, self.about, self.state) != before:
                     self.state = replace(self.state, changes=self.state.changes + 1)
                     self.database.execute("UPDATE state SET sealed = ?", (self.state.sealed(self.box, self.about),))

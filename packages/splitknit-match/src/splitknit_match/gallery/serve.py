@@ -1,7 +1,8 @@
 """A gallery over HTTP, by Starlette: enrol, identify, verify and quality, one JSON document a request.
 
 Every act needs the token, has a bounded body, and leaves one line in the audit file: time, act, whose finger it is said
-to be, what came out; nothing of the finger.
+to be, what came out; nothing of the finger. The line of an enrolment is there before the finger is; if it then cannot
+be kept after all, a second line says so.
 """
 
 from __future__ import annotations
@@ -12,14 +13,18 @@ import contextlib
 import datetime
 import hmac
 import json
+import math
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from splitknit import BadInput, PrintFile, append_line, cores, importing, known_json, read_bytes, require
+from splitknit import BadInput, PrintFile, append_line, cores, importing, known_json, printable, read_bytes, require
+from splitknit_match.gallery.entry import LONGEST_NAME
+from splitknit_match.gallery.file import Unavailable
 from splitknit_match.gallery.warm import OpenGallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match_job import make_template
@@ -64,7 +69,7 @@ def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
         "400": "a bad request, in one sentence",
         "401": "no token",
         "413": "too large",
-        "503": "the audit file cannot be written, or the work took too long",
+        "503": "the gallery or the audit file cannot be used now, or the work took too long",
     }
     json_of = {"content": {"application/json": {"schema": {"type": "object"}}}}
     paths = {}
@@ -114,8 +119,7 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
 
     def answer_of(name: str) -> Callable[[Request], Any]:
         async def answer(request: Request) -> JSONResponse:
-            started = time.perf_counter()
-            about: dict[str, Any] = {}
+            act = _Act(log, name)
             said: dict[str, Any] = {}
             if not log.put_down():
                 return JSONResponse({"error": "the audit file cannot be written, so nothing is done"}, 503)
@@ -125,23 +129,23 @@ def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_bo
                 elif (body := await body_of(request)) is None:
                     code, said = 413, {"error": f"the request has more than {max_body} bytes"}
                 else:
-                    about = _asked(name, body)
-                    code, said = 503, {"error": f"the work took more than {WORK_S:g} s; it may be done yet: try later"}
-                    with move_on_after(WORK_S):
+                    asked = act.asked = _asked(name, body)
+                    code, said = 503, {"error": f"the work took more than {WORK_S:g} s: try a smaller print, or later"}
+                    longest = WORK_S if name != "enroll" else math.inf  # what is left alone would be written later
+                    with move_on_after(longest):
                         said = await to_thread.run_sync(
-                            _done, name, about, gallery, abandon_on_cancel=True, limiter=limiter
+                            _done, name, asked, gallery, act.enrolled, abandon_on_cancel=True, limiter=limiter
                         )
                         code = 200
             except BadInput as error:
-                code, said = 400, {"error": str(error)}
+                code, said = 503 if isinstance(error, Unavailable) else 400, {"error": _shown(error, gallery)}
             except TimeoutError:
                 code, said = 408, {"error": f"the request took more than {PATIENCE_S:g} s to arrive"}
             except ClientDisconnect:
                 code = 499
             except Exception:
                 code, said = 500, {"error": "internal error"}
-            ms = round(1000 * (time.perf_counter() - started))
-            if not log.put_down(_line({"act": name, "status": code, "ms": ms, "person": about.get("person")}, said)):
+            if not act.put_down(code, said):
                 code, said = 503, {"error": "the audit file cannot be written; what was asked may have been done"}
             return JSONResponse(said, code)
 
@@ -195,11 +199,21 @@ def _finger_of(given: Mapping[str, Any]) -> Pixels | bytes:
     return Pixels(held[0].image, float(ppi))
 
 
-def _done(name: str, given: Mapping[str, Any], gallery: OpenGallery) -> dict[str, Any]:
+def _shown(error: BadInput, gallery: OpenGallery) -> str:
+    """A sentence without the folders of this machine."""
+    text = str(error)
+    for place in gallery.places():
+        text = text.replace(f"'{printable(str(place))}'", f"'{printable(place.name)}'")
+    return text
+
+
+def _done(
+    name: str, given: Mapping[str, Any], gallery: OpenGallery, enrolled: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
     finger: Any = _finger_of(given)
     if name == "enroll":
         options = {key: given[key] for key in ("session", "duplicates") if key in given}
-        made = gallery.enroll(finger, given["person"], given["finger"], **options)
+        made = gallery.enroll(finger, given["person"], given["finger"], put_down=enrolled, **options)
         return {"enrolled": known_json(made.enrolled), "alike": known_json(made.alike)}
     if name == "quality":
         found = make_template(finger)
@@ -211,7 +225,7 @@ def _done(name: str, given: Mapping[str, Any], gallery: OpenGallery) -> dict[str
         template = base64.b64encode(payload).decode("ascii")
         return {"acquired": found.a.acquired, "area_mm2": found.a.area_mm2, "quality": score, "template": template}
     options = {key: given[key] for key in ("top", "fmr", "person") if key in given}
-    return dict(known_json(gallery.identify(finger, **options)))
+    return dict(known_json(gallery.identify(finger, **options))) | {"gallery": gallery.path.name}
 
 
 class _Audit:
@@ -219,17 +233,45 @@ class _Audit:
 
     def __init__(self, file: Path | None) -> None:
         self.file, self.unwritten = file, list[dict[str, Any]]()
+        self._lock = threading.Lock()
 
-    def put_down(self, *lines: dict[str, Any]) -> bool:
-        """Add lines, those that were not written first; whether that could be done."""
+    def put_down(self, *lines: dict[str, Any], keep: bool = True) -> bool:
+        """Add lines, those that were not written first; whether that could be done. `keep`: else they wait for room."""
         if self.file is None:
             return True
-        self.unwritten += lines
-        with contextlib.suppress(OSError):
-            while self.unwritten:
-                append_line(self.file, self.unwritten[0], begin=True)
-                del self.unwritten[0]
-        return not self.unwritten
+        with self._lock:
+            self.unwritten += lines
+            with contextlib.suppress(OSError):
+                while self.unwritten:
+                    append_line(self.file, self.unwritten[0], begin=True)
+                    del self.unwritten[0]
+            done = not self.unwritten
+            if not done and not keep:
+                del self.unwritten[-len(lines) :]
+        return done
+
+
+class _Act:
+    """One act of a client, which leaves its line."""
+
+    def __init__(self, log: _Audit, name: str) -> None:
+        self.log, self.name, self.asked, self.started = log, name, dict[str, Any](), time.perf_counter()
+        self._enrolled = False
+
+    def put_down(self, code: int, said: Mapping[str, Any], *, keep: bool = True) -> bool:
+        """Add the line, unless :meth:`enrolled` did and nothing went wrong since; whether it is there."""
+        if self._enrolled and code == 200:
+            return True
+        person, ms = self.asked.get("person"), round(1000 * (time.perf_counter() - self.started))
+        if person is not None and len(person) > LONGEST_NAME:
+            person = f"{person[:LONGEST_NAME]}..."
+        return self.log.put_down(_line({"act": self.name, "status": code, "ms": ms, "person": person}, said), keep=keep)
+
+    def enrolled(self) -> None:
+        """Add the line while what was written is not yet final, so that no finger is enrolled without it."""
+        done = self.put_down(200, {}, keep=False)
+        require(done, "the audit file cannot be written, so nothing is enrolled.", Unavailable)
+        self._enrolled = True
 
 
 def _line(line: dict[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:

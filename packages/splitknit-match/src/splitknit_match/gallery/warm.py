@@ -4,16 +4,19 @@ for the same finger under another name.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from splitknit import AnyPath, BadInput, Progress, no_progress, require
+from splitknit_match.gallery import LOG
 from splitknit_match.gallery.enrol import MINUTIAE_HASH, Enrolling, Enrolment, enroll_files
 from splitknit_match.gallery.entry import Enrolled
+from splitknit_match.gallery.file import Unavailable, place_of
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.identify import Identification, RankedCandidate, identify_finger
 from splitknit_match.gallery.identify_job import IdentifyJob
@@ -82,7 +85,8 @@ class _Kept(Gallery):
 class OpenGallery:
     """A gallery that stays open, in memory; threads and forked processes may use one object.
 
-    Each call sees what the file holds at that time, also what other programs changed.
+    Each call sees what the file holds at that time, also what other programs changed, and whichever file has the name
+    then; one that was there and is gone is refused.
 
     Examples
     --------
@@ -99,6 +103,10 @@ class OpenGallery:
         self._open: Gallery | None = None
         self._kept: _Kept | None = None
         self._seen: int | None = None
+        self._place: tuple[int, int] | None = None
+        """Of the file that was read last."""
+        self._stamp: tuple[int, int] | None = None
+        """Its size and the time of its last change."""
         self._pid = os.getpid()
 
     @classmethod
@@ -121,29 +129,62 @@ class OpenGallery:
     def close(self) -> None:
         """Let go of the file and what was read."""
         with self._lock:
-            if self._open is not None and self._pid == os.getpid():
-                self._open.close()
-            self._open = self._kept = None
+            if self._pid != os.getpid():
+                self._open = None
+            self._let_go()
+            self._kept = self._place = None
 
     def __len__(self) -> int:
         """How many captures it holds."""
-        return len(self._content()) if self.path.exists() else 0
+        return len(self._content()) if self._place is not None or self.path.exists() else 0
+
+    def places(self) -> list[Path]:
+        """Files and folders of this machine that a sentence of this gallery may name."""
+        counter = None if self._key is None else self._key.counter
+        files = [self.path, self.path.resolve(), *([] if counter is None else [counter])]
+        beside = [file.with_name(file.name + end) for file in files for end in ("", "-journal", LOG)]
+        return [*beside, *(file.parent for file in files)]
+
+    def require_there(self) -> None:
+        """Refuse to go on without a file that was there; raises Unavailable."""
+        gone = self._place is not None and place_of(self.path) is None
+        require(not gone, f"the gallery '{self.path}' is gone (moved or removed); put it back.", Unavailable)
 
     def _content(self) -> _Kept:
         """What the file holds now; rows that are known already are not read again."""
+        self.require_there()
         if self._pid != os.getpid():  # a database must not cross a fork; the lock may be held by a thread left behind
-            self._lock, self._open, self._pid = threading.Lock(), None, os.getpid()
+            self._lock, self._open, self._stamp, self._pid = threading.Lock(), None, None, os.getpid()
         with self._lock:
+            stamp = _stamp_of(self.path)
+            if self._open is not None and self._open.place != place_of(self.path):
+                self._let_go()
+                self._kept = None
             if self._open is None:
                 self._open = Gallery.open(self.path, self._key, shared=True)
-            with self._open.reading() as database:
-                if self._kept is not None and self._seen == self._open.verified:
-                    return self._kept
-                version = "version" if self._open.version > 1 else "NULL"
-                found = database.execute(f"SELECT id, tag, {version} FROM finger ORDER BY id")
-                rows = {row: b"%b%b" % (tag, state or b"") for row, tag, state in found}
-            self._kept, self._seen = _Kept(self._open, rows, self._kept), self._open.verified
+            self._place = self._open.place
+            try:
+                if stamp != self._stamp:  # SQLite tells changes by a counter, which a file copied over it may share
+                    self._open.database.execute("PRAGMA shrink_memory")
+                    self._open.verified = None
+                with self._open.reading() as database:
+                    if self._kept is not None and (self._seen, self._stamp) == (self._open.verified, stamp):
+                        return self._kept
+                    version = "version" if self._open.version > 1 else "NULL"
+                    found = database.execute(f"SELECT id, tag, {version}, substr(entry, 1, 32) FROM finger ORDER BY id")
+                    rows = {row: b"%b%b%b" % (tag, state or b"", entry) for row, tag, state, entry in found}
+                if self._kept is None or (self._kept.about, self._kept.row_versions) != (self._open.about, rows):
+                    self._kept = _Kept(self._open, rows, self._kept)
+                self._seen, self._stamp = self._open.verified, stamp
+            except BadInput:
+                self._let_go()
+                raise
             return self._kept
+
+    def _let_go(self) -> None:
+        if self._open is not None:
+            self._open.close()
+        self._open = self._stamp = None
 
     def identify(self, probe: Finger, *, side: Side | None = None, **how: Any) -> Identification:
         """Who is it? `how`: as of :func:`splitknit_match.identify` (``resolution_ppi``, ``top``, ``fmr``, ``person``
@@ -154,7 +195,15 @@ class OpenGallery:
 
     def enroll(self, finger_of: Finger | Sequence[Finger], person: str, finger: str, **how: Any) -> Enrolment:
         """Put a finger in; `how`: as of :func:`splitknit_match.enroll` (``session``, ``resolution_ppi`` ...)."""
+        self.require_there()
         return enroll(self.path, finger_of, person, finger, key=self._key, opened=self, **how)
+
+
+def _stamp_of(path: Path) -> tuple[int, int] | None:
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        return found.st_size, found.st_mtime_ns
+    return None
 
 
 def enroll(
@@ -169,6 +218,7 @@ def enroll(
     duplicates: Duplicates = "warn",
     how: Enrolling | None = None,
     opened: OpenGallery | None = None,
+    put_down: Callable[[], None] = lambda: None,
     progress: Progress = no_progress,
 ) -> Enrolment:
     """Put a finger, or several sessions of one, into a gallery, which is made where there is none; all or none.
@@ -192,6 +242,8 @@ def enroll(
         Preset, settings and what is kept.
     opened : OpenGallery, optional
         The gallery, where it is open already.
+    put_down : callable, optional
+        Called before what was written is final, such as to write a line into a log; what it raises undoes it.
     progress : callable, optional
 
     Returns
@@ -209,22 +261,32 @@ def enroll(
     sources = [held(one, resolution_ppi) for one in fingers]
     warm = OpenGallery(gallery, key) if opened is None else opened
     alike: list[RankedCandidate] = []
+    looked: _Kept | None = None
+    notes: list[str] = []
 
-    def examine(side: Side) -> str:
-        like = _like_others(warm, side, (person, finger), chosen.matching)
-        alike.extend(like)
-        others = [one for one in like if one.person != person]
-        if others and duplicates == "refuse":
-            raise BadInput(
-                f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', at "
-                "a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
-            )
-        return _unlike_itself(warm, side, (person, finger), chosen.matching)
+    def examine(sides: Sequence[Side]) -> list[str]:
+        nonlocal looked, notes
+        kept = warm._content()
+        if kept is looked:  # nobody changed it since the first look
+            return notes
+        looked = kept
+        alike.clear()
+        for side in sides:
+            alike.extend(_like_others(kept, side, (person, finger), chosen.matching))
+            others = [one for one in alike if one.person != person]
+            if others and duplicates == "refuse":
+                raise BadInput(
+                    f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', "
+                    "at a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` "
+                    "allow."
+                )
+        notes = [_unlike_itself(kept, side, (person, finger), chosen.matching) for side in sides]
+        return notes
 
     try:
         done = enroll_files(
             Path(gallery), sources, person, finger, session, settings=chosen, key=key_of(key), progress=progress,
-            examine=None if duplicates == "allow" else examine,
+            examine=None if duplicates == "allow" else examine, put_down=put_down,
         )  # fmt: skip
     finally:
         if opened is None:
@@ -232,14 +294,11 @@ def enroll(
     return replace(done, alike=tuple(alike))
 
 
-def _like_others(
-    gallery: OpenGallery, side: Side, who: tuple[str, str], matching: MatchingSettings
-) -> list[RankedCandidate]:
+def _like_others(kept: _Kept, side: Side, who: tuple[str, str], matching: MatchingSettings) -> list[RankedCandidate]:
     """Candidates beyond the limit that are other fingers; none where no rates are known for what is compared.
 
     `who`: person and finger.
     """
-    kept = gallery._content()
     of_minutiae = kept.settings_sha256 == MINUTIAE_HASH
     if (
         matching != MatchingSettings()
@@ -256,9 +315,8 @@ _UNLIKE_FMR = 0.01
 """Of captures that are called unlike each other: so often other fingers are at least as similar, or more often."""
 
 
-def _unlike_itself(gallery: OpenGallery, side: Side, who: tuple[str, str], matching: MatchingSettings) -> str:
+def _unlike_itself(kept: _Kept, side: Side, who: tuple[str, str], matching: MatchingSettings) -> str:
     """A note where a finger matches none of its earlier captures; person and finger are `who`."""
-    kept = gallery._content()
     same = [one for one in kept.kept.values() if (one.entry.person, one.entry.finger) == who and one.template_bytes]
     if not same or matching != MatchingSettings() or side.template is None or kept.settings_sha256 == MINUTIAE_HASH:
         return ""
