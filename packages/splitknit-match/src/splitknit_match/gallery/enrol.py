@@ -177,7 +177,7 @@ def enroll_files(
         added = target.add(
             new,
             replace=settings.replace,
-            first=lambda: None if examine is None else (examine(sides), None)[1],
+            first=lambda: None if examine is None else examine(sides),
             last=put_down,
         )
         content = content_of(target, created=found is None)

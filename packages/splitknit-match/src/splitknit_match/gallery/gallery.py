@@ -117,7 +117,7 @@ class Gallery(GalleryRows):
         captures: Iterable[NewCapture],
         *,
         replace: bool = False,
-        first: Callable[[], None] = lambda: None,
+        first: Callable[[], object] = lambda: None,
         last: Callable[[], None] = lambda: None,
     ) -> list[bool]:
         """Put captures in, all or none; of each, whether it is new (False: the very same is there already).

@@ -276,9 +276,9 @@ def enroll(
             others = [one for one in alike if one.person != person]
             if others and duplicates == "refuse":
                 raise BadInput(
-                    f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', "
-                    "at a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` "
-                    "allow."
+                    f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}'"
+                    ", at a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give "
+                    "`duplicates` allow."
                 )
         notes = [_unlike_itself(kept, side, (person, finger), chosen.matching) for side in sides]
         return notes
