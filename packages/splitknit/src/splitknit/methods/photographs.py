@@ -65,7 +65,7 @@ FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
 _COMPARED_VALUES = 4_000_000
 """Values of all photographs that are compared with each other, at most; larger ones are binned."""
-_FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
+_FEW_CLIPPED = 0.002
 _EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
 looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
@@ -173,7 +173,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
         with suppress(BadInput):  # refused below
             fit = _fit(steady, white, finger)
         reordered = fit is not None and fit.frame != TURNED and fit.order != tuple(range(len(fit.order)))
-        if fit is None or not reordered or fit.residual_in_order >= _FITS_IN_ORDER:
+        if not reordered:
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
@@ -226,7 +226,8 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
-    return fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
+    inside = finger.wider[::every, ::every]
+    return fit_lights(stack, vectors.light_vectors(), inside, relief=capture.material == "opaque")
 
 
 def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
