@@ -235,6 +235,17 @@ def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
     assert capture_from_photographs(tmp_path).capture.encoding == encoding
 
 
+@pytest.mark.parametrize(("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")])
+def test_a_stated_encoding_that_is_wrong_is_noted(tmp_path: Path, code: Any, right: str, wrong: str) -> None:
+    ball_photographs(tmp_path, code)
+    said = {
+        way: capture_from_photographs(tmp_path, options=PhotographOptions(encoding=way)).notes  # type: ignore[arg-type]
+        for way in (right, wrong)
+    }
+    assert not any("shade as" in note for note in said[right])
+    assert any(f"shade as {right}, not as {wrong}" in note for note in said[wrong])
+
+
 def test_brightness_can_be_chosen(tmp_path: Path) -> None:
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)

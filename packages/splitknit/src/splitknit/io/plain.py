@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,10 @@ _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, o
 
 _LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
+_OTHER_CURVE = (
+    "the photographs shade as {0}, not as {1}, which was stated of them: heights are then wrong by a factor of about "
+    "two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks so too."
+)
 UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
 _NO_OPTIONS = PhotographOptions()
 
@@ -385,19 +389,15 @@ def _assembled(  # noqa: PLR0917
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
     every = [*files, *crossed]
     different = _each_once(every, options)
-    encoding, mask, background = cast("str | None", options.encoding), options.mask, options.background
+    mask, background = options.mask, options.background
     raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
-    require(raw is None or encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
+    require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
     counts = f"{len(rig.leds)} lights for {len(files)} images"
     require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
     groups = _same_lights(rig)
     leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
     check_lights(replace(rig, leds=leds).light_vectors())
-    notes: list[str] = []
-    if options.mosaic is not None:
-        encoding = "linear"
-    elif encoding is None:
-        encoding, *notes = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
+    encoding, notes = _encoding(files, rig, options)
     reading = _Reading(different, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
     unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
@@ -553,9 +553,25 @@ def _same_lights(rig: Rig) -> list[list[int]]:
     return groups
 
 
-def _shading_is_srgb(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> bool | None:
-    """Whether the shading in photographs of 8 bits is that of sRGB values, None where it decides nothing; some of many
-    photographs decide. What is calibrated by `flat` or `shading` is an industrial camera's, and linear."""
+def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[str]]:
+    """The encoding that is stated, or found by :func:`splitknit.io.photos.encoding_of`; and notes on it."""
+    if options.mosaic is not None:
+        return "linear", []
+    if options.encoding is None:
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
+        return encoding, [note]
+    if options.material == "skin" or options.flat is not None or options.shading is not None:
+        return options.encoding, []
+    curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
+    right = curved is None or curved == (options.encoding == "srgb")
+    return options.encoding, [] if right else [_OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)]
+
+
+def _shading_is_srgb(
+    files: Sequence[Path], rig: Rig, options: PhotographOptions, *kinds: type[np.unsignedinteger]
+) -> bool | None:
+    """Whether the shading in photographs of 8 bits (or `kinds`) is that of sRGB values, None where it decides nothing;
+    some of many photographs decide. What is calibrated by `flat` or `shading` is an industrial camera's, and linear."""
     if options.flat is not None or options.shading is not None:
         return False
     if rig.provenance.get("lights") == UNKNOWN:
@@ -564,10 +580,10 @@ def _shading_is_srgb(files: Sequence[Path], rig: Rig, options: PhotographOptions
     codes = []
     for k in chosen:
         photo = read_photo(files[k]).pixels
-        if photo.dtype != np.uint8:
+        if photo.dtype not in (kinds or (np.uint8,)):
             return None
         step = max(1, round((photo.shape[0] * photo.shape[1] / _ASKED_PIXELS) ** 0.5))
-        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(255.0))
+        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(np.iinfo(photo.dtype).max))
     same = len({one.size for one in codes}) == 1  # else refused where all are read
     some = replace(rig, leds=tuple(rig.leds[k] for k in chosen))
     known = not rig.intensities_assumed
