@@ -89,7 +89,7 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
     those of 16 bits and of floats are linear, and those of 8 bits what fits their shading better, sRGB where that
     decides nothing. `files`: photographs; `by_shading`: whether it is sRGB that fits, None where nothing decides, see
-    :func:`splitknit.imaging.response.shading_exponent`; called where it decides. Raises BadInput if some have a tone
+    :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if some have a tone
     curve and some have none.
     """
     found = {_stated_encoding(file) for file in files}

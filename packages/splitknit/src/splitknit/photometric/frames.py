@@ -170,8 +170,9 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
             under = own  # one photograph may be of something else
     given = bool((under == own).all())
     frame, curl = "right-up", 0.0
-    if residual < HIGH_RESIDUAL or not given:
-        turn = _fit_turn(lambertian(images, vectors[under], inside)[0], inside)
+    if residual < HIGH_RESIDUAL or not given or relief:
+        convex = residual < HIGH_RESIDUAL or not given  # gloss and deep shadows bend what is slow
+        turn = _fit_turn(lambertian(images, vectors[under], inside)[0], inside) if convex else None
         of_relief, curl = curl_in(under)
         turn = of_relief if turn is None else turn
         frame = _frame_of(turn) if given else "right-up"
