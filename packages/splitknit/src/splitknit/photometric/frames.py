@@ -181,8 +181,8 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
             if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
                 under = turned
         if curl > _CURL and frame == "right-up" and (under == own).all():
-            order = _best_order(gram, vectors)  # of lights that lie unevenly; brightness may explain the given one
-            under = order if curl_in(order)[1] < _LESS_CURL * curl else under
+            other = _best_order(gram, vectors)  # of lights that lie unevenly; brightness may explain the given one
+            under = other if curl_in(other)[1] < _LESS_CURL * curl else under
     best, _ = _residual(gram, vectors[under])
     if best < _LESS * residual:
         frame = "right-up"
@@ -375,24 +375,24 @@ def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Cur
     """Slopes as they are, and after the best turn of each hand: turned by an angle t, they have the curl
     cos t * curl - sin t * divergence, whose least sum of squares is an eigenvalue.
     """
-    p, q, weight = (part.astype(np.float64) for part in (p, q, weight))
+    slope_x, slope_y, share = (part.astype(np.float64) for part in (p, q, weight))
     dp_dx, dp_dy, dq_dx, dq_dy = (
-        sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
+        sign * np.gradient(part, axis=axis) for part in (slope_x, slope_y) for sign, axis in ((1.0, 1), (-1.0, 0))
     )
 
     def turned(cosine: float, sine: float, mirrored: float) -> _Curl:
         both = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
         curl, divergence = cosine * both[0] - sine * both[1], cosine * both[1] + sine * both[0]
-        squares = float(np.sum(weight * curl**2)), float(np.sum(weight * divergence**2))
-        convex = -float(np.sum(weight * divergence)) / max(float(np.sum(weight * np.abs(divergence))), 1e-12)
+        squares = float(np.sum(share * curl**2)), float(np.sum(share * divergence**2))
+        convex = -float(np.sum(share * divergence)) / max(float(np.sum(share * np.abs(divergence))), 1e-12)
         turn = np.array([[cosine, -mirrored * sine], [sine, mirrored * cosine]])
         return _Curl(squares[0], squares[0] / max(sum(squares), 1e-12), convex, turn)
 
     fits = []
     for mirrored in (1.0, -1.0):
         curl, divergence = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
-        mixed = -float(np.sum(weight * curl * divergence))
-        squares = [[np.sum(weight * curl**2), mixed], [mixed, np.sum(weight * divergence**2)]]
+        mixed = -float(np.sum(share * curl * divergence))
+        squares = [[np.sum(share * curl**2), mixed], [mixed, np.sum(share * divergence**2)]]
         cosine, sine = np.linalg.eigh(np.array(squares))[1][:, 0]
         fits.append(turned(float(cosine), float(sine), mirrored))
     return turned(1.0, 0.0, 1.0), fits
