@@ -80,7 +80,6 @@ from splitknit.imaging.band import linear_stack as linear_stack
 from splitknit.imaging.band import linear_survey as linear_survey
 from splitknit.imaging.band import over_flat as over_flat
 from splitknit.imaging.band import pick_channel as pick_channel
-from splitknit.imaging.band import shading_is_srgb as shading_is_srgb
 from splitknit.imaging.band import srgb_code as srgb_code
 from splitknit.imaging.coloured import balanced as balanced
 from splitknit.imaging.geometry import bounding_box as bounding_box
@@ -97,6 +96,7 @@ from splitknit.imaging.polarised import aligned as aligned
 from splitknit.imaging.polarised import crossed_place as crossed_place
 from splitknit.imaging.polarised import undone as undone
 from splitknit.imaging.polarised import without_films as without_films
+from splitknit.imaging.response import shading_is_srgb as shading_is_srgb
 from splitknit.imaging.view import View as View
 from splitknit.imaging.view import pixels_of as pixels_of
 from splitknit.imaging.view import plane_points as plane_points

@@ -123,7 +123,7 @@ class Photographs(ReadPhotographsJob):
 
 
 OF_PHOTOGRAPHS = (
-    "lights", "mask", "material", "encoding", "background", "max_megapixels", "crossed", "mosaic", "flat"
+    "lights", "mask", "material", "encoding", "brightness", "background", "max_megapixels", "crossed", "mosaic", "flat"
 )  # fmt: skip
 
 

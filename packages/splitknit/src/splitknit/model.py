@@ -305,7 +305,7 @@ class Rig:
     @property
     def intensities_assumed(self) -> bool:
         """Whether nobody stated how bright the lights are: those of photographs with a list of directions alone."""
-        return self.provenance.get("intensities") == "assumed equal"
+        return self.provenance.get("intensities") in {"assumed equal", "estimate"}
 
     def light_vectors(self) -> NDArray[np.float64]:
         """Distant-light vectors (L, 3): direction from the origin to each LED times its relative irradiance there

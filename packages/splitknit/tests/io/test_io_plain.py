@@ -191,12 +191,16 @@ def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
     found = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
     assert found == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
     assert encoding_of([tmp_path / "n.png"], lambda: True)[0] == "srgb"
+    undecided, note = encoding_of([tmp_path / "n.png"], lambda: None)
+    assert undecided == "srgb" and "is assumed" in note and "`encoding`" in note
+    write_image(tmp_path / "d.png", np.zeros((4, 4), np.uint16))
+    assert encoding_of([tmp_path / "d.png"], lambda: None)[0] == "linear"
     with pytest.raises(BadInput, match=r"several kinds.*`encoding`"):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
-def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120) -> Any:
-    """A matt ball under `count` lights, stored through `code`; its directions."""
+def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120, bright: Any = 1.0) -> Any:
+    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its directions."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
     inner = 1.0 - x * x - y * y
@@ -204,7 +208,8 @@ def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120) -
     angles = 2 * np.pi * np.arange(count) / count
     lights = np.stack([0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1)
     for k, light in enumerate(lights):
-        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9, 0)
+        strength = np.broadcast_to(bright, count)[k]
+        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
         write_image(folder / f"{k}.png", np.rint(255 * code(shade)).astype(np.uint8))
     np.savetxt(folder / "lights.txt", lights)
     return lights
@@ -216,6 +221,45 @@ def test_eight_bits_that_state_nothing_are_judged_by_their_shading(tmp_path: Pat
     found = capture_from_photographs(tmp_path)
     assert found.capture.encoding == encoding
     assert encoding in found.notes[0] and "`encoding`" in found.notes[0]
+
+
+@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
+def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
+    tmp_path: Path, code: Any, encoding: str, *, listed: bool
+) -> None:
+    """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16 deg wrong."""
+    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
+    lights = ball_photographs(tmp_path, code, bright=bright)
+    if listed:
+        np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright]))
+    assert capture_from_photographs(tmp_path).capture.encoding == encoding
+
+
+@pytest.mark.parametrize(("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")])
+def test_a_stated_encoding_that_is_wrong_is_noted(tmp_path: Path, code: Any, right: str, wrong: str) -> None:
+    ball_photographs(tmp_path, code)
+    said = {
+        way: capture_from_photographs(tmp_path, options=PhotographOptions(encoding=way)).notes  # type: ignore[arg-type]
+        for way in (right, wrong)
+    }
+    assert not any("shade as" in note for note in said[right])
+    assert any(f"shade as {right}, not as {wrong}" in note for note in said[wrong])
+
+
+def test_brightness_can_be_chosen(tmp_path: Path) -> None:
+    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
+    lights = ball_photographs(tmp_path, np.asarray, bright=bright)
+    np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
+    for way in ("estimate", "equal"):
+        rig = capture_from_photographs(tmp_path, options=PhotographOptions(brightness=way)).capture.rig
+        assert {led.intensity for led in rig.leds} == {1.0} and rig.intensities_assumed == (way == "estimate")
+    capture = splitknit.read_photographs(tmp_path, px_per_mm=10.0, brightness="estimate")
+    found = splitknit.reconstruct(capture).facts["light_brightness"]
+    assert found == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
+    (tmp_path / "lights.txt").write_text("".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4])))
+    with pytest.raises(BadInput, match="five lights or more"):
+        capture_from_photographs(tmp_path, options=PhotographOptions(brightness="estimate"))
 
 
 def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:

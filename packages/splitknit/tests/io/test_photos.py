@@ -155,7 +155,7 @@ def test_a_folder_becomes_a_capture(folder: Path) -> None:
     (folder / "other.mask.png").write_bytes((folder / "mask.png").read_bytes())
     found = capture_from_photographs(folder, px_per_mm=12.0)
     assert files_of(found) == ["p8.png", "p9.png", "p10.png", "p11.png", "p12.png"]
-    assert found.capture.mask is not None and found.capture.encoding == "linear"
+    assert found.capture.mask is not None and found.capture.encoding == "srgb"  # 8 bits, undecided
     assert found.skipped == ("notes.docx (not a photograph)", "other.mask.png (a mask? name it with `mask`)")
     assert set(found.capture.hashes) == {"lights.txt", "mask.png", *files_of(found)}
     assert any("skipped" in note and "notes.docx" in note for note in found.notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -182,6 +183,37 @@ def test_a_field_of_balls_is_no_wrong_frame(frame):
     lights = around(6, uneven=True)
     measured, _ = lambertian(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
     assert _frame_of(_fit_turn(measured, np.ones((200, 200), bool))) == "right-up"
+
+
+def relief() -> np.ndarray:
+    """Normals of a plate of random bumps and dents."""
+    height = cv2.GaussianBlur(np.random.default_rng(7).standard_normal((200, 200)), (0, 0), 6)
+    dy, dx = np.gradient(height * (3.0 / height.std()))
+    normals = np.dstack([-dx, dy, np.ones((200, 200))])
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_relief_without_curl_tells_the_frame_but_for_a_half_turn(frame):
+    lights, inside = around(8, uneven=True), np.ones((200, 200), bool)
+    fit = fit_lights(photographs(relief(), lights), in_frame(lights, frame), inside, relief=True)
+    if frame in {"right-up", "left-down"}:
+        assert fit.frame == "right-up" and not doubts_of_lights(fit, material="opaque")
+        return
+    (words,) = doubts_of_lights(fit, material="opaque")
+    assert f"`light_frame` {frame}" in words or f"({frame} if what is raised comes out hollow)" in words
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_a_list_shifted_by_one_is_named_on_a_relief(uneven):
+    lights, inside = around(8, uneven=uneven), np.ones((200, 200), bool)
+    stack = photographs(relief(), lights)
+    fit = fit_lights(stack, np.roll(lights, 1, axis=0), inside, relief=True)
+    (words,) = doubts_of_lights(fit, material="opaque")
+    assert "2 3 4 5 6 7 8 1 (shifted by 1)" in words
+    turned = lights @ np.array([[0.87, 0.5, 0.0], [-0.5, 0.87, 0.0], [0.0, 0.0, 1.0]])
+    (words,) = doubts_of_lights(fit_lights(stack, turned, inside, relief=True), material="opaque")
+    assert "belongs to no surface" in words
 
 
 def test_a_report_holds_the_residual_of_every_photograph(egg):

@@ -344,12 +344,12 @@ class _Lying:
         return x, y, z
 
 
-def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool:
+def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool | None:
     """Whether the shading of a matt ball of known normals is that of sRGB values: its pixels are the lights here."""
     normals = ball.normals(codes.shape[1:])
     inner = np.argwhere(np.nan_to_num(normals[..., 2]) > 0.3)
     rows, columns = inner[:: max(1, len(inner) // 2000)].T
-    return shading_is_srgb(codes[:, rows, columns].T, normals[rows, columns])
+    return shading_is_srgb(codes[:, rows, columns].T, normals[rows, columns], known=True)
 
 
 def _photographs(folder: Path) -> list[tuple[str, int, Path]]:

@@ -93,7 +93,7 @@ def fitted_places(  # noqa: PLR0917
         slopes = [np.zeros(mask.shape, dtype=np.float32) for _ in range(2)]
         for axis, slope in enumerate(slopes):
             slope[inside] = -normals[:, axis] / nz[inside]
-        height_mm = np.nan_to_num(poisson(*slopes, mask, weights=nz)) * np.float32(pitch_mm)
+        height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * np.float32(pitch_mm)
     low, high = _STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
     if chosen.sum() < 2 * _INDEPENDENT:

@@ -24,10 +24,6 @@ CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""
 
-_CODE_NOISE = 0.003
-"""Residual of 8 bits, below which no two models differ."""
-_SRGB_RATIO = 0.97
-
 CHUNK_ROWS = 64
 """Rows of an image that are made at a time."""
 
@@ -53,37 +49,6 @@ def _srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
 def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear light in [0, 1] as sRGB stores it (IEC 61966-2-1), in [0, 1]."""
     return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
-
-
-def shading_is_srgb(codes: NDArray[np.floating], vectors: NDArray[np.float64]) -> bool:
-    """Whether stored values fit shading by known vectors clearly better if they are sRGB than if they are linear.
-
-    Both models predict the stored values (L, n) in [0, 1]: I = v . g, or its sRGB code, with g by least squares over
-    the vectors (L, 3) that light a pixel without clipping. Compared is the quarter of the pixels that fit best, which
-    gloss, shadows and scattering bend least. Of linear images the ratio of both residuals was 1.04 to 1.5 (balls, the
-    DiLiGenT bear, fingers), of the same as sRGB 0.56 to 0.94, but up to 1.7 where skin scatters the light: such images,
-    and fewer than six vectors, decide nothing.
-    """
-    top = codes.max(axis=0)
-    lit = (codes > 0.25 * top) & (codes < 0.97)
-    shaded = top - codes.min(axis=0) > 0.05  # no background
-    good = (np.count_nonzero(lit, axis=0) >= 4) & (top > 0.15) & shaded
-    codes, lit = codes[:, good].astype(np.float64), lit[:, good].astype(np.float64)
-    if len(vectors) < 6 or not codes.size:
-        return False
-    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    moments = np.einsum("ln,li,lj->nij", lit, unit, unit)
-    moments += 1e-9 * np.eye(3)
-    residuals = []
-    for light, code in ((codes, np.asarray), (_srgb_light(codes), srgb_code)):
-        g = np.linalg.solve(moments, np.einsum("ln,ln,li->ni", lit, light, unit)[..., None])[..., 0]
-        rest = (codes - code(np.clip(unit @ g.T, 0.0, 1.0))) * lit
-        residuals.append(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)))
-    linear, srgb = residuals
-    both = linear * srgb
-    best = both <= np.quantile(both, 0.25)
-    ratio = np.exp(np.mean(np.log((srgb[best] + _CODE_NOISE) / (linear[best] + _CODE_NOISE))))
-    return bool(ratio < _SRGB_RATIO)
 
 
 def linear_image(

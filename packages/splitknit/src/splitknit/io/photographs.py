@@ -54,6 +54,9 @@ class PhotographOptions(Job):
     encoding: Annotated[Encoding | None, Help(
         "of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 bits; "
         "else by their shading)")] = None
+    brightness: Annotated[Literal["estimate", "equal"] | None, Help(
+        "of the lights of an opaque thing: estimated with its surface, or equal, whatever the list states (default: as "
+        "the list states it, else estimated where that explains the photographs clearly better)")] = None
     max_megapixels: Annotated[float | None, Help(
         "reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)",
         "MEGAPIXELS", option="--max-size")] = None

@@ -101,13 +101,14 @@ def _opaque(data: bytes, name: str) -> BoolArray | None:
     return None
 
 
-def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[str, str]:
+def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
     """Encoding of photographs whose encoding nobody has given, and a note on it; the same rule for every verb.
 
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
-    those of 16 bits and of floats are linear, and those of 8 bits too unless their shading fits sRGB clearly better.
-    `files`: photographs; `by_shading`: whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called
-    where it decides. Raises BadInput if some have a tone curve and some have none.
+    those of 16 bits and of floats are linear, and those of 8 bits what fits their shading better, sRGB where that
+    decides nothing. `files`: photographs; `by_shading`: whether it is sRGB that fits, None where nothing decides, see
+    :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if some have a tone
+    curve and some have none.
     """
     found = {_stated_encoding(file) for file in files}
     curves = "some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and some without"
@@ -116,7 +117,11 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[
     if stated:
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
-    if by_shading() and read_photo(files[0]).pixels.dtype == np.uint8:
+    curved = by_shading()
+    if curved is not False and read_photo(files[0]).pixels.dtype == np.uint8:
+        if curved is None:
+            remedy = "give `encoding` linear if an industrial camera or a renderer saved them."
+            return "srgb", f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; {remedy}"
         note = f"encoding srgb fits the shading in the {suffix} files better than linear (`encoding` changes it)."
         return "srgb", note
     remedy = "give `encoding` srgb if a program for pictures or a telephone saved them."

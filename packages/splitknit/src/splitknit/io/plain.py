@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,11 @@ from splitknit.imaging.band import (
     decode_table,
     linear_image,
     pick_channel,
-    shading_is_srgb,
     srgb_code,
 )
 from splitknit.imaging.light_field import few_lights
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
+from splitknit.imaging.response import shading_is_srgb
 from splitknit.io.content import check_contents, drawn_outline, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
@@ -63,6 +63,10 @@ _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, o
 _LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
 MASK_ALL = "all"  # in place of a mask: the object fills the photographs
+_OTHER_CURVE = (
+    "the photographs shade as {0}, not as {1}, which was stated of them: heights are then wrong by a factor of about "
+    "two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks so too."
+)
 UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
 _NO_OPTIONS = PhotographOptions()
 
@@ -105,6 +109,11 @@ def capture_from_photographs(
     root = Path(folder)
     require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
     table, rig, names, colours = _lights_of(root, lights)
+    if options.brightness is not None:
+        few = f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list."
+        require(options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN), few)
+        leds, origin = tuple(replace(led, intensity=1.0) for led in rig.leds), {"intensities": options.brightness}
+        rig, colours = replace(rig, leds=leds, provenance={**rig.provenance, **origin}), None
     named = (options.mask, options.background_image, table)
     own = [Path(os.path.realpath(value)) for value in named if value is not None]
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
@@ -341,9 +350,15 @@ def capture_of_arrays(
         leds = [replace(led, intensity=float(one.mean())) for led, one in zip(rig.leds, bright, strict=True)]
         rig = replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
-    codes = stack[:, ::4, ::4, 0].reshape(len(stack), -1) / np.float32(255.0)
-    curved = kind == np.uint8 and lights is not None and shading_is_srgb(codes, rig.light_vectors())
-    encoding = "srgb" if curved else "linear"
+    encoding, why = "linear", "was assumed"
+    if kind == np.uint8:
+        step = max(1, math.isqrt(stack[0, ..., 0].size // _ASKED_PIXELS))
+        codes = stack[:, ::step, ::step, shape[-1] // 2 if stack.ndim == 4 and stack.shape[3] == 3 else 0]
+        curved = None
+        if lights is not None:
+            codes = codes.reshape(len(stack), -1) / np.float32(255.0)
+            curved = shading_is_srgb(codes, rig.light_vectors(), known=not rig.intensities_assumed)
+        encoding, why = "linear" if curved is False else "srgb", "was assumed" if curved is None else "fits the shading"
     pixels, _, _ = _as_integers(stack, None, 0.0, [[k] for k in range(len(stack))])
     count = len(pixels)
     coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
@@ -359,7 +374,7 @@ def capture_of_arrays(
     inside = None if mask is None else check_mask(mask, shape[1:3])
     rig = replace(rig, camera=camera)
     notes = [UNKNOWN_SCALE] if scale is None else []
-    notes += [f"the encoding {encoding} was assumed of images of 8 bits."] if kind == np.uint8 else []
+    notes += [f"the encoding {encoding} {why} of images of 8 bits."] if kind == np.uint8 else []
     return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
 
 
@@ -376,20 +391,15 @@ def _assembled(  # noqa: PLR0917
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
     every = [*files, *crossed]
     different = _each_once(every, options)
-    encoding, background = cast("str | None", options.encoding), options.background
+    background = options.background
     raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
-    require(raw is None or encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
+    require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
     counts = f"{len(rig.leds)} lights for {len(files)} images"
     require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
     groups = _same_lights(rig)
     leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
     check_lights(replace(rig, leds=leds).light_vectors())
-    notes: list[str] = []
-    if options.mosaic is not None:
-        encoding = "linear"
-    elif encoding is None:
-        known = rig.provenance.get("lights") != UNKNOWN
-        encoding, *notes = encoding_of(files, lambda: known and _shading_is_srgb(files, rig.light_vectors()))
+    encoding, notes = _encoding(files, rig, options)
     reading = _Reading(different, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
     unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
@@ -571,20 +581,41 @@ def _same_lights(rig: Rig) -> list[list[int]]:
     return groups
 
 
-def _shading_is_srgb(files: Sequence[Path], lights: NDArray[np.float64]) -> bool:
-    """Whether the shading in photographs of 8 bits is that of sRGB values; some of many photographs decide."""
-    if len(lights) < 6:  # which decide nothing
+def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[str]]:
+    """The encoding that is stated, or found by :func:`splitknit.io.photos.encoding_of`; and notes on it."""
+    if options.mosaic is not None:
+        return "linear", []
+    if options.encoding is None:
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
+        return encoding, [note]
+    if options.material == "skin" or options.flat is not None or options.shading is not None:
+        return options.encoding, []
+    curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
+    right = curved is None or curved == (options.encoding == "srgb")
+    return options.encoding, [] if right else [_OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)]
+
+
+def _shading_is_srgb(
+    files: Sequence[Path], rig: Rig, options: PhotographOptions, *kinds: type[np.unsignedinteger]
+) -> bool | None:
+    """Whether the shading in photographs of 8 bits (or `kinds`) is that of sRGB values, None where it decides nothing;
+    some of many photographs decide. What is calibrated by `flat` or `shading` is an industrial camera's, and linear."""
+    if options.flat is not None or options.shading is not None:
         return False
+    if rig.provenance.get("lights") == UNKNOWN:
+        return None
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _ASKED)).astype(int))
     codes = []
     for k in chosen:
         photo = read_photo(files[k]).pixels
-        if photo.dtype != np.uint8:
-            return False
+        if photo.dtype not in (kinds or (np.uint8,)):
+            return None
         step = max(1, round((photo.shape[0] * photo.shape[1] / _ASKED_PIXELS) ** 0.5))
-        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(255.0))
+        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(np.iinfo(photo.dtype).max))
     same = len({one.size for one in codes}) == 1  # else refused where all are read
-    return same and shading_is_srgb(np.stack(codes), lights[chosen])
+    some = replace(rig, leds=tuple(rig.leds[k] for k in chosen))
+    known = not rig.intensities_assumed
+    return shading_is_srgb(np.stack(codes), some.light_vectors(), known=known) if same else None
 
 
 class _Reading:

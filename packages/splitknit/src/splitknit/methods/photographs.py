@@ -25,6 +25,7 @@ from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_respons
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
 from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
 from splitknit.steps import shared, step
@@ -66,10 +67,11 @@ _COMPARED_VALUES = 4_000_000
 """Values of all photographs that are compared with each other, at most; larger ones are binned."""
 _SAMPLED_MM, PLACES_MM = 0.1, 0.8
 """Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
-_FEW_CLIPPED, _FITS_IN_ORDER = 0.002, 0.05
-_EQUAL, _WELL_EXPLAINED, _SURELY_UNEQUAL = 0.02, 0.02, 0.18
-"""Spread (standard deviation of the logarithm) up to which lights are equal, and from where they surely are not; gloss
-looks like 0.15 on a glazed bear. Between the two, light left unexplained below which they are not."""
+_FEW_CLIPPED = 0.002
+_EQUAL, _CLEARLY, _SURELY_UNEQUAL = 0.02, 2.5, 0.18
+"""Spread (standard deviation of the logarithm) up to which lights are equal; over the light left unexplained from where
+the estimate is better than equal lights, as gloss looks like a spread of up to 2.0 times that (a glazed bear; 1.5 on 24
+rendered objects of three glosses); and from where they surely differ."""
 _EXPLAINED = 0.7
 """Unequal lights leave less than this part of the residual: 0.66 where they differ by 6 %, equal ones 0.77 and more."""
 _WEAK_COLOUR = 0.1
@@ -174,7 +176,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
         with suppress(BadInput):  # refused below
             fit = _fit(steady, white, finger)
         reordered = fit is not None and fit.frame != TURNED and fit.order != tuple(range(len(fit.order)))
-        if fit is None or not reordered or fit.residual_in_order >= _FITS_IN_ORDER:
+        if not reordered:
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
@@ -231,7 +233,10 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
-    return fit_lights(stack, vectors.light_vectors(), finger.wider[::every, ::every])
+    inside = finger.wider[::every, ::every]
+    opaque = capture.material == "opaque"
+    fit = fit_lights(stack, vectors.light_vectors(), inside, relief=opaque)
+    return replace(fit, brightness=()) if opaque and capture.rig.intensities_assumed else fit  # see `_brightness`
 
 
 def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
@@ -281,13 +286,19 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
     equal, gains = np.ones(len(lights)), found[0]
     before, after = (light_left(each[0], lights * one[:, None], inside, levels) for one in (equal, gains))
     spread = float(np.std(np.log(gains)))
-    sure = after < _WELL_EXPLAINED or (spread > _SURELY_UNEQUAL and len(lights) > 5)
-    if spread < _EQUAL or after > _EXPLAINED * before:
+    asked = capture.rig.provenance.get("intensities") == "estimate"
+    sure = asked or spread > _CLEARLY * after or (spread > _SURELY_UNEQUAL and len(lights) > 5)
+    if not asked and (spread < _EQUAL or after > _EXPLAINED * before):
         return band, {}, []
     shown = "; ".join(f"{name} {gain:.2f}" for name, gain in zip(band.image_names, gains / gains.mean(), strict=True))
+    both = [lambertian(each[0], lights * one[:, None], inside)[0][inside] for one in (equal, gains)]
+    turned_deg = float(np.rad2deg(np.arccos(np.clip(np.median((both[0] * both[1]).sum(axis=1)), -1.0, 1.0))))
+    turned = f"which turns the surface by {turned_deg:.1f} deg (median)"
     if not sure:
-        doubt = "the lights may differ in brightness, by {:.0f} %, or shine and shadow look so: they are taken as equal"
-        return band, {}, [doubt.format(100 * spread) + "; give `lights` their brightness as a fourth number."]
+        numbers = " ".join(f"{gain:.3f}" for gain in gains / gains.mean())
+        doubt = f"the lights may differ in brightness, by {100 * spread:.0f} %, {turned}, or shine and shadow look so"
+        cure = "if they do, give `brightness` estimate, or as fourth numbers of the list, in its order"
+        return band, {}, [f"{doubt}: they are taken as equal; {cure}: {numbers}."]
     of_colours = np.stack(found[1:], axis=1)
     weak = _WEAK_COLOUR * each[1:][:, :, inside].mean() > each[1:][:, :, inside].mean(axis=2).T
     shown_gains = [round(float(one), 3) for one in gains / gains.mean()]
@@ -297,7 +308,7 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
         facts["light_colours"] = np.round(of_colours / of_colours.mean(), 3).tolist()
     else:
         of_colours = np.repeat(gains[:, None], len(channels), axis=1)
-    note = f"the lights differ in brightness, which was estimated with the surface and taken out: {shown}."
+    note = f"the lights differ in brightness, {turned}; that was estimated with the surface and taken out: {shown}."
     return replace(band, transmission=of_colours), facts, [note]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -34,6 +34,11 @@ FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 """Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y up."""
 _BLUR = 0.02
 """Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise and texture."""
+_FINE_BLUR = 0.006
+"""The same of a relief: text of a coin, hairs of a carving."""
+_CURL, _LESS_CURL, _FALLS_OFF = 0.15, 0.25, 0.1
+"""Part of the slopes' change that is curl from which lights are doubted: up to 0.03 on sound objects, 0.3 to 0.6 in a
+mirrored or turned frame; what another frame may leave of it; and how clearly it must fall off outwards to be a hill."""
 _STEEPEST = 1.5
 """Normals beyond this slope, often in shadow, are shortened to it and left out of the curl."""
 _WORSE = 2.0
@@ -79,6 +84,10 @@ _ONE_LIGHT = 0.03
 SPOILT_DEG, SPOILT_RESIDUAL = 3.0, 0.3
 """From this turn of the normals on, or so much unexplained light, a surface is not worth having: on a simulated finger
 photographs that turn them by 3 to 11 deg cost up to 0.7 mm (``validation/damaged``)."""
+_NO_SURFACE = (
+    "{:.0f} % of the change of the slopes belongs to no surface (up to 3 % is usual), and no other order or frame of "
+    "the lights mends that: heights are wrong; check their directions, photograph by photograph."
+)
 _SEEDS = 300
 _LARGEST_SEARCH = 48
 """With more lights the search starts from the given order and its shifts alone."""
@@ -121,13 +130,16 @@ class LightFit:
     """Median angle by which another order, brightness, or the strange photograph turns the normals."""
     variety: float = 1.0
     """How much the photographs differ, but for their brightness: 0 to 1."""
+    curl: float = 0.0
+    """Part of the slopes' change that belongs to no surface, of a relief: 0 to 1."""
 
 
-def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
+def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = False) -> LightFit:
     """Compare photographs with the lights that they are given, in this and in every other order and frame.
 
     Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`, whose parameters these are; `mask` is the
-    whole object, and a few hundred pixels a side are enough.
+    whole object, and a few hundred pixels a side are enough. `relief`: the thing is matt, so that what is fine on it
+    shows the frame too, be it convex or not.
 
     Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
     (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
@@ -147,23 +159,34 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     gram = _inner_products(images, inside)
     residual, each = _residual(gram, vectors)
-    under = np.arange(len(vectors))  # the light of every photograph
+    own = under = np.arange(len(vectors))  # the light of every photograph
+
+    def curl_in(order: NDArray[np.int64]) -> tuple[NDArray[np.float64] | None, float]:
+        return _relief_turn(lambertian(images, vectors[order], inside)[0], inside) if relief else (None, 0.0)
+
     if len(vectors) >= _FEWEST and residual > _NO_RESIDUAL:
         under = _better_order(gram, vectors)
-    given = bool((under == np.arange(len(under))).all())
-    frame = "right-up"
-    if residual < HIGH_RESIDUAL or not given:
-        normals, _ = lambertian(images, vectors[under], inside)
-        turn = _fit_turn(normals, inside)
+        if (under != own).any() and curl_in(under)[1] > curl_in(own)[1]:
+            under = own  # one photograph may be of something else
+    given = bool((under == own).all())
+    frame, curl = "right-up", 0.0
+    if residual < HIGH_RESIDUAL or not given or relief:
+        convex = residual < HIGH_RESIDUAL or not given  # gloss and deep shadows bend what is slow
+        turn = _fit_turn(lambertian(images, vectors[under], inside)[0], inside) if convex else None
+        of_relief, curl = curl_in(under)
+        turn = of_relief if turn is None else turn
         frame = _frame_of(turn) if given else "right-up"
         if turn is not None:
             turned = _turned_order(vectors, turn)[under]
             if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
                 under = turned
+        if curl > _CURL and frame == "right-up" and (under == own).all():
+            other = _best_order(gram, vectors)  # of lights that lie unevenly; brightness may explain the given one
+            under = other if curl_in(other)[1] < _LESS_CURL * curl else under
     best, _ = _residual(gram, vectors[under])
     if best < _LESS * residual:
         frame = "right-up"
-    given, unequal = bool((under == np.arange(len(under))).all()), False
+    given, unequal = bool((under == own).all()), False
     if given and residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:  # fewer fit any brightness
         brightness = _brightness(gram, vectors)
         equal = gram / np.outer(brightness, brightness)
@@ -180,7 +203,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     order = tuple(int(k) for k in under)
     variety = float(np.sqrt(max(second, 0.0) / first))
     of_lights = tuple(float(one) for one in brightness) if unequal else ()
-    return LightFit(residual, tuple(each.tolist()), order, best, frame, strange, of_lights, turned_deg, variety)
+    return LightFit(residual, tuple(each.tolist()), order, best, frame, strange, of_lights, turned_deg, variety, curl)
 
 
 def _strange(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> int | None:
@@ -232,15 +255,17 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
     if moved:
         words = _order_words(fit.order, names)
         if fit.frame != "right-up":
-            return (f"{_frame_words(fit.frame).rstrip('.')}; or their order is another: {words}.",)
+            return (f"{_frame_words(fit.frame, material).rstrip('.')}; or their order is another: {words}.",)
         others = "the photographs seem to be under other lights than those they are given"
         if fit.residual_in_order < _LESS * fit.residual:
             better = f"{100 * fit.residual_in_order:.0f} % would in another order"
             return (f"{others}: {left} does not fit them, {better}, and {turned}: {words}.",)
-        only = "only in another order do one convex surface's slopes follow from them"
+        only = "only in another order do one surface's slopes follow from them"
         return (f"{others}, shifted or reversed along the ring: {only}; {words}.",)
     if fit.frame != "right-up":
-        return (_frame_words(fit.frame),)
+        return (_frame_words(fit.frame, material),)
+    if fit.curl > _CURL:
+        return (_NO_SURFACE.format(100 * fit.curl),)
     if fit.residual < HIGH_RESIDUAL:
         return ()
     usual = float(np.median(fit.residual_per_image))
@@ -252,12 +277,14 @@ def doubts_of_lights(  # noqa: PLR0911 - one for each kind
     )
 
 
-def _frame_words(frame: str) -> str:
+def _frame_words(frame: str, material: str) -> str:
     across, along = frame.split("-")
+    opposite = next(name for name, axes in FRAMES.items() if not (np.array(axes) + FRAMES[frame]).any())
+    hollow = f" ({opposite} if what is raised comes out hollow)" if material == "opaque" else ""
     return (
         f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
-        "right and up: only so does one convex surface have the slopes that were found; if they are, give "
-        f"`light_frame` {frame}, or leave out the one that was given."
+        "right and up: only so do the slopes that were found belong to one surface; if they are, give "
+        f"`light_frame` {frame}{hollow}, or leave out the one that was given."
     )
 
 
@@ -300,40 +327,75 @@ _SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
 def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | None:
     """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
 
-    None where the normals are such already, or those of no single convex surface. Turned by an angle t, slopes have the
-    curl cos t * curl - sin t * divergence: its least sum of squares is an eigenvalue.
+    None where the normals are such already, or those of no single convex surface.
     """
     smooth = _smooth_slopes(normals, inside)
     if _coarse_part(smooth[0], smooth[1], inside) < _ONE_THING:
         return None  # a field of bumps: each is convex, and nothing is of the whole
-    p, q, weight = (part.astype(np.float64) for part in smooth)
-    dp_dx, dp_dy, dq_dx, dq_dy = (
-        sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
-    )
-
-    def convexity(divergence: NDArray[np.float64]) -> float:
-        return -float(np.sum(weight * divergence)) / max(float(np.sum(weight * np.abs(divergence))), 1e-12)
-
-    given, given_convex = float(np.sum(weight * (dp_dy - dq_dx) ** 2)), convexity(dp_dx + dq_dy)
-    fits = []
-    for mirrored in (1.0, -1.0):
-        curl, divergence = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
-        mixed = -float(np.sum(weight * curl * divergence))
-        squares = [[np.sum(weight * curl**2), mixed], [mixed, np.sum(weight * divergence**2)]]
-        values, vectors = np.linalg.eigh(np.array(squares))
-        cosine, sine = vectors[:, 0]
-        convex = convexity(cosine * divergence + sine * curl)
-        sign = 1.0 if convex > 0 else -1.0
-        turn = sign * np.array([[cosine, -mirrored * sine], [sine, mirrored * cosine]])
-        fits.append((float(values[0]), abs(convex), turn))
-    convex_ones = [fit for fit in fits if fit[1] > _CONVEX]
+    given, fits = _least_curls(*smooth)
+    convex_ones = [(fit.curl, abs(fit.convex), fit.turn * (1.0 if fit.convex > 0 else -1.0)) for fit in fits]
+    convex_ones = [fit for fit in convex_ones if fit[1] > _CONVEX]
     if not convex_ones:
         return None
     least, convex, turn = min(convex_ones, key=lambda fit: fit[0])
-    ratio = given / max(least, 1e-12)
+    ratio = given.curl / max(least, 1e-12)
     opposite = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
-    worse = 1.0 if given_convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
+    worse = 1.0 if given.convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
     return turn if opposite or ratio > worse else None
+
+
+def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float64] | None, float]:
+    """The turn or mirroring (2, 2) of x and y that leaves the relief's slopes without curl, None where none does or
+    they have none; and how much of their change is curl now.
+
+    A hollow is as free of curl as a hill: of the two the one that falls off towards its outline is returned, and where
+    neither does, the one that leaves x to the right.
+    """
+    given, fits = _least_curls(*_smooth_slopes(normals, inside, _FINE_BLUR))
+    best = min(fits, key=lambda fit: fit.part)
+    if given.part < _CURL or best.part > _LESS_CURL * given.part:
+        return None, given.part
+    outwards = best.convex if abs(best.convex) > _FALLS_OFF else float(best.turn[0, 0])
+    return best.turn * (1.0 if outwards > 0 else -1.0), given.part
+
+
+class _Curl(NamedTuple):
+    """What slopes have after a turn."""
+
+    curl: float
+    """Sum of squares."""
+    part: float
+    """The same over that of curl and divergence: 0.5 of noise, and of a relief whose frame is mirrored."""
+    convex: float
+    """Net divergence over its absolute sum, positive where the surface falls off outwards."""
+    turn: NDArray[np.float64]
+
+
+def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Curl, list[_Curl]]:
+    """Slopes as they are, and after the best turn of each hand: turned by an angle t, they have the curl
+    cos t * curl - sin t * divergence, whose least sum of squares is an eigenvalue.
+    """
+    slope_x, slope_y, share = (part.astype(np.float64) for part in (p, q, weight))
+    dp_dx, dp_dy, dq_dx, dq_dy = (
+        sign * np.gradient(part, axis=axis) for part in (slope_x, slope_y) for sign, axis in ((1.0, 1), (-1.0, 0))
+    )
+
+    def turned(cosine: float, sine: float, mirrored: float) -> _Curl:
+        both = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
+        curl, divergence = cosine * both[0] - sine * both[1], cosine * both[1] + sine * both[0]
+        squares = float(np.sum(share * curl**2)), float(np.sum(share * divergence**2))
+        convex = -float(np.sum(share * divergence)) / max(float(np.sum(share * np.abs(divergence))), 1e-12)
+        turn = np.array([[cosine, -mirrored * sine], [sine, mirrored * cosine]])
+        return _Curl(squares[0], squares[0] / max(sum(squares), 1e-12), convex, turn)
+
+    fits = []
+    for mirrored in (1.0, -1.0):
+        curl, divergence = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
+        mixed = -float(np.sum(share * curl * divergence))
+        squares = [[np.sum(share * curl**2), mixed], [mixed, np.sum(share * divergence**2)]]
+        cosine, sine = np.linalg.eigh(np.array(squares))[1][:, 0]
+        fits.append(turned(float(cosine), float(sine), mirrored))
+    return turned(1.0, 0.0, 1.0), fits
 
 
 def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
@@ -401,6 +463,21 @@ def _of_free_brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) 
 
 def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
     """The light of every photograph in the order that explains them best; their own unless that is clearly worse."""
+    own, under = np.arange(len(lights)), _best_order(gram, lights)
+    order = np.argsort(under)
+    moved = order != own
+    there = gram[np.ix_(order, order)]
+    before, after = _unexplained(gram, lights), _unexplained(there, lights)
+    free, own_fraction = _BETTER if len(lights) > _FEWEST else _BETTER_OF_FIVE
+    clearly = (
+        float(np.sqrt(after[moved].sum() / max(before[moved].sum(), 1e-300))) < own_fraction
+        and _of_free_brightness(there, lights) < free * _of_free_brightness(gram, lights)
+    ) if moved.any() else False  # fmt: skip
+    return under if clearly else own
+
+
+def _best_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The light of every photograph in the order that explains them best."""
     count = len(lights)
     own = np.arange(count)
     # a start says which photograph belongs to every light: the given one, shifts and reversals of it, and any
@@ -413,15 +490,7 @@ def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDA
         random = np.random.default_rng(0)
         starts += [random.permutation(count) for _ in range(_SEEDS)]
     order = max((_climbed(explaining, gram, start) for start in starts), key=lambda found: found[1])[0]
-    there = gram[np.ix_(order, order)]
-    moved = order != own
-    before, after = _unexplained(gram, lights), _unexplained(there, lights)
-    free, own_fraction = _BETTER if count > _FEWEST else _BETTER_OF_FIVE
-    clearly = (
-        float(np.sqrt(after[moved].sum() / max(before[moved].sum(), 1e-300))) < own_fraction
-        and _of_free_brightness(there, lights) < free * _of_free_brightness(gram, lights)
-    ) if moved.any() else False  # fmt: skip
-    return np.asarray(np.argsort(order)) if clearly else own
+    return np.asarray(np.argsort(order))
 
 
 def _climbed(
@@ -444,14 +513,16 @@ def _climbed(
         order[[first, second]] = order[[second, first]]
 
 
-def _smooth_slopes(normals: FloatArray, inside: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _smooth_slopes(
+    normals: FloatArray, inside: BoolArray, blur: float = _BLUR
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
     window = bounding_box(inside)
     part, cover = normals[window], inside[window].astype(np.float32)
     nz = np.maximum(part[..., 2], np.float32(1e-3))
     slopes = [-part[..., axis] / nz for axis in (0, 1)]
     steep = np.maximum(np.hypot(*slopes) / np.float32(_STEEPEST), np.float32(1.0))
-    sigma = max(1.0, _BLUR * max(cover.shape))
+    sigma = max(1.0, blur * max(cover.shape))
     mean = np.maximum(_blurred(cover, sigma), np.float32(1e-3))
     p, q = (_blurred(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
     believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
