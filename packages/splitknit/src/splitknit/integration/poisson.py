@@ -23,8 +23,10 @@ _LOG = logging.getLogger(__name__)
 #
 # A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them does. The weight of a
 # coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth surface.
-# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask, and residuals
-# to the coarser grid by its exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
+# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask; where edges
+# are weighted, by blocks of pixels and one Jacobi step (smoothed aggregation: P. Vanek, J. Mandel and M. Brezina,
+# Computing 56, 1996), which carries no height across a weak edge. Residuals go to the coarser grid by the exact
+# adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
 # One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
 #
 # Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
@@ -106,6 +108,8 @@ _SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
 _STEPS = (0.5618, 1.3894)
 """Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum;
 as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
+_SMOOTHED = 2.0 / 3.0
+"""Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum."""
 _COARSEST = 4
 _COARSEST_SWEEPS = 48
 _LONG = 16
@@ -121,9 +125,10 @@ _GROUND = 1e-9
 class _Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
-    def __init__(self, right: FloatArray, down: FloatArray, unit: bool) -> None:
-        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask."""
-        self.right, self.down, self.unit = right, down, unit
+    def __init__(self, right: FloatArray, down: FloatArray, unit: bool, even: bool) -> None:
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask; `even` that
+        they are so on the finest grid."""
+        self.right, self.down, self.unit, self.even = right, down, unit, even
         degree = right + down
         degree[:, 1:] += right[:, :-1]
         degree[1:] += down[:-1]
@@ -208,6 +213,10 @@ class _Grid:
 
     def prolong(self, coarse: FloatArray) -> FloatArray:
         """Interpolate heights of the coarser grid to this one."""
+        if not self.even:
+            blocks = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1) * self.inside
+            blocks -= np.float32(_SMOOTHED) * self.inverse * self.apply(blocks)
+            return blocks
         rows, columns = self.inside.shape
         fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
         return np.asarray(fine * self.fraction, dtype=np.float32)
@@ -215,6 +224,11 @@ class _Grid:
     def restrict(self, residual: FloatArray) -> FloatArray:
         """Adjoint of :meth:`prolong`."""
         assert self.coarser is not None
+        if not self.even:
+            smooth = residual - np.float32(_SMOOTHED) * self.apply(self.inverse * residual)
+            smooth *= self.inside
+            pairs = smooth[::2] + smooth[1::2]
+            return np.asarray(pairs[:, ::2] + pairs[:, 1::2]) * self.coarser.inside
         spread = cv2.sepFilter2D(
             residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
         )
@@ -266,13 +280,14 @@ class _DirectSolver:
 
 def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
     """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
-    finest = _Grid(right, down, unit)
+    finest = _Grid(right, down, unit, even=unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
         coarse = _Grid(
             np.float32(0.5) * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             np.float32(0.5) * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
             unit=False,
+            even=unit,
         )
         small = np.count_nonzero(grid.inside) <= _DIRECT
         if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
@@ -465,7 +480,7 @@ def _solve_masked(
     )
     edges = _Edges(weight_right, weight_down, target_right, target_down)
     if weights is not None and np.count_nonzero(mask) <= _SMALL:
-        return _factorised(_Grid(weight_right, weight_down, unit=False), edges)[:rows, :columns]
+        return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[:rows, :columns]
     grid = _build_grids(weight_right, weight_down, unit=weights is None)
     height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
     if weights is None:
