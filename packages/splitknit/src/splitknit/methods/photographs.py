@@ -12,6 +12,7 @@ import numpy as np
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places
+from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.regions import erode
@@ -152,7 +153,7 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    kinds = ("view", "width", "jpeg", "places", *(band.name for band in bands))
+    kinds = ("view", "width", "jpeg", "relief", "places", *(band.name for band in bands))
     doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
@@ -198,8 +199,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             doubt = None
         if doubt is not None:
             doubts[band.name] = doubt
-    if steady.material == "skin" and "white" not in doubts:
-        doubts |= _doubt_of_places(steady, finger)
+    if steady.material == "skin":
+        doubts |= _doubt_of_patch(steady, finger)
+        doubts |= _doubt_of_places(steady, finger) if "white" not in doubts else {}
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
         doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
@@ -400,6 +402,16 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, b
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
     words = "" if places is None else doubt_of_places(places, rig)
     return {"places": (words, False)} if words else {}
+
+
+def _doubt_of_patch(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
+    """A doubt where a part of the finger shows no ridges in the white photographs."""
+    band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
+    inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
+    stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
+    words = doubt_of_patch(*bare_patch(stack, inside, px_per_mm / binning))
+    return {"relief": (words, False)} if words else {}
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
