@@ -1,12 +1,14 @@
-"""Patches without ridges, on a matt plane with ridges that curve, under a ring of lights."""
+"""Patches without ridges, and images of other ridges: a matt plane with ridges that curve, under a ring of lights."""
 
 import numpy as np
 import pytest
 
-from splitknit.diagnosis.relief import bare_patch, doubt_of_patch
+from splitknit.diagnosis.relief import bare_patch, doubt_of_patch, unlike_image
 
 PX_PER_MM = 8.0
 Y, X = np.mgrid[:176, :144] / PX_PER_MM
+ANGLES = 2 * np.pi * np.arange(7) / 7
+LIGHTS = np.stack([0.4 * np.cos(ANGLES), -0.4 * np.sin(ANGLES), np.ones(7)], axis=1)
 MASK = ((X - 9.0) / 8.5) ** 2 + ((Y - 11.0) / 10.5) ** 2 < 1
 
 
@@ -15,8 +17,7 @@ def _stack(bare: np.ndarray, albedo: float = 1.0, weave_um: float = 0.0) -> np.n
     ridges = 0.02 * np.cos(2 * np.pi * np.hypot(X - 9.0, Y - 24.0) / 0.5)
     weave = 0.3 + 1e-3 * weave_um * np.cos(2 * np.pi * X / 0.45) * np.cos(2 * np.pi * Y / 0.45)
     down, across = np.gradient(np.where(bare, weave, ridges) * PX_PER_MM)
-    angles = 2 * np.pi * np.arange(7) / 7
-    light = [1 - 0.4 * (np.cos(a) * across + np.sin(a) * down) for a in angles]
+    light = [x * -across + y * down + z for x, y, z in LIGHTS]
     noise = np.random.default_rng(1).normal(0.0, 0.005, (7, *X.shape))
     return (np.where(bare, albedo, 1.0) * np.clip(light, 0.05, None) + noise).astype(np.float32)
 
@@ -49,3 +50,20 @@ def test_what_cannot_show_ridges_is_left_alone():
     assert bare_patch(_stack(plaster), X < 1.0, PX_PER_MM) == (0.0, 0.0)
     dark = np.where(plaster, 0.1, 1.0).astype(np.float32)
     assert bare_patch(_stack(plaster) * dark, MASK, PX_PER_MM)[0] == 0
+
+
+def test_images_of_one_relief_are_not_doubted():
+    assert unlike_image(_stack(np.zeros_like(MASK)), LIGHTS, MASK, PX_PER_MM) is None
+    assert unlike_image(_stack(MASK & (Y < 8.0)), LIGHTS, MASK, PX_PER_MM) is None
+
+
+@pytest.mark.parametrize("fault", ["moved", "double", "another finger"])
+def test_an_image_of_other_ridges_is_named(fault):
+    stack = _stack(np.zeros_like(MASK))
+    moved = np.roll(stack[2], 2, axis=0)
+    stack[2] = {"moved": moved, "double": (stack[2] + moved) / 2, "another finger": np.roll(stack[2, ::-1], 3, axis=1)}[
+        fault
+    ]
+    assert unlike_image(stack, LIGHTS, MASK, PX_PER_MM) == 2
+    assert unlike_image(stack[:5], LIGHTS[:5], MASK, PX_PER_MM) is None  # too few
+    assert unlike_image(stack, LIGHTS, MASK, 5.0) is None  # too coarse

@@ -12,7 +12,7 @@ import numpy as np
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places
-from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch
+from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch, unlike_image
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.regions import erode
@@ -51,6 +51,10 @@ _JPEG_GRID = 0.92
 """High frequencies in blocks of 8 pixels on JPEG's grid, of those on the next best of 64 grids, below which it was
 JPEG: 0.66 to 0.85 at quality 97, 0.54 to 0.66 at 95, less below; 0.99 and more without JPEG, and from 99 on."""
 _JPEG_SIDE = 1024
+OTHER_RIDGES = (
+    "{} does not show the ridges that all other photographs show (moved, double, or another finger's): the relief "
+    "mixes both; capture it again."
+)
 OTHER_OUTLINE = 0.03, 0.15
 """Part of the rim that is darker in near infrared than in white from which the outlines differ, and from which the
 surface is spoilt: below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
@@ -200,7 +204,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
         if doubt is not None:
             doubts[band.name] = doubt
     if steady.material == "skin":
-        doubts |= _doubt_of_patch(steady, finger)
+        doubts |= _doubt_of_relief(steady, finger, fits="white" not in doubts)
         doubts |= _doubt_of_places(steady, finger) if "white" not in doubts else {}
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
@@ -404,14 +408,18 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, b
     return {"places": (words, False)} if words else {}
 
 
-def _doubt_of_patch(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
-    """A doubt where a part of the finger shows no ridges in the white photographs."""
+def _doubt_of_relief(capture: Capture, finger: Finger, *, fits: bool) -> dict[str, tuple[str, bool]]:
+    """A doubt where white photographs show no ridges in a part of the finger, or one shows others than the rest."""
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
     inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
-    words = doubt_of_patch(*bare_patch(stack, inside, px_per_mm / binning))
-    return {"relief": (words, False)} if words else {}
+    words = [doubt_of_patch(*bare_patch(stack, inside, px_per_mm / binning))]
+    if fits and len(band.lights) == len(stack):
+        lights = capture.rig.select(band.lights).light_vectors()
+        unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
+        words += [] if unlike is None else [OTHER_RIDGES.format(band.image_names[unlike])]
+    return {"relief": (" Also, ".join(filter(None, words)), False)} if any(words) else {}
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
