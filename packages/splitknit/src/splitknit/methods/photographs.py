@@ -12,6 +12,7 @@ import numpy as np
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places
+from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch, unlike_image
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.regions import erode
@@ -48,6 +49,10 @@ _JPEG_GRID = 0.92
 """High frequencies in blocks of 8 pixels on JPEG's grid, of those on the next best of 64 grids, below which it was
 JPEG: 0.66 to 0.85 at quality 97, 0.54 to 0.66 at 95, less below; 0.99 and more without JPEG, and from 99 on."""
 _JPEG_SIDE = 1024
+OTHER_RIDGES = (
+    "{} does not show the ridges that all other photographs show (moved, double, or another finger's): the relief "
+    "mixes both; capture it again."
+)
 OTHER_OUTLINE = 0.03, 0.15
 """Part of the rim that is darker in near infrared than in white from which the outlines differ, and from which the
 surface is spoilt: below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
@@ -151,7 +156,7 @@ def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPh
             warnings = (*warnings, NO_NIR)
     if (unsure := bas_relief_of(capture.rig)) is not None:
         warnings = (bas_relief_note(unsure), *warnings)
-    kinds = ("view", "width", "response", "places", "jpeg", *(band.name for band in bands))
+    kinds = ("view", "width", "response", "relief", "places", "jpeg", *(band.name for band in bands))
     doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
     for words, worthless in doubts:
         require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
@@ -199,8 +204,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             doubt = None
         if doubt is not None:
             doubts[band.name] = doubt
-    if steady.material == "skin" and response is None and "white" not in doubts:
-        doubts |= _doubt_of_places(steady, finger)
+    if steady.material == "skin":
+        doubts |= _doubt_of_relief(steady, finger, fits="white" not in doubts)
+        doubts |= _doubt_of_places(steady, finger) if response is None and "white" not in doubts else {}
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
         doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
@@ -415,6 +421,20 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, b
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
     words = "" if places is None else doubt_of_places(places, rig)
     return {"places": (words, False)} if words else {}
+
+
+def _doubt_of_relief(capture: Capture, finger: Finger, *, fits: bool) -> dict[str, tuple[str, bool]]:
+    """A doubt where white photographs show no ridges in a part of the finger, or one shows others than the rest."""
+    band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
+    inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
+    stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
+    words = [doubt_of_patch(*bare_patch(stack, inside, px_per_mm / binning))]
+    if fits and len(band.lights) == len(stack):
+        lights = capture.rig.select(band.lights).light_vectors()
+        unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
+        words += [] if unlike is None else [OTHER_RIDGES.format(band.image_names[unlike])]
+    return {"relief": (" Also, ".join(filter(None, words)), False)} if any(words) else {}
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
