@@ -7,6 +7,7 @@ import pytest
 import splitknit
 from rough_dome import scene, spoilt
 from splitknit.errors import BadInput
+from splitknit.methods.photographs import INVERTED
 from splitknit.photometric.frames import HOLLOW
 
 KINDS = {
@@ -32,6 +33,19 @@ def turned(one, other):
 @pytest.fixture(scope="module")
 def sound():
     return splitknit.reconstruct_images(*photographs(), px_per_mm=10.0)
+
+
+def test_an_inverted_mask_is_doubted():
+    """A dome on a flat table; what is left out of a picture full of relief is no such thing."""
+    stack, lights, mask = photographs()
+    table = np.broadcast_to((0.4 * lights[:, 2])[:, None, None], stack.shape)
+    noise = np.random.default_rng(0).normal(0, 0.003, stack.shape)
+    on_table = np.clip(np.where(mask, stack, table) + noise, 0, 1).astype(np.float32)
+    assert INVERTED in splitknit.reconstruct_images(on_table, lights, ~mask, 10.0).warnings
+    assert INVERTED not in splitknit.reconstruct_images(on_table, lights, mask, 10.0).warnings
+    hole = np.ones_like(mask)
+    hole[40:60, 60:80] = False
+    assert INVERTED not in splitknit.reconstruct_images(stack, lights, hole, 10.0).warnings
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,7 +10,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Rig, default_rig, nominal_rig
 from splitknit_rig.calibration.lights_job import _Lying
-from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions, rim_of
 from splitknit_rig.capture.pins import led_names
 from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.calibration_set.solids import SphereScene
@@ -69,6 +69,23 @@ def test_the_outline_of_a_mask_and_of_a_ball():
     for found in (ball_of_mask(inside), find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32))):
         assert (found.column, found.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
         assert found.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
+
+
+@pytest.mark.parametrize("aside", [(0.0, 0.0, 1.04), (5.0, -2.0, 1.0), (-3.0, 4.0, 0.97)])
+def test_the_rim_replaces_an_outline_beside_it(aside):
+    """On a chequered table, half of the ball as bright as it."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    table = 0.2 + 0.1 * ((rows // 9 + columns // 9) % 2)
+    edge = np.clip(BALL.radius_px + 0.5 - np.hypot(columns - BALL.column, rows - BALL.row), 0, 1)
+    stack = shaded(lights(), np.full(6, 0.8))
+    stack = (edge * stack + (1 - edge) * table).astype(np.float32)
+    off = Ball(BALL.column + aside[0], BALL.row + aside[1], aside[2] * BALL.radius_px)
+    rim, agreed = rim_of(stack, off)
+    assert agreed > 0.6
+    assert (rim.column, rim.row, rim.radius_px) == pytest.approx((BALL.column, BALL.row, BALL.radius_px), abs=0.4)
+    noise = np.random.default_rng(0).random(stack.shape, dtype=np.float32)
+    assert rim_of(noise, off)[1] < 0.5
+    assert rim_of(stack, Ball(BALL.column, BALL.row, 20.0))[1] == 0.0
 
 
 @pytest.mark.parametrize("chrome", [True, False])

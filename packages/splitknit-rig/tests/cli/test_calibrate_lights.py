@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -368,6 +369,19 @@ def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, opti
     assert run(capsys, *words)[0] == 0
     (tmp_path / "words.txt").write_text("mine")
     assert "not a list of lights" in refused(capsys, *words[:7], tmp_path / "words.txt")
+
+
+def test_a_mask_beside_the_ball_gives_way_to_its_rim(capsys, tmp_path, ball):
+    photographs, mask, _ = ball
+    words = ("--sphere", "grey", "--images", photographs, "--mask")
+    sound = json.loads(run(capsys, *words, mask, "--json")[1])
+    beside = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 5, axis=1)
+    write_image(tmp_path / "mask.png", beside)
+    found = json.loads(run(capsys, *words, tmp_path / "mask.png", "--json")[1])
+    assert any("the mask lies 5" in note and "deg off" in note for note in found["notes"])
+    assert not any("the mask lies" in note for note in sound["notes"])
+    for led, known in zip(found["leds"], sound["leds"], strict=True):
+        assert math.degrees(math.dist(led["direction"], known["direction"])) < 0.3
 
 
 def test_a_list_of_lights_is_of_one_band(capsys, tmp_path):

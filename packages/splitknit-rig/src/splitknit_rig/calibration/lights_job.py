@@ -49,10 +49,30 @@ from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Circle, Tip, 
 from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, find_leds, light_settings, rig_of
 from splitknit_rig.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit_rig.calibration.radiometry import led_name
-from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit_rig.calibration.sphere import (
+    RIM_PX,
+    Ball,
+    ball_of_mask,
+    chrome_directions,
+    find_ball,
+    grey_directions,
+    rim_of,
+)
 from splitknit_simulator import side_lights
 
 _UNCOMPARED = {"disagreement_deg": None, "kept": True}  # what is stated of an LED that only one nail position shows
+
+_RIM_AGREED, _RIM_OFF = 0.5, 0.005
+"""Part of all rays that must agree on a ball's rim: 0.53 on a photographed chrome ball that is half dark on dark, 0.55
+and more on drawn ones, up to 0.40 where nothing but noise is seen; and part of the radius by which it must lie off the
+mask to replace it."""
+_RIM = (
+    "the mask lies {:.1f} px beside the ball's rim in the photographs, and its radius is {:+.1f} % off: the rim is used"
+)
+_NO_RIM = (
+    "the ball's rim is not found in the photographs near its mask{}, so that nothing checks it: each pixel that it "
+    "lies aside turns the lights by {:.1f} deg; see that the mask ends at the rim."
+)
 
 
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
@@ -262,11 +282,11 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
     camera_size = base.camera.image_size
     stack, digests = read_stack(paths, camera_size, job.encoding or "linear", upright=True)
     hashes = {file.relative_to(folder).as_posix(): digest for file, digest in digests.items()}
-    ball = _ball(path(job.mask), stack, size, hashes)
+    ball, notes = _ball(job, stack, size, hashes)
     encoding: str | None = job.encoding
-    note = ""
     if encoding is None:
         encoding, note = encoding_of(paths, lambda: job.sphere == "grey" and _ball_is_srgb(stack, ball))
+        notes += [note] if note else []
     if encoding == "srgb" and job.encoding is None:
         stack, _ = read_stack(paths, camera_size, encoding, upright=True)
     strengths: Array | None = None
@@ -299,7 +319,7 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
     rig = Rig(base.camera, tuple(leds), said, base.mirrors)
     outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
     found = {"method": job.sphere, "ball": outline, "encoding": encoding, "leds": facts}
-    return _written(rig, path(job.out), {**found, "notes": [note] if note else []})
+    return _written(rig, path(job.out), {**found, "notes": notes})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,9 +387,11 @@ def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
     return [("white", k, file) for k, file in enumerate(sorted(files, key=lambda file: natural_order(file.name)))]
 
 
-def _ball(mask: Path | None, stack: FloatArray, size: tuple[int, int], hashes: dict[str, str]) -> Ball:
+def _ball(job: LightsJob, stack: FloatArray, size: tuple[int, int], hashes: dict[str, str]) -> tuple[Ball, list[str]]:
+    """The ball within the rim that the photographs (L, H, W) show, near `mask` where there is one, and notes."""
+    mask = path(job.mask)
     if mask is None:
-        return find_ball(stack)
+        return find_ball(stack), []
     pixels = read_photo(mask).pixels
     require(
         pixels.shape[:2] == size,
@@ -377,4 +399,15 @@ def _ball(mask: Path | None, stack: FloatArray, size: tuple[int, int], hashes: d
         f"{size[0]} x {size[1]}.",
     )
     hashes[mask.name] = file_hash(mask)
-    return ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
+    ball = ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
+    rim, agreed = rim_of(stack, ball)
+    per_radius = 2.0 if job.sphere == "chrome" else 1.0  # a mirror doubles what its normal turns by
+    if agreed < _RIM_AGREED:
+        small = f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
+        return ball, [_NO_RIM.format(small, math.degrees(per_radius / ball.radius_px))]
+    aside, larger = math.hypot(ball.column - rim.column, ball.row - rim.row), ball.radius_px - rim.radius_px
+    if aside + abs(larger) < max(_RIM_OFF * rim.radius_px, 0.5):
+        return ball, []
+    turned = math.degrees((per_radius * aside + 0.6 * abs(larger)) / rim.radius_px)
+    said = _RIM.format(aside, 100.0 * larger / rim.radius_px)
+    return rim, [f"{said}; by the mask the lights would be some {turned:.1f} deg off."]

@@ -24,7 +24,13 @@ from splitknit.imaging.view import view_of
 from splitknit.integration.knit import place
 from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
-from splitknit.photometric.checks import PhotographFault, faulty_photographs, light_gains, light_left
+from splitknit.photometric.checks import (
+    PhotographFault,
+    faulty_photographs,
+    leaves_out_object,
+    light_gains,
+    light_left,
+)
 from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
@@ -65,6 +71,10 @@ TILTED = (
 SIDE_UNUSED = (
     "the {} white images lit far more from the side than the others are not used: by the published cases, and where no "
     "network estimates the ridges, the shadows in them would be taken for the skin's shape."
+)
+INVERTED = (
+    "the mask looks inverted: it runs around the picture, and what it leaves out turns more with the light than "
+    "what it holds, so that the table is measured; paint the object white and all else black."
 )
 FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
@@ -187,6 +197,11 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
     response = doubt_of_response(steady, finger) if steady.material == "skin" else None
     doubts |= {"response": (response.words, response.worthless)} if response is not None and response.sure else {}
+    if fit is not None and steady.mask is not None and not white.colours:
+        every = max(1, max(steady.shape) // FRAME_SIDE)
+        stack, vectors = linear_stack(white.sampled(every), steady.encoding, "grey"), steady.rig.select(white.lights)
+        if leaves_out_object(stack, vectors.light_vectors(), finger.mask[::every, ::every]):
+            doubts["view"] = (INVERTED, False)
     for band in (steady.bands[name] for name in ("white", "nir") if name in steady.bands):
         known = fit if band is white else None
         found, doubt = ({}, None) if band.colours else _doubt_of_lights(steady, band, finger, known, response)

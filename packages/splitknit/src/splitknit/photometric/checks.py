@@ -58,6 +58,12 @@ _CLIPPED = 0.01
 _FAINT = 0.12
 """Brightness over the median photograph's below which noise and the steps of the numbers count."""
 
+_BORDER, _LEFT_OUT, _LIT = 0.7, 0.02, 0.1
+"""A mask may be inverted that holds the picture's corners and this part of its border, and leaves out this part of it,
+lit: brighter than this part of the brightest pixels."""
+_TURNS, _TURNS_DEG = 2.5, 5.0
+"""Spread of directions (70 % of pixels) of what an inverted mask leaves out: over that of what it holds, and itself."""
+
 
 @dataclass(frozen=True, slots=True)
 class PhotographFault:
@@ -100,6 +106,33 @@ def light_left(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) 
     if not light.size:
         return 1.0
     return float(np.quantile(np.abs(fit.residual[fit.good]), 0.8) / max(float(light.mean()), 1e-12))
+
+
+def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
+    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out, lit, changes more in
+    direction than what it holds. Directions are those of pinv(lights) @ stack, one vector a pixel.
+    """
+    images, vectors, inside, _ = _checked(stack, lights, mask, None)
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    mean = images.mean(axis=0)
+    lit = mean > _LIT * np.quantile(mean, 0.995)
+    beside, held = lit & ~inside, lit & inside
+    corners = inside[:: max(1, len(inside) - 1), :: max(1, inside.shape[1] - 1)]
+    if not corners.all() or border.mean() < _BORDER or beside.mean() < _LEFT_OUT:
+        return False
+    if held.sum() < _LIT * inside.sum():
+        return True
+    rows, columns = np.nonzero(held)
+    light = np.tensordot(np.linalg.pinv(vectors), images, 1)
+    unit = light / np.maximum(np.linalg.norm(light, axis=0), 1e-12)
+    place = np.stack([rows, columns, np.ones(len(rows))], axis=1)
+    trend = place @ np.linalg.lstsq(place, unit[:, held].T, rcond=None)[0]
+    level = np.median(unit[:, beside], axis=1, keepdims=True)
+    spreads = [
+        float(np.degrees(np.quantile(np.linalg.norm(rest, axis=0), 0.7)))
+        for rest in (unit[:, held] - trend.T, unit[:, beside] - level)
+    ]
+    return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
 
 
 def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray) -> NDArray[np.float64]:
