@@ -34,7 +34,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "loopback unless a TLS certificate is given": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
-    "an audit line for each act, without biometric data": (
+    "an audit line for each act, of an enrolment before it is final, without biometric data": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_a_client_made_of_the_document_enrols_and_identifies",
     ),
     "what is printed, and what a report shows, holds no control character": (
@@ -119,7 +119,10 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "a line of JSON for every opening": (
         "packages/splitknit-match/tests/batch/test_forget.py::test_who_opened_a_gallery_is_put_down_where_that_is_wanted",
     ),
-    "bounded bodies, comparisons and waiting": (
+    "answers name no folder": (
+        "packages/splitknit-match/tests/gallery/test_serve.py::test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder",
+    ),
+    "bounded bodies, comparisons, connections (64) and waiting (20 to 40 s)": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_what_is_wrong_is_one_sentence",
         "packages/splitknit-match/tests/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
     ),

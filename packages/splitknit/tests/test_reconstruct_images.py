@@ -152,9 +152,7 @@ def coin(rim_deg, size=300):
     stack = 0.6 * patina * np.clip(normals @ lights.T, 0, 1).transpose(2, 0, 1)
     stack += 0.2 * np.clip(normals @ half.T, 0, 1).transpose(2, 0, 1) ** 25
     stack = np.where(inside, stack, 0.03) + 0.004 * rng.standard_normal(stack.shape)
-    stack = np.clip(stack, 0, 1)
-    srgb = np.where(stack <= 0.0031308, 12.92 * stack, 1.055 * stack ** (1 / 2.4) - 0.055)
-    return height, np.rint(255 * srgb).astype(np.uint8), lights, inside
+    return height, np.clip(stack, 0, 1).astype(np.float32), lights, inside
 
 
 @pytest.mark.parametrize("rim_deg", [70, 85, 89])

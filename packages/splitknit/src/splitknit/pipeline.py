@@ -73,6 +73,10 @@ def reconstruct(
     """
     name, chosen = chosen_settings(preset, settings)
     capture = _opened(capture, memory)
+    if chosen.shape.source == "mirror":
+        from splitknit.mirrors.captured import require_mirrors  # large, and needed where there are mirrors
+
+        require_mirrors(capture.rig)
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, doubts = with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
 from splitknit.io import png, tiff
 from splitknit.io.images import APP1, MAX_BYTES, MAX_PIXELS, decode_image, jpeg_segments
-from splitknit.io.png import check_size
+from splitknit.io.png import check_size, png_header
 from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -118,7 +118,7 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
     curved = by_shading()
-    if curved is not False and read_photo(files[0]).pixels.dtype == np.uint8:
+    if curved is not False and _of_eight_bits(files[0]):
         if curved is None:
             remedy = "give `encoding` linear if an industrial camera or a renderer saved them."
             return "srgb", f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; {remedy}"
@@ -126,6 +126,13 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
         return "srgb", note
     remedy = "give `encoding` srgb if a program for pictures or a telephone saved them."
     return "linear", f"encoding linear is assumed of the {suffix} files, which state none; {remedy}"
+
+
+def _of_eight_bits(file: Path) -> bool:
+    """Whether a file has 8 bits a value; what a PNG states is read without its pixels."""
+    if file.suffix.lower() == ".png":
+        return bool(png_header(file.read_bytes(), str(file)).dtype == np.uint8)
+    return read_photo(file).pixels.dtype == np.uint8
 
 
 def _stated_encoding(file: Path) -> str:

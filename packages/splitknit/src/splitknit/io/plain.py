@@ -25,7 +25,7 @@ from splitknit.imaging.band import (
 )
 from splitknit.imaging.light_field import few_lights
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
-from splitknit.imaging.response import shading_is_srgb
+from splitknit.imaging.response import FEWEST, shading_is_srgb
 from splitknit.io.content import check_contents, drawn_outline, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
@@ -602,7 +602,7 @@ def _shading_is_srgb(
     some of many photographs decide. What is calibrated by `flat` or `shading` is an industrial camera's, and linear."""
     if options.flat is not None or options.shading is not None:
         return False
-    if rig.provenance.get("lights") == UNKNOWN:
+    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
         return None
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _ASKED)).astype(int))
     codes = []

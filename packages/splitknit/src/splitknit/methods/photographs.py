@@ -31,7 +31,16 @@ from splitknit.photometric.checks import (
     light_gains,
     light_left,
 )
-from splitknit.photometric.frames import HOLLOW, SPOILT_DEG, TURNED, LightFit, doubts_of_lights, fit_lights, spoils
+from splitknit.photometric.frames import (
+    HIGH_RESIDUAL,
+    HOLLOW,
+    SPOILT_DEG,
+    TURNED,
+    LightFit,
+    doubts_of_lights,
+    fit_lights,
+    spoils,
+)
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
@@ -195,7 +204,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
             steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
             films |= compared
     facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
-    response = doubt_of_response(steady, finger) if steady.material == "skin" else None
+    fit, response = _response(steady, finger) if steady.material == "skin" else (fit, None)
     doubts |= {"response": (response.words, response.worthless)} if response is not None and response.sure else {}
     if fit is not None and steady.mask is not None and not white.colours:
         every = max(1, max(steady.shape) // FRAME_SIDE)
@@ -258,6 +267,15 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     opaque = capture.material == "opaque"
     fit = fit_lights(stack, vectors.light_vectors(), inside, relief=opaque)
     return replace(fit, brightness=()) if opaque and capture.rig.intensities_assumed else fit  # see `_brightness`
+
+
+def _response(capture: Capture, finger: Finger) -> tuple[LightFit | None, ResponseDoubt | None]:
+    """How white photographs of skin fit their lights; what is wrong with the camera's response, unless they do not."""
+    band, fit = capture.bands["white"], None
+    with suppress(BadInput):  # refused where doubts are made
+        fit = None if band.colours else _fit(capture, band, finger)
+    sound = fit is None or fit.residual < HIGH_RESIDUAL
+    return fit, doubt_of_response(capture, finger) if sound else None
 
 
 def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:

@@ -48,7 +48,7 @@ TONE = (
 )
 FLAT = (
     "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local contrast, a tone curve or "
-    "night mode of the camera, light of the room or haze has flattened it, or the lights stand elsewhere than stated; "
+    "night mode of the camera, light of the room or haze has flattened it, or the LEDs stand elsewhere than stated; "
     "store RAW or linear images, and add an ambient one."
 )
 _BLUE, _CLIPPED, _COLOURS = 1.3, 0.12, 0.02
@@ -120,7 +120,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         return found[0] if found else None
     doubt, (tone, sure) = None, tone_exponent(toned)
     if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not others):  # another encoding must fit well
-        doubt = ResponseDoubt(TONE.format(tone), abs(tone - 1) > _TONE_SPOILS)
+        doubt = ResponseDoubt(TONE.format(tone), bool(abs(tone - 1) > _TONE_SPOILS))
     elif np.isnan(tone) and not (np.isnan(exponent) or _SHADED[0] < exponent < _SHADED[1]):
         doubt = ResponseDoubt(TONE.format(exponent), False, False)
     elif _HOLLOW < height < _FLAT:

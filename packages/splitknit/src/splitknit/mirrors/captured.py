@@ -93,11 +93,16 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
     return drawn
 
 
+def require_mirrors(rig: Rig) -> None:
+    """Raise BadInput if the rig has no mirrors."""
+    fault = "the rig has no mirrors, so that the shape cannot come from them"
+    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
+
+
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
     rig = capture.rig
-    fault = "the rig has no mirrors, so that the shape cannot come from them"
-    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
+    require_mirrors(rig)
     views, grey = found_views(capture, mask)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)
