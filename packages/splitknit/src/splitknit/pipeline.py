@@ -72,11 +72,7 @@ def reconstruct(
     A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
     """
     name, chosen = chosen_settings(preset, settings)
-    capture = _opened(capture, memory)
-    if chosen.shape.source == "mirror":
-        from splitknit.mirrors.captured import require_mirrors  # large, and needed where there are mirrors
-
-        require_mirrors(capture.rig)
+    capture = _opened(capture, memory, mirrors=chosen.shape.source == "mirror")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, doubts = with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
@@ -140,8 +136,9 @@ def reconstruct_images(
     return replace(result, warnings=(*said, *result.warnings))
 
 
-def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None) -> Capture:
-    """The capture, read where it is a path. Raises BadInput if it has no white band, or the memory is another's."""
+def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None, *, mirrors: bool) -> Capture:
+    """The capture, read where it is a path. Raises BadInput if it has no white band, or no `mirrors` where they are
+    needed, or the memory is another's."""
     if not isinstance(capture, Capture):
         from splitknit.io.capture import read_capture  # large, and needed for paths alone
 
@@ -149,6 +146,10 @@ def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None) ->
     if memory is not None:
         memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    if mirrors:
+        from splitknit.mirrors.captured import require_mirrors  # large, and needed where there are mirrors
+
+        require_mirrors(capture.rig)
     return capture
 
 
