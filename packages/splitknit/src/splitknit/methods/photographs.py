@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from splitknit import steps
-from splitknit.diagnosis.lights import doubt_of_places, fitted_places
+from splitknit.diagnosis.lights import doubt_of_places, fitted_places, sure_of_places
 from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch, unlike_image
 from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
@@ -91,6 +91,9 @@ _COMPARED_VALUES = 4_000_000
 """Values of all photographs that are compared with each other, at most; larger ones are binned."""
 _SAMPLED_MM, PLACES_MM = 0.1, 0.8
 """Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
+_MUCH_BARE = 0.15
+"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound fingers in all conditions had
+0.11."""
 _FEW_CLIPPED = 0.002
 _EQUAL, _CLEARLY, _SURELY_UNEQUAL = 0.02, 2.5, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal; over the light left unexplained from where
@@ -229,8 +232,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
         if doubt is not None:
             doubts[band.name] = doubt
     if steady.material == "skin":
-        doubts |= _doubt_of_relief(steady, finger, fits="white" not in doubts)
-        doubts |= _doubt_of_places(steady, finger) if response is None and "white" not in doubts else {}
+        relief, noted = _doubt_of_relief(steady, finger, fits="white" not in doubts)
+        places, moved_leds = ({}, ()) if response is not None or "white" in doubts else _doubt_of_places(steady, finger)
+        doubts, said = doubts | relief | places, [*said, *noted, *moved_leds]
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
         doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
@@ -432,11 +436,11 @@ def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, 
     return {"nir": (f"{other}: {check}", nir - white > OTHER_OUTLINE[1])} if nir - white > OTHER_OUTLINE[0] else {}
 
 
-def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
-    """A doubt where the white LEDs seem to stand elsewhere than the rig states."""
+def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[str, bool]], tuple[str, ...]]:
+    """A doubt, or a note, where the white LEDs seem to stand elsewhere than the rig states."""
     band, camera = capture.bands["white"], capture.rig.camera
     if band.colours or any(led.position_mm is None for led in capture.rig.leds):
-        return {}
+        return {}, ()
     every = max(1, round(_SAMPLED_MM * camera.px_per_mm))
     binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
     names = ("red", "green", "blue") if has_colour(band) else ("grey",)
@@ -445,7 +449,7 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, b
     rows, columns = (n // (every * binning) for n in capture.shape)
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
-        return {}
+        return {}, ()
     stack = sum((one / max(float(one[:, inside].mean()), 1e-9) for one in images), np.zeros_like(images[0]))
     pitch_mm = every * binning * camera.pitch_mm
     depth_mm = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
@@ -453,21 +457,28 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> dict[str, tuple[str, b
     rig = capture.rig.select(band.lights)
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
     words = "" if places is None else doubt_of_places(places, rig)
-    return {"places": (words, False)} if words else {}
+    if places is None or not words:
+        return {}, ()
+    return ({"places": (words, False)}, ()) if sure_of_places(places) else ({}, (words,))
 
 
-def _doubt_of_relief(capture: Capture, finger: Finger, *, fits: bool) -> dict[str, tuple[str, bool]]:
-    """A doubt where white photographs show no ridges in a part of the finger, or one shows others than the rest."""
+def _doubt_of_relief(
+    capture: Capture, finger: Finger, *, fits: bool
+) -> tuple[dict[str, tuple[str, bool]], tuple[str, ...]]:
+    """A doubt where one white photograph shows other ridges than the rest, or a large part of the finger none; a note
+    on a smaller part, which gloss may hide."""
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
     inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
-    words = [doubt_of_patch(*bare_patch(stack, inside, px_per_mm / binning))]
+    area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
+    patch = doubt_of_patch(area_mm2, part)
+    noted, words = ((), [patch]) if part > _MUCH_BARE or not patch else ((patch,), list[str]())
     if fits and len(band.lights) == len(stack):
         lights = capture.rig.select(band.lights).light_vectors()
         unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
         words += [] if unlike is None else [OTHER_RIDGES.format(band.image_names[unlike])]
-    return {"relief": (" Also, ".join(filter(None, words)), False)} if any(words) else {}
+    return ({"relief": (" Also, ".join(filter(None, words)), False)} if any(words) else {}), noted
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
