@@ -42,8 +42,8 @@ and up to 5.8 mm. Where more light is left than `_CLEAN`, both limits grow with 
 
 
 _SURE_HEIGHT, _SURE_SHIFT_MM = 0.26, 13.0
-"""The same from which they are doubted and not merely noted: of some 40 sound fingers in all conditions and tones of skin
-five had up to 0.22 and 11 mm."""
+"""The same from which they are doubted and not merely noted: of some 40 sound fingers in all conditions
+and tones of skin five had up to 0.22 and 11 mm."""
 
 
 class LightPlaces(NamedTuple):

@@ -92,8 +92,8 @@ _COMPARED_VALUES = 4_000_000
 _SAMPLED_MM, PLACES_MM = 0.1, 0.8
 """Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
 _MUCH_BARE = 0.15
-"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound fingers in all conditions had
-0.11."""
+"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound fingers in all
+conditions had 0.11."""
 _FEW_CLIPPED = 0.002
 _EQUAL, _CLEARLY, _SURELY_UNEQUAL = 0.02, 2.5, 0.18
 """Spread (standard deviation of the logarithm) up to which lights are equal; over the light left unexplained from where
