@@ -51,9 +51,9 @@ FLAT = (
     "night mode of the camera, light of the room or haze has flattened it, or the LEDs stand elsewhere than stated; "
     "store RAW or linear images, and add an ambient one."
 )
-_BLUE, _CLIPPED, _COLOURS = 1.3, 0.12, 0.02
+_BLUE, _CLIPPED, _COLOURS = 1.3, 0.2, 0.02
 """Blue over red light, part of the finger that is clipped in one colour of an image, and standard deviation of the
-colours' gains, from which they are doubted: at most 0.63, 0.06 and 0.001 on 144 sound fingers in all conditions (dry,
+colours' gains, from which they are doubted: at most 0.63, 0.06 (once 0.13) and 0.001 on some 180 sound fingers in all conditions (dry,
 wet, scarred, glossy ...); from 1.6, 0.27 and 0.037 where they are wrong."""
 _TONE, _TONE_SPOILS, _SURE = 0.07, 0.1, 7.0
 """Departure of the exponent from one that is doubted, and that spoils the surface: 0.03 at most on 126 sound fingers
