@@ -53,8 +53,8 @@ FLAT = (
 )
 _BLUE, _CLIPPED, _COLOURS = 1.3, 0.2, 0.02
 """Blue over red light, part of the finger that is clipped in one colour of an image, and standard deviation of the
-colours' gains, from which they are doubted: at most 0.63, 0.06 (once 0.13) and 0.001 on some 180 sound fingers in all conditions (dry,
-wet, scarred, glossy ...); from 1.6, 0.27 and 0.037 where they are wrong."""
+colours' gains, from which they are doubted: at most 0.63, 0.06 (once 0.13), 0.001 on 180 sound fingers in all
+conditions (dry, wet, scarred, glossy ...); from 1.6, 0.27 and 0.037 where they are wrong."""
 _TONE, _TONE_SPOILS, _SURE = 0.07, 0.1, 7.0
 """Departure of the exponent from one that is doubted, and that spoils the surface: 0.03 at most on 126 sound fingers
 under unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added; its least t value."""
