@@ -123,6 +123,5 @@ def test_large_weighted_integration_reaches_the_least_energy(caplog):
 
 @pytest.mark.slow
 def test_ten_thousand_weighted_integrations_reach_the_least_energy(caplog):
-    assert_least(range(1_000, 10_900), 200, caplog)
-    assert_least(range(20_000, 20_095), 600, caplog)
-    assert_least(range(30_000, 30_005), 1_500, caplog)  # beyond, the direct solver has not enough memory
+    assert_least(range(1_000, 10_980), 200, caplog)
+    assert_least(range(20_000, 20_020), 600, caplog)
