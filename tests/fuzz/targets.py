@@ -410,7 +410,8 @@ def _plain_images() -> list[Files]:
     lights = b"3\n0.5 0 1\n-0.3 0.4 1\n-0.3 -0.4 1\n"
     named = b"".join(b"%d.png %s" % (k, line) for k, line in enumerate(lights.splitlines(True)[1:]))
     photos = {f"{k}.png": encode_image(_noise(16, 17, seed=k), ".png") for k in range(3)}
-    return [{"lights.txt": lights, **photos}, {"lights.txt": named, **photos, "mask.png": photos["0.png"]}]
+    mask = encode_image(np.where(_noise(16, 17, seed=0) > 127, 255, 0).astype(np.uint8), ".png")
+    return [{"lights.txt": lights, **photos}, {"lights.txt": named, **photos, "mask.png": mask}]
 
 
 def _plain_capture(folder: Path, files: Files) -> None:
