@@ -5,6 +5,8 @@
 Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter. What is counted:
 
 - settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from ``Checked``;
+- tokens by member and package: what Python's tokenizer gives, without comments, docstrings (of attributes, too), and
+  layout, so that neither wide lines nor blank ones count; ``all Python`` are those of every tracked ``.py`` file;
 - lines by member: of ``.py`` and ``.pyi`` files; public names by member: what stands at its door, ``__init__.pyi``;
 - words by page: of ``docs``, as ``wc -w`` counts them; pages that a script writes are not in the sum;
 - names of modules: functions and classes at their top level, without a leading underscore; homonyms: those that two
@@ -22,11 +24,13 @@ from __future__ import annotations
 
 import argparse
 import ast
+import io
 import json
 import re
 import subprocess
 import sys
 import time
+import tokenize
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -154,6 +158,37 @@ class House:
                     yield node.name, [arg for arg in every if arg.arg not in ("self", "cls")]
 
 
+LAYOUT = (
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+)
+
+
+def tokens(path: Path) -> int:
+    """Tokens of a file without comments, docstrings and layout."""
+    text = path.read_text(encoding="utf-8")
+    strings = {
+        (node.lineno, node.value.col_offset)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    }
+    each = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(one.type not in LAYOUT and one.start not in strings for one in each)
+
+
+def tokens_by_package(package: Path) -> Counter[str]:
+    """Tokens of a member's packages, and of the modules beside them together (``.``)."""
+    counts: Counter[str] = Counter()
+    for file in (*package.rglob("*.py"), *package.rglob("*.pyi")):
+        parts = file.relative_to(package).parts
+        counts[parts[0] if len(parts) > 1 else "."] += tokens(file)
+    return counts
+
+
 def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
     """Files, lines and public names of every package."""
     rows: list[dict[str, str | int]] = []
@@ -162,8 +197,10 @@ def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
         door = package / "__init__.pyi"
         names = re.findall(r"^from \S+ import \w+ as (\w+)$", door.read_text(), re.MULTILINE) if door.is_file() else []
         lines = sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
-        rows.append({"member": package.name, "files": len(files), "lines": lines, "public_names": len(names)})
-    every = {name: sum(int(row[name]) for row in rows) for name in ("files", "lines", "public_names")}
+        count = sum(map(tokens, files))
+        row = {"files": len(files), "lines": lines, "tokens": count, "public_names": len(names)}
+        rows.append({"member": package.name, **row})
+    every = {name: sum(int(row[name]) for row in rows) for name in ("files", "lines", "tokens", "public_names")}
     return [*rows, {"member": "all", **every}]
 
 
@@ -174,6 +211,13 @@ def pages(docs: Path) -> dict[str, int]:
         for page in sorted(docs.rglob("*.md"))
     }
     return {**words, "all": sum(count for page, count in words.items() if page not in GENERATED)}
+
+
+def tracked() -> list[Path]:
+    """Every tracked Python file of the repository."""
+    command = ["git", "-C", str(ROOT), "ls-files", "-z", "--", "*.py", "*.pyi"]
+    names = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\0")
+    return [ROOT / name for name in names if name and (ROOT / name).is_file()]
 
 
 def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
@@ -195,6 +239,7 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
     return {
         "python_files": len(house.files),
         "lines": sum(len(text.splitlines()) for text in texts),
+        "tokens_of_all_python": sum(map(tokens, tracked())),
         "settings_fields": house.settings_fields(),
         "names_of_modules": names.total(),
         "homonyms": sum(count > 1 for count in names.values()),
@@ -232,8 +277,18 @@ def main() -> None:
     if options.json:
         sys.stdout.write(json.dumps({**figures, "members": by_member, "words": words}, indent=1) + "\n")
         return
-    lines = [f"{'member':24}{'files':>8}{'lines':>8}{'public names':>14}"]
-    lines += [f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['public_names']:14}" for row in by_member]
+    lines = [f"{'member':24}{'files':>8}{'lines':>8}{'tokens':>9}{'public names':>14}"]
+    lines += [
+        f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['tokens']:9}{row['public_names']:14}"
+        for row in by_member
+    ]
+    packages = [package for src in options.src for package in sorted(src.iterdir()) if package.is_dir()]
+    lines += ["", f"{'package':44}{'tokens':>8}"]
+    lines += [
+        f"{f'{package.name}.{name}':44}{count:8}"
+        for package in packages
+        for name, count in sorted(tokens_by_package(package).items())
+    ]
     lines += ["", f"{'page':44}{'words':>8}", *(f"{page:44}{count:8}" for page, count in words.items())]
     lines += ["", *(f"{name.replace('_', ' '):34} {value}" for name, value in figures.items())]
     sys.stdout.write("\n".join(lines) + "\n")

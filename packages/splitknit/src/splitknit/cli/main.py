@@ -37,6 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(stream, io.TextIOWrapper):  # None where it is closed
                 stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else arguments
+    from splitknit.registry import GONE
+
+    gone = next((name for name in (" ".join(words[:2]), " ".join(words[:1])) if name in GONE), "")
+    if gone:
+        print(f"splitknit: error: '{gone}' left the program: {GONE[gone]}", file=sys.stderr)
+        return BAD_INPUT
     parser = build_parser(next((word for word in words if not word.startswith("-")), ""))
     try:
         options = parser.parse_args(arguments)
