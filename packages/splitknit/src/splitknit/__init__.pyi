@@ -358,18 +358,6 @@ from splitknit.verbs import check as check
 from splitknit.verbs import function_of as function_of
 from splitknit.verbs import path as path
 from splitknit.verbs import refuse_given as refuse_given
-from splitknit.viewer.catalogue import CatalogueEntry as CatalogueEntry
-from splitknit.viewer.catalogue import Reply as Reply
-from splitknit.viewer.catalogue import print_of as print_of
-from splitknit.viewer.catalogue import read_below as read_below
-from splitknit.viewer.service import Query as Query
-from splitknit.viewer.service import json_reply as json_reply
-from splitknit.viewer.service import static_file as static_file
-from splitknit.viewer.service import static_files as static_files
-from splitknit.viewer.surface import Reading as Reading
-from splitknit.viewer.surface import ResultSurface as ResultSurface
-from splitknit.viewer.surface import fields_of as fields_of
-from splitknit.viewer.surface import sample as sample
 from splitknit.workers import run_jobs as run_jobs
 
 __version__: str
