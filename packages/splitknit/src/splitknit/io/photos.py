@@ -97,7 +97,7 @@ def _opaque(data: bytes, name: str) -> BoolArray | None:
         return tiff.tiff_opaque(data, name)
     place = {b"WEBPVP8X": 20, b"WEBPVP8L": 24}.get(data[8:16])
     if place is not None and data[place] & 16:  # the header states alpha
-        return np.asarray(png.codecs().webp_decode(data)[..., 3] > 127)
+        return np.asarray(png.decoded(data, name)[..., 3] > 127)
     return None
 
 
@@ -196,8 +196,7 @@ def _tiff(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     _check_room(page.rows * page.columns * page.channels * page.dtype.itemsize, name, room)
     if page.dtype.kind != "f":
         return tiff.decode_tiff(data, name), orientation
-    values = np.empty((page.rows, page.columns, page.channels), page.dtype.newbyteorder("="))
-    tiff.decode_page(data, page, name, values)
+    values = png.placed(tiff.page_pixels(data, page, name), None, page, name)
     finite = bool(np.isfinite(values).all() and np.abs(values).max() < 1e30)
     require(finite, f"{name} holds values that are not finite; export it again without them.")
     return values.astype(np.float32), orientation
@@ -212,10 +211,9 @@ def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     columns, rows = int(words[1]), abs(int(words[2]))
     _checked(rows, columns, 3, name, room)
     require(rows * columns * bits // 8 <= len(data), f"{name} is truncated: the BMP file ends within the image.")
-    with refusing(_UNREADABLE.format(name)):
-        image = np.asarray(png.codecs().bmp_decode(data))
-        require(image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
-        return _plain(image)
+    image = png.decoded(data, name)
+    require(image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
+    return _plain(image)
 
 
 def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
@@ -223,9 +221,8 @@ def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     _checked(rows, columns, 4, name, room)
     empty = f"{name} claims {rows} x {columns} pixels in {len(data)} bytes, which is not a photograph; save it as PNG."
     require(rows * columns <= _PIXELS_PER_BYTE * len(data), empty)
-    with refusing(_UNREADABLE.format(name)):
-        pixels = _plain(np.asarray(png.codecs().webp_decode(data)))
-        require(pixels.shape[:2] == (rows, columns), _UNREADABLE.format(name))
+    pixels = _plain(png.decoded(data, name))
+    require(pixels.shape[:2] == (rows, columns), _UNREADABLE.format(name))
     place, exif = 12, b""
     while place + 8 <= len(data) and not exif:
         length = int.from_bytes(data[place + 4 : place + 8], "little")

@@ -58,6 +58,7 @@ const controls = new OrbitControls(camera, canvas);
 controls.enableDamping = false;
 controls.zoomToCursor = true;
 controls.target.copy(center);
+controls.update();
 
 function draw() {
   const [azimuth, elevation] = ["azimuth", "elevation"].map((id) => (byId(id).valueAsNumber * Math.PI) / 180);
