@@ -62,7 +62,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/networks/test_weights.py::test_data_outside_the_file_are_refused",
     ),
     "sizes are checked before memory is taken": (
-        "packages/splitknit/tests/io/test_height_maps.py::test_what_an_x3p_unpacks_to_is_bounded",
         "packages/splitknit/tests/io/test_npz.py::test_a_long_list_of_files_takes_no_memory",
         "packages/splitknit/tests/io/test_npz.py::test_files_of_an_archive_that_lie_on_each_other_are_refused",
     ),

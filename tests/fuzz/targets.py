@@ -41,7 +41,6 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.clouds import read_cloud
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.light_list import read_intensities, read_named_lights
 from splitknit.io.mesh import stl_chunks, write_ply
@@ -343,7 +342,6 @@ def _clouds() -> list[Files]:
     flat = points.reshape(-1, 3)
     rows = [" ".join(map(str, row)) for row in flat.tolist()]
     up, shade = np.tile(np.float32([0, 0, 1]), (56, 1)), np.arange(56, dtype=np.uint8)
-    pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 7\nHEIGHT 8\nPOINTS 56\nDATA {}\n"
     ply = "ply\nformat ascii 1.0\nelement vertex 56\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     text = "\n".join(rows).encode() + b"\n"
     faces = np.arange(54).reshape(-1, 3).astype(np.int32)
@@ -351,14 +349,10 @@ def _clouds() -> list[Files]:
     return [
         *_written("x.ply", lambda path: write_ply(path, flat, up, shade)),
         {"x.ply": ply.encode() + text},
-        {"x.pcd": pcd.format("binary").encode() + points.tobytes()},
-        {"x.pcd": pcd.format("ascii").encode() + text},
-        {"x.xyz": b"# made\n" + text},
+        {"x.xyz": text},
         {"x.obj": ("v " + "\nv ".join(rows) + "\nf 1 2 3\n").encode()},
         {"x.stl": b"".join(stl_chunks(flat, faces))},
         {"x.stl": f"solid x\n{solid}endsolid\n".encode()},
-        {"x.tmd": tmd_bytes(points[..., 2], 0.5)},
-        {"x.x3p": x3p_bytes(points[..., 2], 0.5, "made")},
     ]
 
 
