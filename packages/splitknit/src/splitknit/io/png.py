@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import refusing, require
-from splitknit.model import BoolArray, PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -102,14 +102,14 @@ def placed(image: NDArray[Any], out: PixelArray | None, like: Any, name: str) ->
 
 def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """PNG as (H, W, C) uint8 or uint16, C = 1 or 3, no alpha or palette, in `out` if given; BadInput if damaged."""
+    return placed(png_pixels(data, name), out, png_header(data, name), name)
+
+
+def png_pixels(data: bytes, name: str) -> NDArray[Any]:
+    """As :func:`decode_png`, with alpha behind the colours where there is some: C = 1 to 4."""
     header = png_header(data, name)
-    return placed(decoded(_image_chunks(data, name, header), name), out, header, name)
-
-
-def png_opaque(data: bytes, name: str) -> BoolArray | None:
-    """Where a sound PNG file is opaque by half or more (H, W); None where it has no transparency."""
-    image = decoded(_image_chunks(data, name, png_header(data, name)), name)
-    return None if image.shape[2] < 4 else np.asarray(image[..., 3] > np.iinfo(image.dtype).max // 2)
+    pixels = decoded(_image_chunks(data, name, header), name)
+    return pixels[..., ::3] if header.channels == 1 and pixels.shape[2] == 4 else pixels
 
 
 def _image_chunks(data: bytes, name: str, header: PngHeader) -> bytes:

@@ -24,7 +24,7 @@ from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import write_file
 from splitknit.io.png import DEFLATE_RATIO, check_held, check_size, decoded, placed
 from splitknit.io.provenance import canonical_json
-from splitknit.model import BoolArray, PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296
@@ -215,12 +215,16 @@ def decode_tiff(data: bytes, name: str, out: PixelArray | None = None) -> PixelA
 
 
 def page_pixels(data: bytes, page: TiffPage, name: str) -> NDArray[Any]:
-    """Pixels (H, W, samples) of a page, dark where they are small; BadInput where a part of it is missing."""
+    """Pixels (H, W, C) of a page, dark where they are small, with alpha behind the colours where it is stated. BadInput
+    where a part of it is missing.
+    """
     if page.compression in (_LZW, _PACKBITS) or page.predictor == _OF_FLOATS:
         pixels = decoded(data, name)
         turned = page.dtype == np.uint8  # by OpenCV, where white is zero
     else:
         pixels, turned = _segments(data, page, name), False
+    known = page.samples == page.channels or int(page.tags.get(_EXTRA_SAMPLES, [0])[0]) in _ALPHA
+    pixels = pixels if known else pixels[..., : page.channels]
     white_is_zero = page.photometric == _WHITE_IS_ZERO and not turned and page.dtype.kind == "u"
     return np.asarray(np.iinfo(page.dtype).max - pixels) if white_is_zero else pixels
 
@@ -242,15 +246,6 @@ def _segments(data: bytes, page: TiffPage, name: str) -> NDArray[Any]:
         values = values if page.predictor == 1 else np.cumsum(values, axis=1, dtype=page.dtype)
         whole[top : top + rows, left : left + wide] = values
     return whole[: page.rows, : page.columns]
-
-
-def tiff_opaque(data: bytes, name: str) -> BoolArray | None:
-    """Where the first page of a sound file is opaque by half or more (H, W); None where it has no transparency."""
-    page = tiff_page(data, name)
-    if page.samples == page.channels or _EXTRA_SAMPLES not in page.tags or page.tags[_EXTRA_SAMPLES][0] not in _ALPHA:
-        return None
-    alpha = page_pixels(data, page, name)[..., -1]
-    return np.asarray(alpha > (0.5 if page.dtype.kind == "f" else np.iinfo(page.dtype).max // 2))
 
 
 def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple[int, int, int, int]]]:
