@@ -331,9 +331,9 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
     with pytest.raises(BadInput, match="has 4 lights"):
         convert(plain)
     (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
-    with pytest.raises(BadInput, match="has 4 lights"):
+    with pytest.raises(BadInput, match=r"3\.png"):
         capture_from_photographs(plain, px_per_mm=12.5)
-    with pytest.raises(BadInput, match="has 4 lights"):
+    with pytest.raises(BadInput, match=r"3\.png"):
         capture_from_photographs(plain, None, 12.5, PhotographOptions(mask=plain / "3.png"))
 
 
