@@ -10,7 +10,6 @@ from splitknit.cli.verb import Verb as Verb
 from splitknit.cli.verb import count as count
 from splitknit.cli.verb import options_of as options_of
 from splitknit.cli.verb import wants_json as wants_json
-from splitknit.cli.view import ViewJob as ViewJob
 from splitknit.devices import CameraDevice as CameraDevice
 from splitknit.devices import Closing as Closing
 from splitknit.devices import ExposureRange as ExposureRange
