@@ -50,7 +50,6 @@ from splitknit.finger.motion import MIN_RELIABILITY as MIN_RELIABILITY
 from splitknit.finger.motion import WORKING_PX_PER_MM as WORKING_PX_PER_MM
 from splitknit.finger.motion import shot_motion as shot_motion
 from splitknit.finger.orientation import Upright as Upright
-from splitknit.finger.orientation import as_it_lies as as_it_lies
 from splitknit.finger.orientation import find_upright as find_upright
 from splitknit.finger.phalange import find_crease as find_crease
 from splitknit.finger.phalange import phalange_mask as phalange_mask
@@ -79,7 +78,6 @@ from splitknit.imaging.band import linear_stack as linear_stack
 from splitknit.imaging.band import linear_survey as linear_survey
 from splitknit.imaging.band import over_flat as over_flat
 from splitknit.imaging.band import pick_channel as pick_channel
-from splitknit.imaging.band import srgb_code as srgb_code
 from splitknit.imaging.coloured import balanced as balanced
 from splitknit.imaging.geometry import bounding_box as bounding_box
 from splitknit.imaging.geometry import enlarged as enlarged
@@ -101,7 +99,6 @@ from splitknit.imaging.view import pixels_of as pixels_of
 from splitknit.imaging.view import plane_points as plane_points
 from splitknit.imaging.view import shading_at as shading_at
 from splitknit.imaging.view import view_of as view_of
-from splitknit.integration.poisson import trusted_height as trusted_height
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM as REFERENCE_PX_PER_MM
 from splitknit.integration.shapelets import ShapeletSettings as ShapeletSettings
 from splitknit.integration.shapelets import shapelets as shapelets
@@ -263,13 +260,9 @@ from splitknit.photometric.shading import BETWEEN as BETWEEN
 from splitknit.photometric.shading import FLAT_TERMS as FLAT_TERMS
 from splitknit.photometric.shading import Array as Array
 from splitknit.photometric.shading import Shading as Shading
-from splitknit.photometric.shading import bridge as bridge
 from splitknit.photometric.shading import facing_level as facing_level
-from splitknit.photometric.shading import find_markers as find_markers
 from splitknit.photometric.shading import flat_of_fall_off as flat_of_fall_off
 from splitknit.photometric.shading import place_terms as place_terms
-from splitknit.photometric.shading import read_shading as read_shading
-from splitknit.photometric.shading import shading_slopes as shading_slopes
 from splitknit.photometric.shading import shading_terms as shading_terms
 from splitknit.photometric.shading import term_count as term_count
 from splitknit.photometric.shading import write_shading as write_shading
