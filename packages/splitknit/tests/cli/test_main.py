@@ -1,6 +1,5 @@
 """What the program says of verbs that left it."""
 
-import pytest
 
 from splitknit.cli.main import main
 from splitknit.registry import GONE
