@@ -54,6 +54,8 @@ GONE: dict[str, str] = {
     "reconstruct --frames": "reconstruct each colour photograph by itself.",
     "reconstruct --level": "it was for gel sensors.",
     "reconstruct --shading": "give the lights of an opaque thing by '--lights' and '--flat'.",
+    "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
+    "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
     "view --live": "photograph and reconstruct, then view the result.",
 }
 """Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
