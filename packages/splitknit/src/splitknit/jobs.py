@@ -135,7 +135,7 @@ class ReconstructJob(Job):
     out: Annotated[AnyPath, Help("folder to write the results into", "DIR")]
     preset: Annotated[Preset, Help(
         "metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), these two "
-        "split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin, xie")] = "metric"
+        "split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin")] = "metric"
     rig: Annotated[AnyPath | None, Help(
         "rig file instead of the capture's, such as a calibration; with `folder` its white LEDs and camera",
         "RIG")] = None
