@@ -10,7 +10,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit_rig.calibration.lights import Circle, Tip
-from splitknit_rig.calibration.nail import NailSettings, _radius_95, by_joint_fit
+from splitknit_rig.calibration.nail import NailSettings, by_joint_fit
 from splitknit_simulator.camera.lens import pixels_of_points
 
 ORTHOGRAPHIC = Camera(px_per_mm=75.7, image_size=(2200, 3200))
@@ -139,12 +139,3 @@ def test_one_position_is_not_enough():
 def test_settings_are_checked(change):
     with pytest.raises(BadInput):
         NailSettings(**change)
-
-
-def test_radius_of_95_percent():
-    """Against normal numbers drawn with the covariance."""
-    rng = np.random.default_rng(0)
-    for spreads in ((1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (1.0, 0.0, 0.0)):
-        drawn = np.linalg.norm(rng.standard_normal((40_000, 3)) * spreads, axis=1)
-        assert _radius_95(np.diag(np.square(spreads))) == pytest.approx(np.quantile(drawn, 0.95), rel=0.05)
-    assert _radius_95(np.zeros((2, 2))) == 0.0

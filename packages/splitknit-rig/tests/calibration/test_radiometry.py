@@ -15,7 +15,6 @@ from splitknit_rig.calibration.card_model import CardPlane, card_light
 from splitknit_rig.calibration.radiometry import (
     PROVENANCE,
     RadiometrySettings,
-    _median_blocks,
     card_images,
     check_card,
     fit_radiometry,
@@ -267,10 +266,6 @@ def test_names_and_cells(rig, capture):
     assert led_name(rig.leds, 0) == "white 0" and led_name(rig.leds, 13) == "nir 6"
     images = card_images(capture, as_placed(rig))
     assert images.light.shape == (14, images.shape[0] * images.shape[1]) and images.shape[1] == 40
-    stack = np.zeros((1, 6, 9), dtype=np.float32)
-    stack[0, 1, 1] = 100.0  # a speck
-    stack[0, 3:, 3:6] = 2.0
-    assert _median_blocks(stack, 3)[0].tolist() == [[0, 0, 0], [0, 2, 0]]
     rows, columns = rig.camera.image_size
     assert images.pixels.mean(axis=0) == pytest.approx([(columns - 1) / 2, (rows - 1) / 2], abs=12)
 
