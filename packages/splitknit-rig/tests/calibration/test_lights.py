@@ -21,7 +21,8 @@ from splitknit_rig.calibration.lights import (
     read_tips,
     write_tips,
 )
-from splitknit_rig.calibration.lights_found import LightLimits, find_leds
+from splitknit_rig.calibration.lights_found import find_leds
+from splitknit_rig.calibration.nail import Nail
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
 CAMERA = Camera(px_per_mm=75.7, image_size=(2200, 3200))
@@ -46,7 +47,7 @@ def cast(places, *, leds=7, height=20.0, circle=CIRCLE, camera=CAMERA):
 
 def judged(tips, camera=CAMERA, circle=CIRCLE):
     """Verdicts by LED, as the circle's construction has them, and why some are refused."""
-    _, facts, sentence = find_leds(tips, camera, circle, LightsJob(table="tips.csv", method="circle"))
+    _, facts, sentence = find_leds(tips, camera, circle, LightsJob(table="tips.csv", method="circle"), Nail())
     return {(one["band"], one["led"]): one["verdict"] for one in facts["leds"]}, sentence
 
 
@@ -228,6 +229,6 @@ def test_a_nail_number_is_one_place():
 
 def test_limits_are_checked():
     with pytest.raises(BadInput):
-        LightLimits(limit_deg=0.0)
+        LightsJob(table="tips.csv", limit_deg=0.0)
     with pytest.raises(BadInput):
         Circle(0.0, 140.0)

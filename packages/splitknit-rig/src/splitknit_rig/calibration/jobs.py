@@ -6,7 +6,7 @@ import math
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, Settings, function_of
+from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, function_of
 
 if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
@@ -115,15 +115,15 @@ class LightsJob(Job):
     led_centre_px: Annotated[str | None, Help(
         "pixel of the circle's centre (default: the rig's origin)", "X,Y", group=_RIG)] = None
     first_azimuth_deg: Annotated[float, Help("of white LED 0, for `geometry` (default: 0)", group=_RIG)] = 0.0
-    nail_height_mm: Annotated[Positive | None, Help(
+    nail_height_mm: Annotated[float | None, Limits(0.5, 500), Help(
         "where it is known (default: it is found)", "N", group=_NAIL)] = None
-    nail_seen: Annotated[Literal["tip", "base"] | None, Help(
-        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = None
+    nail_seen: Annotated[Literal["tip", "base"], Help(
+        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = "tip"
     method: Annotated[Literal["circle", "joint"] | None, Help(
         "circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail "
         "positions or more, and with `rig`)", group=_NAIL)] = None
-    limit_deg: Annotated[Positive | None, Help(
-        "directions further apart are refused (default: 5)", "N", group=_NAIL)] = None
+    limit_deg: Annotated[float, Limits(0, 90, above=True), Help(
+        "directions further apart are refused", "N", group=_NAIL)] = 5.0
     keep: Annotated[bool, Help("keep LEDs that would be refused", group=_NAIL)] = False
     encoding: Annotated[Encoding | None, Help(
         "of the photographs (default: as for 'splitknit reconstruct')", group=_PICTURES)] = None
@@ -132,7 +132,6 @@ class LightsJob(Job):
         "picture of what was found (default: beside `out`)", "PNG", group=_PICTURES)] = None
     tips_out: Annotated[AnyPath | None, Help(
         "table of what was found, to correct and give to `table`", "CSV", group=_PICTURES)] = None
-    settings: Settings = None
     # fmt: on
 
     def run(self, progress: Progress) -> CalibratedLights:
