@@ -88,7 +88,7 @@ NOT_STOPPED = {
     "train relief": "needs torch",
     "train separation": "needs torch",
     "train shape": "needs torch",
-    "view": "writes what a person saves of a gel sensor's frames",
+    "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("gallery-index", "simulate-population", "batch", "demo")

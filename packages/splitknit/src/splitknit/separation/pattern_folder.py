@@ -78,9 +78,11 @@ def read_pattern_folder(folder: Path, changes: Mapping[str, Any] | None = None) 
         plan = PatternFolder(**{**found, **changed})
         if plan.check_px is not None and plan.patterns is None:
             plan = replace(plan, patterns=ESTIMATE)  # the size of the checks is of use only with states
-        return plan if "shifts" in found else replace(plan, shifts=_shifts_by_names(plan))
+        if "shifts" not in found:
+            _check_names(plan.images)
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
+    return plan
 
 
 def _read_document(folder: Path) -> dict[str, Any]:
@@ -139,19 +141,14 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(files, key=lambda file: (natural_order(file.stem), file.name))
 
 
-def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:
-    """The one or two numbers in which names differ, without a gap, or None; only completeness is read from them."""
-    if len(plan.images) < 3:
-        return None
-    words = {re.sub(r"\d+", "#", image.stem) for image in plan.images}
-    if len(words) > 1:
-        return None
-    table = np.array([[int(number[:15]) for number in re.findall(r"\d+", image.stem)] for image in plan.images])
+def _check_names(images: tuple[Path, ...]) -> None:
+    """Refuse images whose names differ in one or two numbers with a gap: a shift is missing."""
+    if len(images) < 3 or len({re.sub(r"\d+", "#", image.stem) for image in images}) > 1:
+        return
+    table = np.array([[int(number[:15]) for number in re.findall(r"\d+", image.stem)] for image in images])
     varying = table[:, np.ptp(table, axis=0) > 0]
-    if varying.shape[1] not in (1, 2):
-        return None
-    try:
-        check_shifts(varying, len(varying))
-    except BadInput as error:
-        raise BadInput(f"by the numbers in the names of the images: {error}") from error
-    return None
+    if varying.shape[1] in (1, 2):
+        try:
+            check_shifts(varying, len(varying))
+        except BadInput as error:
+            raise BadInput(f"by the numbers in the names of the images: {error}") from error
