@@ -213,7 +213,7 @@ def test_patterns_that_cannot_be_are_refused(tmp_path, pattern, words):
         (("--table", "a.csv", "--lights", "b.txt"), "choose one"),
         (("--table", "a.csv"), "--px-per-mm"),
         (("--dry-run",), "goes with --people"),
-        (("--nir", "b", "--mosaic", "mono"), "--nir goes with neither"),
+        (("--nir", "b", "--mosaic", "mono"), "--nir does not go with"),
     ],
 )
 def test_options_without_their_partner_are_refused(tmp_path, given, words, capsys):

@@ -41,10 +41,9 @@ VERBS: dict[str, str] = {
     "simulate-bench": "simulate --bench --out {out} --seed 1 --scale 0.1 --overwrite",
     "simulate-population": "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1",
     "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
-    "separate": "separate {base}/one --method single --block 24 --check-px 4 --out {out}",
+    "separate": "separate polarised {base}/flat {base}/flat --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
     "calibrate-lights": "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}",
-    "calibrate-shading": "calibrate shading --flat {base}/flat --out {out}",
     "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
     "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
     "print": "print {base}/result --out {out}",
@@ -89,7 +88,7 @@ NOT_STOPPED = {
     "train relief": "needs torch",
     "train separation": "needs torch",
     "train shape": "needs torch",
-    "view": "writes what a person saves of a gel sensor's frames",
+    "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("gallery-index", "simulate-population", "batch", "demo")
@@ -197,8 +196,6 @@ def prepared(base: Path) -> None:
     ):
         with contextlib.redirect_stdout(io.StringIO()):
             assert splitknit(words.format(base).split()) == 0, words
-    (base / "one").mkdir()
-    shutil.copyfile(base / "capture/white_0.png", base / "one/white_0.png")
     (base / "bench/nail/nail_0").rename(base / "nail")
     (base / "flat").mkdir()
     for k in range(3):

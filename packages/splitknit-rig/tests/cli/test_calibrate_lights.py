@@ -187,7 +187,6 @@ def test_geometry(capsys, tmp_path):
         (("--table", THESIS, *RIG[:-3], "middle", *RIG[-2:]), "x,y in pixels"),
         (("--table", "absent.csv", *RIG), "absent.csv"),
         (("--table", THESIS, *RIG[:4], "--led-radius-cm", "0.5", *RIG[6:]), "circle"),
-        (("--table", THESIS, *RIG, "--set", "nail.tip_sd=2"), "tip_sd_px"),
         (("--sphere", "grey", *RIG), "--images"),
         (("--geometry", *RIG), "--out"),
     ],

@@ -49,8 +49,16 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-GONE: dict[str, str] = {}
-"""Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
+GONE: dict[str, str] = {
+    "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
+    "reconstruct --frames": "reconstruct each colour photograph by itself.",
+    "reconstruct --level": "it was for gel sensors.",
+    "reconstruct --shading": "give the lights of an opaque thing by '--lights' and '--flat'.",
+    "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
+    "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
+    "view --live": "photograph and reconstruct, then view the result.",
+}
+"""Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
