@@ -17,7 +17,7 @@ from splitknit.devices import ExposureRange
 from splitknit.errors import BadInput
 from splitknit.imaging.band import decode_table
 from splitknit.model import default_rig
-from splitknit_rig.capture.pi import PiCameraSettings, PiLightBank, open_pi
+from splitknit_rig.capture.pi import PiCameraSettings, PiLightBank, opened_pi
 from splitknit_rig.capture.streams import StreamCamera, _Grab, open_genicam, open_uvc
 
 FRAME_NS = 33_000_000
@@ -301,11 +301,8 @@ def test_a_mono_industrial_camera_gives_one_channel(monkeypatch, tmp_path):
 
 
 def test_the_pi_s_leds_work_with_any_camera(pins, monkeypatch, tmp_path):  # noqa: F811
-    from contextlib import ExitStack
-
     fake_harvesters(monkeypatch, tmp_path)
-    with ExitStack() as stack:
-        camera, lights = open_pi(stack, default_rig(), PiCameraSettings(camera="genicam"))
-        lights.on(4)
-        assert camera.capture().pixels.shape == (32, 48, 3)
+    with opened_pi(default_rig(), PiCameraSettings(camera="genicam")) as devices:
+        devices.lights.on(4)
+        assert devices.camera.capture().pixels.shape == (32, 48, 3)
     assert not any(pins.pin(pin).function == "output" and pins.pin(pin).state for pin in PINS)

@@ -17,6 +17,8 @@ from splitknit.devices import ExposureRange as ExposureRange
 from splitknit.devices import Frame as Frame
 from splitknit.devices import GuardedLights as GuardedLights
 from splitknit.devices import LightBank as LightBank
+from splitknit.devices import Opened as Opened
+from splitknit.devices import Turn as Turn
 from splitknit.devices import relative_exposure as relative_exposure
 from splitknit.errors import UNFINISHED as UNFINISHED
 from splitknit.errors import BadExposure as BadExposure
@@ -243,6 +245,7 @@ from splitknit.model import no_progress as no_progress
 from splitknit.model import nominal_rig as nominal_rig
 from splitknit.model import require_scale as require_scale
 from splitknit.model import shared_exposures as shared_exposures
+from splitknit.model import side_lights as side_lights
 from splitknit.model import spectral_band as spectral_band
 from splitknit.model import surface_of as surface_of
 from splitknit.networks.augmentation import Symmetry as Symmetry
@@ -281,6 +284,9 @@ from splitknit.plausible import CAMERA_HEIGHT as CAMERA_HEIGHT
 from splitknit.plausible import FINGER_WIDTH as FINGER_WIDTH
 from splitknit.presets import PipelineSettings as PipelineSettings
 from splitknit.presets import preset_settings as preset_settings
+from splitknit.registry import DEVICES as DEVICES
+from splitknit.registry import SIMULATOR as SIMULATOR
+from splitknit.registry import extension as extension
 from splitknit.report import template as template
 from splitknit.report.charts import Axis as Axis
 from splitknit.report.charts import Curve as Curve
