@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from plots import Cell, heat_map
+from rig_plots import Cell, heat_map
 
 from splitknit.report.charts import standalone
 

@@ -1,27 +1,20 @@
-"""The thesis's own experiment (4.1.1) on the twin: how a candidate rig is photographed and judged there.
+"""The thesis's own experiment (4.1.1) on the twin: how a candidate rig is photographed and judged.
 
-Beside what ``splitknit rig optimise`` does: an opaque finger, a rendering program's camera, tremor while the shutter is
-open, the finger's outline given, and Hausdorff distances from the true surface. Sweeps are those of
-:mod:`splitknit_rig.rig.optimise`.
+An opaque finger or skin, a sensor's or a rendering program's camera, tremor while the shutter is open, the finger's
+outline given, and Hausdorff distances from the true surface.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-
-from splitknit.accuracy import high_passed
-from splitknit.errors import require
-from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Reconstruction, Rig
-from splitknit.pipeline import reconstruct
-from splitknit_rig.rig.candidates import (
+from rig_candidates import (
     FIELD_MM,
     FULL_PX_PER_MM,
     FULL_WELL_E,
@@ -40,7 +33,12 @@ from splitknit_rig.rig.candidates import (
     led_intensities,
     plan_exposure,
 )
-from splitknit_rig.rig.optimise import FIRST_SEED, MAX_SLANT_DEG, Study
+from scipy.spatial import cKDTree
+
+from splitknit.accuracy import high_passed
+from splitknit.errors import BadInput, require
+from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Reconstruction, Rig
+from splitknit.pipeline import reconstruct
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.finger.finger import (
@@ -78,19 +76,36 @@ FOCUS_DEPTH_MM = 1.5
 """The lens is focused this far below the finger's highest point."""
 
 
+FIRST_SEED = 400  # seeds of the fingers
+MAX_SLANT_DEG = 60.0  # the print is where the shape is flatter than this (``docs/explain/conventions.md``)
+
+
 @dataclass(frozen=True, slots=True)
-class ThesisStudy(Study):
-    """A study by the thesis's measure, with fingers, build and lens of :class:`splitknit_rig.rig.optimise.Study`."""
+class ThesisStudy:
+    """Everything that a candidate's figures follow from, besides the candidate."""
 
-    _group = "study"
+    method: str = "ea"
+    """``ea``: the thesis's plain photometric stereo; ``ea-poisson``: its normals, integrated over the mask alone; or
+    ``metric``."""
+    fingers: int = 3
+    """Number of fingers; all candidates photograph the same ones."""
+    build: BuildSettings = field(default_factory=BuildSettings)
+    photons: PhotonSettings = field(default_factory=PhotonSettings)
+    material: str = "opaque"
+    """``opaque``: a Lambertian finger, as the thesis's sculpture; or the twin's ``skin``."""
+    camera: str = "sensor"
+    """``sensor``: the rig's, with photons, noise and defocus; or a ``renderer``'s: pin-hole, no noise, one fixed
+    exposure, bare isotropic lamps, 8 bits sRGB."""
 
-    method: Literal["ea", "ea-poisson", "metric"] = "ea"  # type: ignore[assignment]
-    """``ea``: the thesis's plain photometric stereo; ``ea-poisson``: its normals, integrated over the mask alone."""
-    material: Literal["opaque", "skin"] = "opaque"
-    """An opaque Lambertian finger, as the thesis's sculpture; or the twin's skin."""
-    camera: Literal["sensor", "renderer"] = "sensor"
-    """The rig's, with photons, noise and defocus; or a rendering program's: pin-hole, no noise, one fixed exposure,
-    bare isotropic lamps, 8 bits sRGB."""
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the fingers."""
+        return tuple(range(FIRST_SEED, FIRST_SEED + self.fingers))
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Bands that the method looks at."""
+        return ("white", "nir") if self.method == "metric" else ("white",)
 
     def findings(self, candidate: RigCandidate) -> tuple[Finding, ...]:
         """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
@@ -101,6 +116,23 @@ class ThesisStudy(Study):
     def measure(self, candidate: RigCandidate, seed: int) -> dict[str, float]:
         """Figures of one finger."""
         return _measure(candidate, self, seed)
+
+    def record(self, candidate: RigCandidate) -> dict[str, Any]:
+        """Judge and measure one candidate: ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger
+        could not be reconstructed), ``reason``, ``constraints``, and the figures of all ``fingers`` and their ``mean``.
+        """
+        findings = self.findings(candidate)
+        record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}}
+        record |= {"constraints": [asdict(finding) for finding in findings], "fingers": [], "mean": None}
+        broken = [finding.words for finding in findings if finding.hard and not finding.ok]
+        if broken:
+            return {**record, "status": "refused", "reason": broken[0]}
+        try:
+            fingers = [self.measure(candidate, seed) for seed in self.seeds]
+        except BadInput as error:
+            return {**record, "status": "failed", "reason": str(error)}
+        mean = {name: float(np.mean([one[name] for one in fingers])) for name in fingers[0]}
+        return {**record, "status": "done", "reason": None, "fingers": fingers, "mean": mean}
 
 
 # The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
@@ -132,13 +164,13 @@ def _pose_of(seed: int, camera: Camera) -> FingerPose:
     return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
 
 
-def _view_of(seed: int, camera: Camera) -> SimulatedSurface:
+def view_of(seed: int, camera: Camera) -> SimulatedSurface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
     return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
 
 
-def _phalange(seed: int, surface: SimulatedSurface) -> BoolArray:
+def phalange_of(seed: int, surface: SimulatedSurface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
     finger, _ = _person(seed)
     placement = placement_of(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
@@ -174,8 +206,8 @@ def _grid_places(camera: Camera) -> tuple[Array, Array]:
 def _truth(seed: int, px_per_mm: float) -> _Points:
     """The true surface, seen straight from above, whatever the rig: what every reconstruction is measured against."""
     size = (round(FIELD_MM[0] * px_per_mm), round(FIELD_MM[1] * px_per_mm))
-    surface = _view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
-    whole = _phalange(seed, surface)
+    surface = view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
+    whole = phalange_of(seed, surface)
     x, y = _places(surface)
     points = np.stack([x, y, surface.height_mm.astype(np.float64)], axis=-1)
     return _Points(points[whole], _printed(surface, whole)[whole])
@@ -184,8 +216,8 @@ def _truth(seed: int, px_per_mm: float) -> _Points:
 @functools.lru_cache(maxsize=4)
 def _typical(seed: int) -> PrintPoints:
     """Print of a finger, as points and normals of its shape about half a millimetre apart."""
-    surface = _view_of(seed, Camera(px_per_mm=4.0, image_size=(116, 169)))
-    where = _printed(surface, _phalange(seed, surface))[::2, ::2]
+    surface = view_of(seed, Camera(px_per_mm=4.0, image_size=(116, 169)))
+    where = _printed(surface, phalange_of(seed, surface))[::2, ::2]
     x, y = _places(surface)
     points = np.stack([x, y, surface.shape_mm.astype(np.float64)], axis=-1)[::2, ::2]
     return PrintPoints(points[where], surface.shape_normals[::2, ::2][where].astype(np.float64))
@@ -195,7 +227,7 @@ def _measure(candidate: RigCandidate, study: ThesisStudy, seed: int) -> dict[str
     """Figures of one finger."""
     rig, known = _rigs(candidate, study)
     surface = _seen(seed, candidate.height_mm, candidate.px_per_mm, study.build)
-    whole = _phalange(seed, surface)
+    whole = phalange_of(seed, surface)
     shot = photograph_candidate(
         surface,
         rig,
@@ -209,7 +241,7 @@ def _measure(candidate: RigCandidate, study: ThesisStudy, seed: int) -> dict[str
     preset = "metric" if study.method == "metric" else "ea-split"  # the surface of ea, ridges by shapelets
     changes = {"height.method": "poisson"} if study.method == "ea-poisson" else {}
     result = reconstruct(shot.capture, preset, changes)
-    return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
+    return {**_exposed(shot), **compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
 def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
@@ -226,7 +258,7 @@ def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
     return rig, candidate_rig(candidate, replace(build, view="orthographic"), intensities)
 
 
-def _compare_surfaces(
+def compare_surfaces(
     result: Reconstruction, surface: SimulatedSurface, whole: BoolArray, seed: int, truth_px_per_mm: float
 ) -> dict[str, float]:
     """Distances between the true and the reconstructed surface.
@@ -277,7 +309,7 @@ def _ridge_correlation(
 def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> SimulatedSurface:
     """The finger under this height's camera: the LEDs do not change it."""
     standing = RigCandidate(height_mm, 50.0, 1.0, None, px_per_mm)
-    return _view_of(seed, candidate_rig(standing, build, {"white": 1.0}).camera)
+    return view_of(seed, candidate_rig(standing, build, {"white": 1.0}).camera)
 
 
 @functools.lru_cache(maxsize=64)
@@ -288,7 +320,7 @@ def _skin(seed: int) -> SkinOptics:
 # The photograph.
 
 
-def _tremor_blur_mm(time_s: float) -> float:
+def tremor_blur_mm(time_s: float) -> float:
     """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
 
     A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
@@ -359,7 +391,7 @@ def photograph_candidate(
                 bits=16,
             )
         gain = np.float32(exposure.level / brightest)
-        blur_px = _tremor_blur_mm(exposure.time_s) * rig.camera.px_per_mm
+        blur_px = tremor_blur_mm(exposure.time_s) * rig.camera.px_per_mm
         images = []
         for frame, one in zip(frames, band_seed.spawn(len(frames)), strict=True):
             light = _trembled(defocus(frame, sharpness), blur_px) * gain

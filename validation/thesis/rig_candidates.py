@@ -9,16 +9,24 @@ efficiency are electrons.
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from splitknit import Array, BoolArray, Camera, Checked, Led, Limits, Rig, require
-from splitknit_rig.rig.films import SIDE_HEIGHT_MM, SIDE_RADIUS_MM, side_leds
-from splitknit_simulator import irradiance, unit
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # hardware/ is not installed
 
+from hardware.films import SIDE_HEIGHT_MM, SIDE_RADIUS_MM, side_leds
+from splitknit.errors import require
+from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit_simulator.calibration_set.solids import unit
+from splitknit_simulator.light.lighting import irradiance
+
+Array = NDArray[np.float64]
 FULL_PX_PER_MM = 75.7  # scale of the full frame of the thesis's camera, 3200 x 2200 pixels
 FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
 """Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
@@ -26,26 +34,24 @@ _LEDS_PER_BAND = 7
 
 
 @dataclass(frozen=True, slots=True)
-class RigCandidate(Checked):
+class RigCandidate:
     """One rig out of a sweep."""
 
-    _group = "rig"
-
-    height_mm: Annotated[float, Limits(20, 1000)]
+    height_mm: float
     """Height of camera and LEDs above the finger plane (the same, as in the thesis)."""
-    radius_mm: Annotated[float, Limits(1, 1000)]
+    radius_mm: float
     """Radius of the circle of LEDs."""
-    power_w: Annotated[float, Limits(1e-4, 100)]
+    power_w: float
     """Electrical power of one LED."""
-    tilt_deg: Annotated[float | None, Limits(-60, 80)] = None
+    tilt_deg: float | None = None
     """Tilt of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
-    px_per_mm: Annotated[float, Limits(3, FULL_PX_PER_MM)] = 12.0
+    px_per_mm: float = 12.0
     """Resolution of the camera on the finger plane; the field stays."""
-    side: Annotated[int, Limits(0, 24)] = 0
+    side: int = 0
     """Number of side lights, as bright in the middle of the finger plane as the others."""
-    side_radius_mm: Annotated[float, Limits(10, 1000)] = SIDE_RADIUS_MM
+    side_radius_mm: float = SIDE_RADIUS_MM
     """Their distance from the camera's axis."""
-    side_height_mm: Annotated[float, Limits(1, 1000)] = SIDE_HEIGHT_MM
+    side_height_mm: float = SIDE_HEIGHT_MM
     """Their height above the finger plane."""
 
     @property
@@ -68,14 +74,14 @@ class RigCandidate(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class BuildSettings(Checked):
+class BuildSettings:
     """What all candidates share."""
 
-    half_angle_deg: Annotated[float, Limits(5, 90)] = 30.0
+    half_angle_deg: float = 30.0
     """Angle at which an LED is half as bright: 60 bare, 30 and less with a lens, 90 for even light."""
-    led_drop_mm: Annotated[float, Limits(-100, 100)] = 0.0
+    led_drop_mm: float = 0.0
     """How far the LEDs stand below the front of the lens; negative is above."""
-    view: Literal["perspective", "orthographic"] = "perspective"
+    view: str = "perspective"
     """Model of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes it."""
 
     @property
@@ -130,7 +136,7 @@ def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Ma
     if candidate.side and "white" in intensities:
         white = [led for led in leds if led.band == "white"]
         leds += side_leds(white, candidate.side, candidate.side_radius_mm, candidate.side_height_mm)
-    return Rig(_camera_of(candidate, build), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
+    return Rig(_camera_of(candidate, build), tuple(leds), {"source": "search of rigs", "candidate": candidate.name})
 
 
 # How brightly a rig exposes.
@@ -163,14 +169,12 @@ _MAX_GAIN = 8.0  # largest gain of the camera: beyond it a picture stays dark
 
 
 @dataclass(frozen=True, slots=True)
-class PhotonSettings(Checked):
+class PhotonSettings:
     """Lens and shutter."""
 
-    _group = "photons"
-
-    f_number: Annotated[float, Limits(0, above=True)] = 4.0
+    f_number: float = 4.0
     """The lens's focal length over its pupil."""
-    shortest_s: Annotated[float, Limits(0, _LONGEST_S, above=True)] = 1.0 / 4000.0
+    shortest_s: float = 1.0 / 4000.0
     """Shortest exposure time."""
 
     def focal_mm(self, height_mm: float) -> float:
