@@ -146,12 +146,10 @@ from splitknit.io.images import read_image as read_image
 from splitknit.io.images import write_image as write_image
 from splitknit.io.light_list import LIST_TITLE as LIST_TITLE
 from splitknit.io.light_list import write_light_list as write_light_list
-from splitknit.io.mesh import stl_chunks as stl_chunks
 from splitknit.io.mesh import surface_mesh as surface_mesh
 from splitknit.io.mesh import write_ply as write_ply
 from splitknit.io.npz import map_npy as map_npy
 from splitknit.io.npz import write_npz as write_npz
-from splitknit.io.photo_tree import read_tree as read_tree
 from splitknit.io.photographs import PxPerMm as PxPerMm
 from splitknit.io.photographs import RidgePeriod as RidgePeriod
 from splitknit.io.photographs import check_scale as check_scale
@@ -197,7 +195,6 @@ from splitknit.io.results import SURFACES as SURFACES
 from splitknit.io.results import read_fields as read_fields
 from splitknit.io.results import read_result as read_result
 from splitknit.io.results import surface_chunks as surface_chunks
-from splitknit.io.results import write_arrays as write_arrays
 from splitknit.io.results import write_picture as write_picture
 from splitknit.io.rig import read_rig as read_rig
 from splitknit.io.rig import write_rig as write_rig
@@ -207,7 +204,6 @@ from splitknit.io.targets import check_picture as check_picture
 from splitknit.io.targets import check_rig_file as check_rig_file
 from splitknit.io.targets import check_target as check_target
 from splitknit.io.tiff import SIGNATURES as SIGNATURES
-from splitknit.jobs import Photographs as Photographs
 from splitknit.jobs import read_photographs as read_photographs
 from splitknit.methods.metric import metric_skin as metric_skin
 from splitknit.mirrors.body import Body as Body

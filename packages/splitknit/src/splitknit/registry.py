@@ -51,6 +51,8 @@ VERBS = {
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 GONE: dict[str, str] = {
+    "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
+    "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
     "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",
     "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",

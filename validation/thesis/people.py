@@ -1,18 +1,30 @@
-"""Folders of photographs of many people: which file is of which person, session, finger and light, by a pattern."""
+"""Photographs of many people, as the thesis's authors have them, become a population for ``splitknit batch``.
+
+    splitknit calibrate lights --table examples/thesis_tips.csv --px-per-cm 757 --image-size 2200,3200 --led-height-cm 14 \\
+        --led-radius-cm 5 --led-centre-px 1575,1174 --keep --out rig.json     # the authors' table of shadow tips
+    python validation/thesis/people.py TREE --images '{subject}/{session}/{finger}/white_{light}.jpg' \\
+        --nir '{subject}/{session}/{finger}/ir_{light}.jpg' --lights rig.json --out people [--dry-run]
+
+Captures with missing, doubled or unreadable files are named and left out; the same command goes on where it stopped.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.errors import require
-from splitknit.io.enrolment import FINGERS, PlannedCapture
+from splitknit.errors import BadInput, require
+from splitknit.io.capture import write_capture
+from splitknit.io.enrolment import FINGERS, PLAN_FILE, PlannedCapture, open_enrolment, plan_enrolment
 from splitknit.io.photos import SUFFIXES
 from splitknit.io.plain import some_of
+from splitknit.jobs import Photographs
 
 _SIDE, _DIGIT = "right|left|r|l", "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
 _FIELDS = {
@@ -141,3 +153,62 @@ def _numbers(names: Iterable[str]) -> dict[str, int]:
     own = {name: found[-1] for name, found in parts.items() if found and 1 <= found[-1] <= 2 * len(parts)}
     order = sorted(parts, key=lambda name: (re.sub(r"\d+", "", name), parts[name], name))
     return own if len(set(own.values())) == len(parts) else {name: k for k, name in enumerate(order, start=1)}
+
+
+def import_people(
+    tree: PhotographTree, out: Path, photographs: dict[str, Any], *, dry_run: bool = False
+) -> tuple[list[str], list[str]]:
+    """Write a population of the captures of a tree, or what of it is missing; return what was written, and faults.
+    `photographs`: what is known of them. BadInput if `out` holds other people.
+    """
+    enrolment = plan_enrolment(out, **tree.plan)
+    require(
+        not (out / PLAN_FILE).is_file() or plan_enrolment(out).plan == enrolment.plan,
+        f"'{out}' is a population of other people, sessions or fingers than this tree; name another folder.",
+    )
+    written, faults = [], list(tree.faults)
+    for place, (images, *nir) in tree.captures:
+        if enrolment.finished(place):
+            continue
+        words = f"{place.folder}: {images}"
+        if dry_run:
+            written.append(words)
+            continue
+        try:
+            given = Photographs(folder=images, nir=nir[0] if nir else None, material="skin", **photographs)
+            capture, _ = given.read()
+        except BadInput as error:
+            faults.append(f"{place.words}: {error}")
+            continue
+        open_enrolment(out, **tree.plan)
+        capture = replace(capture, subject={"id": place.subject, "finger": place.finger, "session": place.session})
+        write_capture(capture, enrolment.path(place))
+        written.append(words)
+    return written, faults
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Import what the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tree", type=Path, help="folder of everybody's photographs")
+    parser.add_argument("--images", required=True, help="pattern of white photographs' paths below it")
+    parser.add_argument("--nir", help="pattern of near-infrared photographs' paths")
+    parser.add_argument("--lights", type=Path, help="rig file, or list of lights")
+    parser.add_argument("--px-per-mm", type=float, help="scale, with a list of lights")
+    parser.add_argument("--out", type=Path, required=True, help="population to write")
+    parser.add_argument("--dry-run", action="store_true", help="say what goes where, write nothing")
+    given = parser.parse_args(arguments)
+    try:
+        tree = read_tree(given.tree, [pattern for pattern in (given.images, given.nir) if pattern])
+        known = {"lights": given.lights, "px_per_mm": given.px_per_mm}
+        written, faults = import_people(tree, given.out, known, dry_run=given.dry_run)
+    except BadInput as error:
+        sys.exit(str(error))
+    print("\n".join(written if given.dry_run else []))
+    print(f"{len(tree.captures)} complete captures, {len(written)} {'would be ' if given.dry_run else ''}written.")
+    print("\n".join(f"Please note: {fault}" for fault in faults))
+    return 0 if written or not faults or given.out.exists() else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
