@@ -20,7 +20,7 @@ LOCK_ARGS ?=
 # the member of each extra
 $(foreach name,completion photos plot x3p,$(eval OF_$(name) := splitknit[$(name)]))
 $(foreach name,reference train,$(eval OF_$(name) := splitknit-simulator[$(name)]))
-$(foreach name,capture genicam,$(eval OF_$(name) := splitknit-rig[$(name)]))
+$(eval OF_capture := splitknit-rig[capture])
 $(foreach name,batch cluster minutiae objects pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
@@ -103,7 +103,7 @@ lock:
 	$(call pinned,uv) > $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
-		--python-version 3.11 $(foreach name,capture genicam,) \
+		--python-version 3.11 $(foreach name,capture,) \
 		$(foreach name,completion photos plot x3p reference train batch cluster minutiae objects pad records search serve,--extra $(name)) \
 		--group dev --group hardware --group browser --group docs --group install $(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)

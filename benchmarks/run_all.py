@@ -34,7 +34,6 @@ SUITES = {
     "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
     "bench_viewer.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3"]),
     "bench_clouds.py": ([], ["--points", "1e5"]),
-    "bench_live.py": (["--seconds", "15"], ["--seconds", "3"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
     "bench_capture.py": (["--rounds", "2"], ["--rounds", "1", "--scales", "0.5"]),
     "bench_mirror_shape.py": (["--rounds", "5"], ["--rounds", "1"]),

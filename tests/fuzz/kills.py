@@ -44,7 +44,6 @@ VERBS: dict[str, str] = {
     "separate": "separate {base}/one --method single --block 24 --check-px 4 --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
     "calibrate-lights": "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}",
-    "calibrate-shading": "calibrate shading --flat {base}/flat --out {out}",
     "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
     "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
     "print": "print {base}/result --out {out}",

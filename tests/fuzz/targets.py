@@ -57,7 +57,6 @@ from splitknit.jobs import read_photographs
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
-from splitknit.photometric.shading import Shading, read_shading, write_shading
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.separation.folder import _read_light
@@ -125,7 +124,6 @@ from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import _check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit_rig.calibration.shading_folder import read_centres
 from splitknit_simulator.training.separation import SeparationData, SeparationSettings
 from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
@@ -445,15 +443,6 @@ def _object(folder: Path, files: Files) -> None:
 
 def _flat_images() -> list[Files]:
     return [{f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}]
-
-
-def _shadings() -> list[Files]:
-    shading = Shading(
-        pitch_mm=0.01, image_size=(16, 17), direction=np.eye(3), nearness=np.zeros(3), ambient=np.zeros(3),
-        fall_off=np.zeros((3, 15)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
-        deviation=np.full(9, 0.01), max_slope=1.0, height_mm_per_slope=0.1,
-    )  # fmt: skip
-    return _written("shading.npz", lambda path: write_shading(path, shading))
 
 
 @cache
@@ -1079,13 +1068,10 @@ TARGETS = (
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
-    Target("shading", _shadings, _of_files("shading.npz", read_shading)),
     Target("rates", lambda: _each("rates.json", _RATES), _of_files("rates.json", read_own_rates)),
     Target("token", lambda: _each("token", b"b9T2cYw0\n"), _of_files("token", read_token)),
     Target("intensities", lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
            _of_files("light_intensities.txt", lambda path: read_intensities(path, 2))),
-    Target("centres", lambda: _each("centres.txt", b"# balls\n10.5 20\n30, 40.25\n"),
-           _of_files("centres.txt", read_centres)),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),

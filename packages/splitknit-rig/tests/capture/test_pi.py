@@ -24,9 +24,9 @@ from splitknit_rig.capture.pi import (
     _linear_tuning,
     _open_camera,
     _open_lights,
+    developed,
     opened_pi,
 )
-from splitknit_rig.capture.streams import developed
 
 SMALL = PiCameraSettings(image_size=(64, 96))
 
@@ -183,8 +183,6 @@ def test_sizes_of_the_modules():
         PiCameraSettings(camera=name, image_size=sensor.image_size)  # even, a multiple of 32, on the sensor
         with pytest.raises(BadInput, match=r"pi\.image_size must be even rows up to"):
             PiCameraSettings(camera=name, image_size=(sensor.size[0] + 2, 32))
-    with pytest.raises(BadInput, match="in its own program"):
-        PiCameraSettings(camera="uvc", image_size=(64, 96))
     with pytest.raises(BadInput, match=r"pi\.camera must be"):
         PiCameraSettings(camera="imx500")
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
+Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
@@ -454,8 +455,6 @@ class Capture:
     captured_at: str | None = None
     truth: Path | None = None
     """A simulator's ``truth.npz``."""
-    shading: Path | None = None
-    """Calibration of ``splitknit calibrate shading``: slopes follow from it, not from the rig's lights."""
     hashes: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of every file that was read, by its name in the folder."""
 

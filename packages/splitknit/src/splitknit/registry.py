@@ -51,6 +51,11 @@ VERBS = {
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 GONE: dict[str, str] = {
+    "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
+    "reconstruct --frames": "reconstruct each colour photograph by itself.",
+    "reconstruct --level": "it was for gel sensors.",
+    "reconstruct --shading": "give the lights of an opaque thing by '--lights' and '--flat'.",
+    "view --live": "photograph and reconstruct, then view the result.",
     "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
     "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
     "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",
@@ -58,7 +63,7 @@ GONE: dict[str, str] = {
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
     "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
 }
-"""Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
+"""Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:

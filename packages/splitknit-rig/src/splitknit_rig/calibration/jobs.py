@@ -1,19 +1,17 @@
-"""Photographs in, a rig file or a sensor's calibration out: what the verbs ``calibrate ...`` and their functions do."""
+"""Photographs in, a rig file out: what the verbs ``calibrate ...`` and their functions do."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, Settings, function_of, path
+from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, Settings, function_of
 
 if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
     from splitknit_rig.calibration.lights_found import CalibratedLights
     from splitknit_rig.calibration.radiometry import RadiometricCalibration
-    from splitknit_rig.calibration.shading import ShadingFit
 
 _TARGET, _LENS = "the printed target ('splitknit rig target' makes it)", "depth of field"
 _SOURCE, _RIG, _NAIL, _PICTURES = "from what (one of them)", "the rig", "the nail", "photographs"
@@ -219,49 +217,6 @@ class PolarisersJob(Job):
         from splitknit_rig.calibration.polarisers import films_to_file
 
         return films_to_file(self, progress)
-
-
-@dataclass(frozen=True, slots=True)
-class ShadingJob(Job):
-    """Measure how slopes shade a gel sensor's images, from balls of known radius; or the fall-off of its light,
-    from a card.
-
-    Returns
-    -------
-    ShadingFit
-        ``shading`` as it is in the file, and the errors on balls that were left out.
-    """
-
-    # fmt: off
-    images: Annotated[tuple[AnyPath, ...], Help(
-        "photographs of balls, one for each light, or one of three colours; several folders of one ball pressed in "
-        "many places; without `flat` of one ball lying free before a dark background, or, with `spacing_mm` and "
-        "`centres`, of balls in a gel that is flat between them", "DIR", nargs="+")] = ()
-    _: KW_ONLY
-    out: Annotated[AnyPath, Help("calibration to write (.npz)", "FILE")]
-    flat: Annotated[AnyPath | None, Help("the same of the sensor pressed on nothing, or of a card", "DIR")] = None
-    radius_mm: Annotated[Positive | None, Help("radius of the balls", "MM", "--ball-radius")] = None
-    spacing_mm: Annotated[Positive | None, Help(
-        "distance of neighbouring balls (default: scale of their outlines)", "MM", "--pitch")] = None
-    centres: Annotated[AnyPath | None, Help(
-        "the balls' 'column row [radius]' in pixels, where they are not found", "FILE")] = None
-    encoding: Annotated[Encoding | None, Help("of the photographs (default: as their files state, else linear)")] = None
-    report: Annotated[AnyPath | None, Help("page to write (default: beside `out`)", "HTML")] = None
-    # fmt: on
-
-    @property
-    def page(self) -> Path:
-        """The page that is written."""
-        return path(self.report) or path(self.out).with_suffix(".html")
-
-    def run(self, progress: Progress) -> ShadingFit:
-        """Calibrate, and write file and page."""
-        from splitknit_rig.calibration.shading_folder import check_page, shading_to_file, write_page
-
-        check_page(self.page)
-        fit = shading_to_file(self, progress)
-        write_page(self.page, fit)
-        return fit
 
 
 calibrate_camera = function_of(CameraJob, "calibrate_camera")

@@ -1,4 +1,4 @@
-"""``splitknit view``: look at results in the browser, or at what a camera sees now."""
+"""``splitknit view``: look at results in the browser."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from splitknit.cli.verb import Verb, wants_json
 from splitknit.errors import require
-from splitknit.registry import RIG, VIEWS, extension
 from splitknit.settings import Limits
-from splitknit.verbs import AnyPath, Encoding, Help, Job, KeyFile, Progress, path, refuse_given
+from splitknit.verbs import AnyPath, Help, Job, KeyFile, Progress, path
 
 if TYPE_CHECKING:
     from splitknit.viewer.server import Answering
-
-_LIVE = "live: a gel sensor under three colours, frame by frame"
-_OF_LIVE = ("shading", "flat", "marker_px", "exposure_ms", "fps", "encoding", "out")
 
 
 def _port(text: str) -> int:
@@ -40,32 +36,14 @@ class ViewJob(Job):
     key_file: KeyFile = None
     port: Annotated[int, Limits(0, 65535), Help("port to listen on (default: any free one)", "N", read=_port)] = 0
     browser: Annotated[bool, Help("do not open the page, only print its address")] = True
-    live: Annotated[str | None, Help(
-        "camera number (0), or a film or folder of frames to play", "SOURCE", group=_LIVE)] = None
-    shading: Annotated[AnyPath | None, Help(
-        "calibration; without it the frames alone are shown", "FILE", group=_LIVE)] = None
-    flat: Annotated[AnyPath | None, Help(
-        "frame of the gel with nothing on it (default: the first)", "FILE", group=_LIVE)] = None
-    marker_px: Annotated[float | None, Help(
-        "diameter of the dots on the gel (default: no dots)", "PX", group=_LIVE)] = None
-    exposure_ms: Annotated[float | None, Help("of the camera (default: as it is set)", "MS", group=_LIVE)] = None
-    fps: Annotated[float | None, Help("at which a folder of frames is played (default: 10)", "N", group=_LIVE)] = None
-    encoding: Annotated[Encoding | None, Help("how frames of files store light (default: linear)", group=_LIVE)] = None
-    out: Annotated[AnyPath | None, Help("folder for what the page saves (default: live)", "DIR", group=_LIVE)] = None
     # fmt: on
 
     def open(self, stack: contextlib.ExitStack) -> tuple[Answering, dict[str, Any]]:
         """What is served, until `stack` ends, and facts on it."""
-        refuse_given(self, () if self.live is not None else _OF_LIVE, "belongs to `live` SOURCE.")
-        if self.live is None:
-            from splitknit.viewer.server import open_paths  # a live view needs none of it
+        from splitknit.viewer.server import open_paths
 
-            service = open_paths([path(one) for one in self.paths], path(self.capture), path(self.key_file))
-            return service, {"results": len(service.catalogue.entries)}
-        require(not (self.paths or self.capture), "a live view is shown alone; name no results beside `live`.")
-        refuse_given(self, () if self.shading is not None else ("flat", "marker_px"), "needs `shading` FILE.")
-        found: tuple[Answering, dict[str, Any]] = extension(VIEWS, "live", "the live view", RIG)(self, stack)
-        return found
+        service = open_paths([path(one) for one in self.paths], path(self.capture), path(self.key_file))
+        return service, {"results": len(service.catalogue.entries)}
 
     def run(self, progress: Progress) -> None:
         """Serve until Ctrl-C; messages are printed before."""

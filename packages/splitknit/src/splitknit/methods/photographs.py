@@ -48,7 +48,6 @@ from splitknit.steps import shared, step
 
 if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
-    from splitknit.photometric.shading import Shading
 
 NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
@@ -147,8 +146,6 @@ class FingerPhotographs:
     """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
     specular: FloatArray | None = None
     """(H, W) picture of the specular reflection, of a polarised capture."""
-    shading: Shading | None = None
-    """Calibration from which slopes follow, where the capture names one."""
 
     def white_and_nir(self, plane_mm: float) -> tuple[FingerBand, FingerBand]:
         """The white band, and the band of the shape: the same one where there is no other."""

@@ -1,6 +1,6 @@
 """The server: what is opened, one request in, one answer out, until it is stopped.
 
-Results are read-only (GET and HEAD); a live view can also be held, zeroed and saved (POST, without a body).
+Results are read-only (GET and HEAD).
 
 Only the page that this server gave out, on this machine, may request: another page in the same browser may send
 requests to the loopback address, but it does not know the token; the name it uses may lead here (DNS rebinding), but
@@ -91,7 +91,7 @@ _DATABASE = b"SQLite format 3\0"
 
 
 class Answering(Protocol):
-    """What a server serves: results, or a live view."""
+    """What a server serves."""
 
     def answer(self, path: str, query: Query) -> Reply:
         """Answer a request to read. Raises BadInput if there is nothing at `path`."""
@@ -293,10 +293,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _respond(self) -> None:
         path, _, query = self.path.partition("?")
-        method, answer_to = self.command, self.server.service.answer
-        if method == "POST" and hasattr(self.server.service, "act"):  # a live view
-            method, answer_to = "GET", self.server.service.act
-        refused = _refusal(method, self.path, self.headers, self.server.token, self.server.server_port)
+        refused = _refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
         if refused is None and len(self.path) > _LONGEST_PATH:
             refused = 414, "the address is too long"
         if refused is not None:
@@ -304,7 +301,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             values = dict(parse_qsl(query, max_num_fields=20))
-            answer = answer_to(path[len(self.server.token) + 2 :], values)
+            answer = self.server.service.answer(path[len(self.server.token) + 2 :], values)
         except BadInput as error:
             self._say(404, str(error))
         except ValueError:
