@@ -162,7 +162,6 @@ from splitknit.io.pictures import ColourArray as ColourArray
 from splitknit.io.pictures import colour as colour
 from splitknit.io.pictures import on_paper as on_paper
 from splitknit.io.plain import natural_order as natural_order
-from splitknit.io.plain import photographs_in as photographs_in
 from splitknit.io.png import SIGNATURE as SIGNATURE
 from splitknit.io.png import decode_png as decode_png
 from splitknit.io.prints import PrintFile as PrintFile
