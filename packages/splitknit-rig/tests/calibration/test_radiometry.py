@@ -19,9 +19,8 @@ from splitknit_rig.calibration.radiometry import (
     fit_radiometry,
     led_name,
 )
-from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.camera.sensor import SensorSettings
-from splitknit_simulator.rigs import built_rig
+from splitknit_simulator.rigs import built_rig, with_side_lights
 from white_cards import as_placed, photograph, scene_of
 
 EXPOSURES = (6.0, 6.0)

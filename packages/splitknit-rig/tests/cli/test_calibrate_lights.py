@@ -18,10 +18,9 @@ from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror, default_rig, nominal_rig
-from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit_simulator.rigs import built_rig
+from splitknit_simulator.rigs import built_rig, with_side_lights
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
 RIG = (

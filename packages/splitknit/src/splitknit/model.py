@@ -725,6 +725,12 @@ def nominal_rig(scale: float = 1.0) -> Rig:
     return Rig(camera=camera, leds=leds, provenance={"source": "digital twin", "rig": "as drawn"})
 
 
+def side_lights(leds: Sequence[Led]) -> tuple[int, ...]:
+    """Numbers of the near LEDs that stand more than 60 deg off the camera's axis."""
+    places = [(k, led.position_mm) for k, led in enumerate(leds) if led.position_mm is not None]
+    return tuple(k for k, (x, y, z) in places if np.hypot(x, y) > z * np.tan(np.deg2rad(60.0)))
+
+
 def lobe_exponent(half_angle_deg: float) -> float:
     """Exponent m of cos^m that is one half at `half_angle_deg`."""
     require(1.0 <= half_angle_deg <= 80.0, f"half_angle_deg must lie between 1 and 80, but it is {half_angle_deg}.")

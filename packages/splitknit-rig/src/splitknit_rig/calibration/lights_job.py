@@ -40,6 +40,7 @@ from splitknit import (
     refusing,
     require,
     shading_is_srgb,
+    side_lights,
     write_light_list,
     write_rig,
 )
@@ -58,7 +59,6 @@ from splitknit_rig.calibration.sphere import (
     grey_directions,
     rim_of,
 )
-from splitknit_simulator import side_lights
 
 _UNCOMPARED = {"disagreement_deg": None, "kept": True}  # what is stated of an LED that only one nail position shows
 

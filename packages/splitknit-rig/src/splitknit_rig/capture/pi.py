@@ -21,16 +21,17 @@ from numpy.typing import NDArray
 
 from splitknit import (
     BadInput,
-    CameraDevice,
     Checked,
     Closing,
     ExposureRange,
     Frame,
     GuardedLights,
+    Opened,
     PixelArray,
     Rig,
     check_fields,
     importing,
+    nominal_rig,
     require,
 )
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
@@ -158,6 +159,7 @@ _NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are tran
 _LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
 _PREVIEW_COLUMNS = 800  # width of a preview, about
 _MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
+NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by `rig`"
 UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 
@@ -461,7 +463,7 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
     return PiCamera(maker, settings)
 
 
-def open_analyser(rig: Rig) -> PiAnalyser | None:
+def _open_analyser(rig: Rig) -> PiAnalyser | None:
     """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo."""
     films = rig_films(rig)
     if films is None or films.kind != "servo":
@@ -470,7 +472,16 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
         return PiAnalyser(films, gpiozero.Servo)
 
 
-def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[CameraDevice, PiLightBank]:
-    """Open LEDs, which go dark, and the camera of the settings; `stack` closes both, the LEDs last."""
-    lights = stack.enter_context(_open_lights(rig))
-    return stack.enter_context(_open_camera(settings)), lights
+@contextmanager
+def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
+    """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there is none."""
+    chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
+    with ExitStack() as stack:
+        lights = stack.enter_context(_open_lights(chosen))  # closed last
+        camera = stack.enter_context(_open_camera(settings))
+        analyser = _open_analyser(chosen)
+        if analyser is not None:
+            stack.enter_context(analyser)
+        notes = (f"the {settings.camera} camera was {UNTESTED}",)
+        notes = notes if rig is not None else (NOMINAL, *notes)
+        yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)
