@@ -64,7 +64,6 @@ NO_READERS = {
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
     "cli.import_clouds.import_cloud": "reads what io.clouds.read_cloud reads",
-    "viewer.people.open_people": "opens a gallery, as the target gallery does",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

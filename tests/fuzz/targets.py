@@ -41,7 +41,6 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.clouds import read_cloud
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.light_list import read_intensities, read_named_lights
 from splitknit.io.mesh import stl_chunks, write_ply
@@ -62,8 +61,7 @@ from splitknit.presets import preset_settings
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
-from splitknit.viewer.server import open_paths, start
-from splitknit.viewer.service import Service
+from splitknit.viewer.server import pages_of, start
 from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
 from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit_match.batch.population import read_population
@@ -119,7 +117,6 @@ from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.wsq_image import encode_wsq
-from splitknit_match.viewer.people import People
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import _check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
@@ -340,7 +337,6 @@ def _clouds() -> list[Files]:
     flat = points.reshape(-1, 3)
     rows = [" ".join(map(str, row)) for row in flat.tolist()]
     up, shade = np.tile(np.float32([0, 0, 1]), (56, 1)), np.arange(56, dtype=np.uint8)
-    pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 7\nHEIGHT 8\nPOINTS 56\nDATA {}\n"
     ply = "ply\nformat ascii 1.0\nelement vertex 56\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     text = "\n".join(rows).encode() + b"\n"
     faces = np.arange(54).reshape(-1, 3).astype(np.int32)
@@ -348,14 +344,10 @@ def _clouds() -> list[Files]:
     return [
         *_written("x.ply", lambda path: write_ply(path, flat, up, shade)),
         {"x.ply": ply.encode() + text},
-        {"x.pcd": pcd.format("binary").encode() + points.tobytes()},
-        {"x.pcd": pcd.format("ascii").encode() + text},
-        {"x.xyz": b"# made\n" + text},
+        {"x.xyz": text},
         {"x.obj": ("v " + "\nv ".join(rows) + "\nf 1 2 3\n").encode()},
         {"x.stl": b"".join(stl_chunks(flat, faces))},
         {"x.stl": f"solid x\n{solid}endsolid\n".encode()},
-        {"x.tmd": tmd_bytes(points[..., 2], 0.5)},
-        {"x.x3p": x3p_bytes(points[..., 2], 0.5, "made")},
     ]
 
 
@@ -883,45 +875,21 @@ def _pattern(folder: Path, files: Files) -> None:
 
 # --- viewer ------------------------------------------------------------------------------------------------------
 
-PATHS = (
-    "api/catalogue", "api/result/0", "api/result/0/first", "api/result/0/tile/1/0/0", "api/result/0/minutiae",
-    "api/result/0/pick?ox=0&oy=0&oz=50&dx=0&dy=0&dz=-1", "api/result/0/section?x0=-3&y0=0&x1=3&y1=1",
-    "api/result/0/picture/preview.png", "api/result/0/thumb", "api/result/0/photo/0?width=20",
-    "api/result/0/export/ply?step=4", "api/result/0/export/stl?step=2", "api/result/0/export/glb?step=1",
-    "api/pair/0/0", "api/pair/0/0/difference", "api/pair/0/0/section?x0=-3&y0=0&x1=3&y1=1",
-)  # fmt: skip
-
 
 @cache
 def _shown() -> Files:
-    arrays = _arrays()
-    capture = _captures()[0]
     report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
-    report |= {"capture": {"subject": {"id": "S01", "finger": "right_index", "session": 1}}}
-    report |= {"inputs_sha256": {name: hashlib.sha256(content).hexdigest() for name, content in capture.items()}}
-    made = {"result/height.npz": _npz(arrays)[0]["height.npz"], "result/report.json": json.dumps(report).encode()}
-    made |= _written("result/print.png", lambda path: (path.parent.mkdir(), write_print_png(path, _print(), 500.0)))[0]
-    made |= {"result/minutiae.iso": ISO_BYTES, "result/preview.png": encode_image(_noise(20, 30, 3), ".png")}
-    return {**made, **{f"capture/{name}": content for name, content in capture.items()}}
+    return {"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}
 
 
 def _viewed(folder: Path, files: Files) -> object:
-    service = open_paths([folder / "result"])
-
-    def ask(path: str) -> None:
-        where, _, query = path.partition("?")
-        answer = service.answer(where, dict(part.split("=") for part in query.split("&") if part))
-        with contextlib.closing(answer):
-            size = len(answer.chunks if isinstance(answer.chunks, bytes) else b"".join(answer.chunks))
-        assert size == answer.size, f"{path} gives {size} bytes and says {answer.size}"
-
-    return _any(*(lambda path=path: ask(path) for path in PATHS))
+    return pages_of(read_result(folder), folder.name)
 
 
 def _requests() -> list[Files]:
-    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "api/people/1", *PATHS)]
+    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "facts", "surface", "nothing")]
     lines += ["HEAD /TOKEN/ HTTP/1.0"]
-    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\nAccept-Encoding: gzip\r\n\r\n"
+    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\n\r\n"
     return _each("bytes", *(f"{line}\r\n{more}".encode() for line in lines))
 
 
@@ -929,8 +897,8 @@ def _requests() -> list[Files]:
 def _server() -> Any:
     """A server of this process, beside whose thread nothing else runs here."""
     folder = Path(tempfile.mkdtemp(dir=SCRATCH[0] if SCRATCH else None))
-    put(folder, {**_shown(), "x.skg": _gallery(None)})
-    server = start(Service(open_paths([folder / "result"]).catalogue, People(folder / "x.skg")), 0)
+    put(folder, _shown())
+    server = start(pages_of(read_result(folder), "result"), 0)
     threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
     return server
 

@@ -185,7 +185,6 @@ from splitknit.io.provenance import settings_hash as settings_hash
 from splitknit.io.results import SURFACES as SURFACES
 from splitknit.io.results import read_fields as read_fields
 from splitknit.io.results import read_result as read_result
-from splitknit.io.results import surface_chunks as surface_chunks
 from splitknit.io.results import write_picture as write_picture
 from splitknit.io.rig import read_rig as read_rig
 from splitknit.io.rig import write_rig as write_rig
@@ -338,13 +337,6 @@ from splitknit.verbs import check as check
 from splitknit.verbs import function_of as function_of
 from splitknit.verbs import path as path
 from splitknit.verbs import refuse_given as refuse_given
-from splitknit.viewer.catalogue import CatalogueEntry as CatalogueEntry
-from splitknit.viewer.catalogue import print_of as print_of
-from splitknit.viewer.catalogue import read_below as read_below
-from splitknit.viewer.surface import Reading as Reading
-from splitknit.viewer.surface import ResultSurface as ResultSurface
-from splitknit.viewer.surface import fields_of as fields_of
-from splitknit.viewer.surface import sample as sample
 from splitknit.workers import run_jobs as run_jobs
 
 __version__: str

@@ -611,8 +611,6 @@ class Reconstruction:
     def show(self, *, block: bool | None = None) -> str:
         """Open the result in the viewer, a page in the browser on this machine only.
 
-        What is shown is a copy in a private temporary folder, which is removed when the page or the program ends.
-
         Parameters
         ----------
         block : bool, optional
@@ -627,7 +625,7 @@ class Reconstruction:
         Raises
         ------
         BadInput
-            If nothing was reconstructed, or the temporary folder cannot be written.
+            If nothing was reconstructed.
 
         Examples
         --------
@@ -636,7 +634,7 @@ class Reconstruction:
         >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
         >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
         """
-        return str(resolve_name(_SHOW)(self.save, block))
+        return str(resolve_name(_SHOW)(self, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

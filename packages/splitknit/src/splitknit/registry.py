@@ -1,7 +1,7 @@
 """Which verbs there are, and which distribution brings each: members register theirs by entry points.
 
 An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate camera``) and names a
-:class:`splitknit.cli.verb.Verb`. The groups ``splitknit.imports`` and ``splitknit.views`` extend two verbs of the core,
+:class:`splitknit.cli.verb.Verb`. The group ``splitknit.imports`` extends a verb of the core,
 ``splitknit.devices`` names what ``capture`` photographs with.
 The module imports next to nothing, so that ``splitknit --help`` is quick.
 """
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 GROUP = "splitknit.verbs"
-IMPORTS, VIEWS, DEVICES = "splitknit.imports", "splitknit.views", "splitknit.devices"
+IMPORTS, DEVICES = "splitknit.imports", "splitknit.devices"
 CORE, SIMULATOR, RIG, MATCH = "splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match"
 VERBS = {
     "demo": (SIMULATOR, "simulate a finger, reconstruct it, compare it with the truth"),
@@ -43,7 +43,7 @@ VERBS = {
     "records": (MATCH, "what a file of another system is, and what it holds"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
     "batch": (MATCH, "reconstruct and compare a whole population, or what of it is missing"),
-    "view": (CORE, "look at results and photographs in the browser, on this machine only"),
+    "view": (CORE, "look at a result's surface in the browser, on this machine only"),
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
     "pad": (MATCH, "detect presentation attacks: was live skin photographed, or a copy, or is that unknown"),

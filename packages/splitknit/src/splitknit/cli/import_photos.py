@@ -17,13 +17,12 @@ from splitknit.verbs import AnyPath, Help, InputPpi, Job, Overwrite, Progress, p
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-CLOUDS = (".ply", ".pcd", ".xyz", ".asc", ".obj", ".stl", ".x3p", ".tmd")
 _OF_CLOUDS = ("unit", "up", "pitch_mm")
 _OF_RIGS = "white and near-infrared photographs of a rig"
 _PRINTS = "prints of other systems"
-_SURFACES = "point clouds, meshes and height maps"
+_SURFACES = "point clouds and meshes"
 _ABOUT_SURFACES = (
-    "one FILE (.ply, .pcd, .xyz, .obj, .stl, .x3p, .tmd) becomes a result folder; `material` is skin, a finger, "
+    "one FILE (.ply, .xyz, .obj, .stl; needs trimesh) becomes a result folder; `material` is skin, a finger, "
     "unless given, and `tip_direction_deg` counts from the top of the view"
 )
 
@@ -38,7 +37,7 @@ class ImportJob(Job):
     files: Annotated[tuple[AnyPath, ...], Help(
         "WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; ISO "
         "19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take all "
-        "of them as they are; PLY, PCD, XYZ, OBJ, STL, X3P, TMD: see point clouds",
+        "of them as they are; PLY, XYZ, OBJ, STL: see point clouds",
         "FILE", positional=True, group=_PRINTS)] = ()
     _: KW_ONLY
     photographs: Annotated[Photographs, Help("photographs")] = field(default_factory=Photographs)
@@ -55,7 +54,7 @@ class ImportJob(Job):
     overwrite: Overwrite = False
     input_ppi: Annotated[InputPpi, Help(InputPpi.__metadata__[0].text, "N", group=_PRINTS)] = None
     unit: Annotated[Literal["um", "mm", "cm", "in", "m"] | None, Help(
-        "of the coordinates (default: mm; X3P and TMD state theirs)", group=_SURFACES, about=_ABOUT_SURFACES)] = None
+        "of the coordinates (default: mm)", group=_SURFACES, about=_ABOUT_SURFACES)] = None
     up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Help(
         "axis that points to the viewer: x, y, z, or -x as --up=-x (default: found by normals or by the shape)",
         "AXIS", group=_SURFACES)] = None
@@ -66,6 +65,8 @@ class ImportJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Find what kind of input it is, and import it."""
+        from splitknit.io.clouds import CLOUDS  # verbs import what they need
+
         images = self.photographs.folder
         both = images is not None and bool(self.files)
         require(not both, "photographs (`folder` DIR) and prints (FILE ...) are imported one after the other.")
