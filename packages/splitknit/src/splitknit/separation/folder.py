@@ -129,7 +129,7 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
     patterns = light.patterns
     if plan.patterns == ESTIMATE:
         patterns = estimate_patterns(light.stack, **common)
-    grid = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period}
+    grid: dict[str, Any] = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period}
     return checkerboard(light.stack, alpha=plan.alpha, patterns=patterns, **grid, **common)
 
 
