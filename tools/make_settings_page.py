@@ -24,7 +24,6 @@ from splitknit.presets import PRESETS
 from splitknit_match.matching.search import SearchSettings
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.prints.make import PrintingSettings
-from splitknit_rig.calibration.lights_found import LightSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
 from splitknit_simulator.bench_photos import BenchPhotos
@@ -128,11 +127,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit capture`",
         "With `--device twin` the settings of `simulate` as well.",
         (("capture.", SessionSettings()), ("pi.", PiCameraSettings()), ("device.", TwinDeviceSettings())),
-    ),
-    (
-        "`splitknit calibrate lights`",
-        "Limits, and what is known beforehand of nail and circle.",
-        (("", LightSettings()),),
     ),
     (
         "`splitknit print`",
