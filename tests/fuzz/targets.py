@@ -118,7 +118,7 @@ from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
-from splitknit_rig.calibration.lights_found import _check_tips
+from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
 from splitknit_simulator.training.separation import SeparationData, SeparationSettings
@@ -841,7 +841,7 @@ def _tips() -> list[Files]:
 
 
 def _tipped(data: bytes) -> None:
-    _check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
+    check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
 
 
 def _radiometry() -> list[Files]:

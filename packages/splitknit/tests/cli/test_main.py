@@ -1,6 +1,5 @@
 """What the program says of verbs that left it."""
 
-
 from splitknit.cli.main import main
 from splitknit.registry import GONE
 

@@ -1,15 +1,19 @@
-"""The printed target, one page of vectors as PDF: checkerboards for the small field of view, the calibration disc, and
-a ruler to check the print.
+"""Draw the printed target: ``python -m hardware.target [--columns 9 --rows 6 --square-mm 3] [--out target.pdf]``.
+
+One page of vectors as PDF: checkerboards for the small field of view, the calibration disc, and a ruler to check the
+print. ``splitknit rig target`` writes the one that is drawn without options.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from splitknit import require
+from splitknit.errors import require
 
 POINTS_PER_MM = 72.0 / 25.4
 A4_MM = (210.0, 297.0)
@@ -18,14 +22,14 @@ _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
 RULER_MM = 100.0
 _RULER_BELOW_MM = 10.0  # from its line to the boards: strokes and numbers
-DOT_MM = 1.5  # diameter of a dot of the disc
-_DISC_RADIUS_MM = 45.0  # where the disc is cut out
-_CARD_MARGIN_MM = 4.0  # white paper around a board, within the line along which it is cut out
+DOT_MM, SPACING_MM = 1.5, 10.0  # diameter of a dot of the disc, and from dot to dot
+DISC_RADIUS_MM = 45.0  # where the disc is cut out
+CARD_MARGIN_MM = 4.0  # white paper around a board, within the line along which it is cut out
 _PAGE_MARGIN_MM = 12.0  # which printers leave free
 RULER_Y_MM = A4_MM[1] - _PAGE_MARGIN_MM - 18  # where the ruler's line is
-_BOARDS_MM = RULER_Y_MM - _RULER_BELOW_MM - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
+_BOARDS_MM = RULER_Y_MM - _RULER_BELOW_MM - (_PAGE_MARGIN_MM + 2 * DISC_RADIUS_MM + 4)
 """Height of the sheet that is left for the boards, between ruler and disc."""
-_DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + _DISC_RADIUS_MM)  # centre of the disc on the sheet
+DISC_MM = (A4_MM[0] / 2, _PAGE_MARGIN_MM + DISC_RADIUS_MM)  # centre of the disc on the sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,23 +42,12 @@ class TargetSettings:
     """And along its height."""
     square_mm: float = 3.0
     """Side of a square: 9 x 6 inner corners of 3 mm are 30 x 21 mm, in a field of view of about 42 x 29 mm."""
-    spacing_mm: float = 10.0
-    """Spacing of the disc's dots."""
 
     def __post_init__(self) -> None:
         corners = f"a board to print must have 3 to 60 inner corners each way, but it is {self.columns} x {self.rows}."
         require(3 <= self.columns <= 60 and 3 <= self.rows <= 60, corners)
         squares = f"squares to print must have 0.5 to 40 mm a side, but it is {self.square_mm:g}."
         require(0.5 <= self.square_mm <= 40, squares)
-        require(
-            0.6 * self.spacing_mm > DOT_MM,
-            f"dots of {DOT_MM:g} mm must be less than 0.6 of their spacing, but that is {self.spacing_mm:g} mm.",
-        )
-        require(
-            self.spacing_mm + DOT_MM <= _DISC_RADIUS_MM,
-            f"the disc's radius of {_DISC_RADIUS_MM:g} mm must hold two dots, but they are at every "
-            f"{self.spacing_mm:g} mm.",
-        )
         width, height = self.card_mm
         free = A4_MM[0] - 2 * _PAGE_MARGIN_MM
         require(
@@ -72,7 +65,7 @@ class TargetSettings:
     def card_mm(self) -> tuple[float, float]:
         """Width and height of what is cut out."""
         width, height = self.board_mm
-        return width + 2 * _CARD_MARGIN_MM, height + 2 * _CARD_MARGIN_MM
+        return width + 2 * CARD_MARGIN_MM, height + 2 * CARD_MARGIN_MM
 
     @property
     def copies(self) -> tuple[int, int]:
@@ -86,7 +79,7 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
     """Return the target as a PDF file; equal settings give equal bytes. BadInput if the parts do not fit."""
     settings = settings or TargetSettings()
     scale = _number(POINTS_PER_MM)
-    marks = [*_words(settings), *_ruler(settings), *_boards(settings), *_disc(settings)]
+    marks = [*_words(settings), *_ruler(), *_boards(settings), *_disc()]
     width, height = (_number(side * POINTS_PER_MM) for side in A4_MM)
     radius, (board_width, board_height) = DOT_MM / 2, settings.board_mm
     box = _number(radius + 0.1)
@@ -163,11 +156,11 @@ def _number(value: float) -> str:
     return "0" if text in ("-0", "") else text
 
 
-def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
+def dots_mm() -> list[tuple[float, float]]:
     """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to spare."""
-    most = int(_DISC_RADIUS_MM // settings.spacing_mm)
-    steps = [settings.spacing_mm * k for k in range(-most, most + 1)]
-    reach = _DISC_RADIUS_MM - DOT_MM / 2 - 1
+    most = int(DISC_RADIUS_MM // SPACING_MM)
+    steps = [SPACING_MM * k for k in range(-most, most + 1)]
+    reach = DISC_RADIUS_MM - DOT_MM / 2 - 1
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
 
@@ -177,7 +170,7 @@ def _words(settings: TargetSettings) -> list[str]:
         f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm "
         f"\\(board {settings.columns}x{settings.rows}, square {settings.square_mm:g}\\)"
     )
-    disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
+    disc = f"disc with dots of {DOT_MM:g} mm every {SPACING_MM:g} mm"
     check = (
         f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply the square and "
         f"the dot spacing by what it measures / {RULER_MM:g}."
@@ -185,7 +178,7 @@ def _words(settings: TargetSettings) -> list[str]:
     return [_text(f"splitknit: {board}; {disc}.", x, y), _text(check, x, y - 5)]
 
 
-def _ruler(settings: TargetSettings) -> list[str]:
+def _ruler() -> list[str]:
     x, y = (A4_MM[0] - RULER_MM) / 2, RULER_Y_MM
     marks = [_line((x, y), (x + RULER_MM, y), 0.2)]
     for k in range(11):
@@ -209,11 +202,21 @@ def _boards(settings: TargetSettings) -> list[str]:
         x = free * (column + 1) / (across + 1) + column * width
         y = top - (row + 1) * height - 3 * row
         marks.append(_cut_line(_rectangles([(0, 0, width, height)]), x, y))
-        marks.append(_placed("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM))
+        marks.append(_placed("Board", x + CARD_MARGIN_MM, y + CARD_MARGIN_MM))
     return marks
 
 
-def _disc(settings: TargetSettings) -> list[str]:
-    x, y = _DISC_MM
-    dots = [_placed("Dot", x + across, y + up) for across, up in dots_mm(settings)]
-    return [_cut_line(_circle(_DISC_RADIUS_MM), x, y), *dots]
+def _disc() -> list[str]:
+    x, y = DISC_MM
+    dots = [_placed("Dot", x + across, y + up) for across, up in dots_mm()]
+    return [_cut_line(_circle(DISC_RADIUS_MM), x, y), *dots]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--columns", type=int, default=9, help="inner corners along a board's width")
+    parser.add_argument("--rows", type=int, default=6, help="and along its height")
+    parser.add_argument("--square-mm", type=float, default=3.0)
+    parser.add_argument("--out", type=Path, default=Path("target.pdf"))
+    given = parser.parse_args()
+    given.out.write_bytes(target_pdf(TargetSettings(given.columns, given.rows, given.square_mm)))
