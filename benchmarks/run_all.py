@@ -24,7 +24,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
-    "bench_skin_layers.py": (["--rounds", "5"], ["--rounds", "1", "--pixels", "20"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
@@ -62,7 +61,6 @@ SHOWN = (
         "robust (shadow-aware)",
         "numpy: batched solve, shadow-aware",
     ),
-    ("skin in two layers", "bench_skin_layers.py", "Noise of 1%", "hanrahan_krueger, equal weights (`xie`)", ""),
     (
         "integration",
         "bench_integrate.py",

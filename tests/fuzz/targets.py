@@ -45,7 +45,6 @@ from splitknit.io.images import decode_image, encode_image, image_size, read_ima
 from splitknit.io.light_list import read_intensities, read_named_lights
 from splitknit.io.mesh import stl_chunks, write_ply
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.photo_tree import read_tree
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
@@ -57,7 +56,6 @@ from splitknit.jobs import read_photographs
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
-from splitknit.photometric.shading import Shading, read_shading, write_shading
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.separation.folder import _read_light
@@ -120,12 +118,9 @@ from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
-from splitknit_rig.calibration.lights_found import _check_tips
+from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit_rig.calibration.shading_folder import read_centres
-from splitknit_rig.rig.candidates import RigCandidate
-from splitknit_rig.rig.optimise import Study, _SweepFolder
 from splitknit_simulator.training.separation import SeparationData, SeparationSettings
 from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
@@ -440,20 +435,6 @@ def _object(folder: Path, files: Files) -> None:
 
 def _flat_images() -> list[Files]:
     return [{f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}]
-
-
-def _shadings() -> list[Files]:
-    shading = Shading(
-        pitch_mm=0.01, image_size=(16, 17), direction=np.eye(3), nearness=np.zeros(3), ambient=np.zeros(3),
-        fall_off=np.zeros((3, 15)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
-        deviation=np.full(9, 0.01), max_slope=1.0, height_mm_per_slope=0.1,
-    )  # fmt: skip
-    return _written("shading.npz", lambda path: write_shading(path, shading))
-
-
-def _trees() -> list[Files]:
-    names = [f"{who}/{session}/right_index/white_{k}.png" for who in "ab" for session in (1, 2) for k in range(2)]
-    return [dict.fromkeys(names, b"x")]
 
 
 @cache
@@ -846,20 +827,6 @@ def _trained(folder: Path, files: Files) -> object:
     return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
 
 
-CANDIDATE = RigCandidate(150.0, 50.0, 1.0)
-
-
-def _sweeps() -> list[Files]:
-    def make(folder: Path) -> None:
-        _SweepFolder(folder, Study()).write(CANDIDATE, {"candidate": {"name": CANDIDATE.name}, "rms_um": 3.5})
-
-    return [_folder(make)]
-
-
-def _sweep(folder: Path, files: Files) -> object:
-    return _SweepFolder(folder, Study()).read(CANDIDATE)
-
-
 # --- calibration and separated light -----------------------------------------------------------------------------
 
 
@@ -874,7 +841,7 @@ def _tips() -> list[Files]:
 
 
 def _tipped(data: bytes) -> None:
-    _check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
+    check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
 
 
 def _radiometry() -> list[Files]:
@@ -1066,19 +1033,13 @@ TARGETS = (
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
     Target("training", lambda: [_folder(_training)], _trained),
-    Target("rig_sweep", _sweeps, _sweep),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
-    Target("shading", _shadings, _of_files("shading.npz", read_shading)),
     Target("rates", lambda: _each("rates.json", _RATES), _of_files("rates.json", read_own_rates)),
     Target("token", lambda: _each("token", b"b9T2cYw0\n"), _of_files("token", read_token)),
     Target("intensities", lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
            _of_files("light_intensities.txt", lambda path: read_intensities(path, 2))),
-    Target("centres", lambda: _each("centres.txt", b"# balls\n10.5 20\n30, 40.25\n"),
-           _of_files("centres.txt", read_centres)),
-    Target("tree", _trees,
-           lambda folder, files: read_tree(folder, ["{subject}/{session}/{finger}/white_{light}.png"])),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),

@@ -1,5 +1,5 @@
 """``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
-folder of each. Other kinds of input (people, point clouds, prints) are read by what is registered for them.
+folder of each. Other kinds of input (point clouds, prints) are read by what is registered for them.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.jobs import OF_PHOTOGRAPHS, Photographs
-from splitknit.registry import IMPORTS, MATCH, RIG, SIMULATOR, extension
+from splitknit.registry import IMPORTS, MATCH, SIMULATOR, extension
 from splitknit.verbs import AnyPath, Help, InputPpi, Job, Overwrite, Progress, path, refuse_given
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
 _OF_CLOUDS = ("unit", "up", "pitch_mm")
-_CIRCLE = ("led_height_cm", "led_radius_cm", "led_centre_px")
-_OF_RIGS = "white and near-infrared photographs of a rig, of one finger or of many people"
+_OF_RIGS = "white and near-infrared photographs of a rig"
 _PRINTS = "prints of other systems"
 _SURFACES = "point clouds and meshes"
 _ABOUT_SURFACES = (
@@ -43,22 +42,10 @@ class ImportJob(Job):
     _: KW_ONLY
     photographs: Annotated[Photographs, Help("photographs")] = field(default_factory=Photographs)
     nir: Annotated[AnyPath | None, Help(
-        "near-infrared photographs: a folder, or a pattern as for `folder`; their lights are the NIR LEDs of `table` "
-        "or a rig file, else lights.txt in that folder", "DIR", group=_OF_RIGS)] = None
-    table: Annotated[AnyPath | None, Help(
-        "lights by nail and shadow tips, as 'calibrate lights --table' reads it", "CSV", group=_OF_RIGS)] = None
-    led_height_cm: Annotated[float | None, Help("of `table`: LEDs above the finger plane", "N", group=_OF_RIGS)] = None
-    led_radius_cm: Annotated[float | None, Help("of `table`: radius of the LEDs' circle", "N", group=_OF_RIGS)] = None
-    led_centre_px: Annotated[str | None, Help(
-        "of `table`: pixel of the circle's centre (default: the middle)", "X,Y", group=_OF_RIGS)] = None
-    people: Annotated[AnyPath | None, Help(
-        "folder of many people's photographs: `folder` and `nir` are patterns of paths below it, such as "
-        "'{subject}/{session}/{finger}/white_{light}.jpg', `out` a population for 'batch'",
-        "TREE", group=_OF_RIGS)] = None
+        "near-infrared photographs: a folder, or a pattern as for `folder`; their lights are the NIR LEDs of a rig "
+        "file, else lights.txt in that folder", "DIR", group=_OF_RIGS)] = None
     keep: Annotated[bool, Help(
-        "keep LEDs of `table` that its check refuses, and a hand of `fingers` that the tips contradict",
-        also=("--force",), group=_OF_RIGS)] = False
-    dry_run: Annotated[bool, Help("of `people`: say what goes where, write nothing", group=_OF_RIGS)] = False
+        "keep a hand of `fingers` that the tips contradict", also=("--force",), group=_OF_RIGS)] = False
     out: Annotated[AnyPath, Help("folder to write", "DIR")]
     fingers: Annotated[str | None, Help(
         "`folder`, or the capture folder FILE, show several fingers side by side: each becomes a capture in DIR; left,"
@@ -86,7 +73,7 @@ class ImportJob(Job):
         fault = "name photographs (`folder` DIR `lights` FILE)"
         require(images is not None or bool(self.files), f"{fault} or files of prints to import.")
         if self.fingers is not None:
-            require(self.people is None and len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
+            require(len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
             self._check_rig_captures()
             return _import_fingers(self, progress)
         if any(path(file).suffix.lower() in CLOUDS for file in self.files):
@@ -96,8 +83,6 @@ class ImportJob(Job):
         if images is None:
             return self._extended("prints", "the import of prints", MATCH, progress)
         self._check_rig_captures()
-        if self.people is not None:
-            return self._extended("people", "the import of many people's photographs", RIG, progress)
         return _import_photos(self, progress)
 
     def _extended(self, name: str, what: str, distribution: str, progress: Progress) -> Outcome:
@@ -106,27 +91,14 @@ class ImportJob(Job):
 
     def _check_rig_captures(self) -> None:
         """Refuse options that lack their partner."""
-        given = self.photographs
-        refuse_given(self, () if self.table else _CIRCLE, "goes with `table`.")
-        good = self.table is not None or self.fingers is not None or not self.keep
-        require(good, "`keep` goes with `table` and `fingers`.")
-        require(self.table is None or given.lights is None, "`table` and `lights` both give the lights; choose one.")
-        require(self.table is None or given.px_per_mm is not None, "`table` needs the scale; give `px_per_mm`.")
-        require(self.people is not None or not self.dry_run, "`dry_run` goes with `people`.")
-        given.check_alone()
+        require(self.fingers is not None or not self.keep, "`keep` goes with `fingers`.")
+        self.photographs.check_alone()
 
     def of_finger(self) -> Photographs:
         """The photographs, with what the other options say of them: a finger is skin."""
-        skin = (self.nir, self.people, self.fingers) != (None, None, None)
+        skin = (self.nir, self.fingers) != (None, None)
         material = self.photographs.material or ("skin" if skin else None)
         return replace(self.photographs, nir=self.nir, material=material)
-
-    def with_table(self, taken: Photographs) -> Photographs:
-        """The photographs with the rig that the table of tips gives them in place of the scale."""
-        if self.table is None:
-            return taken
-        rig_of_table = extension(IMPORTS, "table", "a table of nail and shadow tips", RIG)
-        return replace(taken, lights=rig_of_table(self, taken), px_per_mm=None)
 
     def refuse_photographs(self, kept: tuple[str, ...], why: str) -> None:
         """Refuse what is known of photographs, but for `kept`."""
@@ -147,7 +119,7 @@ def _import_fingers(job: ImportJob, progress: Progress) -> Outcome:
     if taken.folder is None:
         capture, notes = read_capture(job.files[0]), list[str]()
     else:
-        capture, notes = job.with_table(taken).read()
+        capture, notes = taken.read()
     progress("fingers", 0.5)
     found = {out / name: one for name, one in fingers_apart(capture, names, keep=job.keep).items()}
     for place in found:
@@ -169,7 +141,7 @@ def _import_photos(job: ImportJob, progress: Progress) -> Outcome:
         keep = folder.parent if "{light}" in folder.name else folder
         check_capture(out, overwrite=job.overwrite, keep=keep)
     progress("reading", 0.1)
-    capture, notes = job.with_table(taken).read()
+    capture, notes = taken.read()
     progress("writing", 0.7)
     write_capture(capture, out, overwrite=job.overwrite)
     return _told(capture, notes, out)
