@@ -49,8 +49,14 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-GONE: dict[str, str] = {}
-"""Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
+GONE: dict[str, str] = {
+    "match --method voted": "use 'python validation/published/voted.py A B' from a checkout.",
+    "match --method minutiae3d": "use 'python validation/published/minutiae3d.py A B' from a checkout.",
+    "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
+    "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
+    "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
+}
+"""Verbs and options that left (``rig cad``, ``print --pores``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:

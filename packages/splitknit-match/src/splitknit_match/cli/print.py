@@ -39,10 +39,6 @@ def _words(facts: dict[str, Any]) -> list[str]:
         lines.append(f"{minutiae['count']} minutiae.")
     else:
         lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
-    if "pores" in facts:
-        pores = facts["pores"]
-        lines.append(f"{pores['count']} pores, sought in the {pores['sought_in']}.")
-        lines += [f"Please note: {pores['warning']}"] if "warning" in pores else []
     lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines

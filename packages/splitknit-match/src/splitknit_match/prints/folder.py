@@ -1,4 +1,4 @@
-"""A print's folder: the pictures, the minutiae on paper and in space, the distortion, and the report."""
+"""A print's folder: the pictures, the minutiae, the distortion, and the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from splitknit import (
     BadInput,
     ColourArray,
-    FloatArray,
     JsonValue,
     PrintFile,
     Progress,
@@ -39,7 +38,6 @@ from splitknit import (
 )
 from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.space_features import bilinear, in_space
 from splitknit_match.prints.enhance import Enhanced, as_print, ridge_mask, thin
 from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
@@ -53,7 +51,6 @@ from splitknit_match.prints.make import (
     measured,
     minutiae_by_phase,
 )
-from splitknit_match.prints.pores import write_pores
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_job import PrintJob
 from splitknit_match.prints.print_map import NOWHERE, PrintMap
@@ -61,9 +58,8 @@ from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.rolled import read_rolled, write_rolled
 from splitknit_match.prints.sources import Source, read_source
 from splitknit_match.prints.unroll import Unrolled
-from splitknit_match.records.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit_match.records.minutiae_files import encode_minutiae_record
-from splitknit_match.records.minutiae_record import FingerView, MinutiaeRecord
+from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.rolled.finger import Rolled
 
 
@@ -80,7 +76,6 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     with atomic_folder(out) as target:
         source, around, given = _read(job, method, place, settings, progress)
         origin = provenance({**_parameters(method, settings), "surface": place, "ppi": ppi}, source.hashes)
-        pores = naming(path, lambda: write_pores(target, source, origin)) if job.pores else None
         timings = {"reading": time.perf_counter() - started}
         progress("printing", 0.75)
         try:
@@ -138,9 +133,9 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
                 found, score, source.subject.get("finger"), "live_plain" if method == "file" else "contactless"
             )
             facts["minutiae"] = {
-                "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
+                "written": True, "sought_in": where, "count": len(view.x_px), "finger": view.finger,
             }  # fmt: skip
-        facts |= {} if pores is None else {"pores": pores}
+            write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin
@@ -217,7 +212,7 @@ def _read(
         return *read_rolled(job.path, job.preset, settings.rolled, progress), None
     photo = method == "photo"
     source = read_source(
-        job.path, photo=photo, surface=not photo or place != "plane" or job.pores, preset=job.preset, progress=progress,
+        job.path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
         px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
     )  # fmt: skip
     return source, None, None
@@ -334,7 +329,6 @@ def _sentence(cause: str, name: str, found: PrintQuality) -> str:
     return sentences[cause]
 
 
-Array = NDArray[np.float64]
 AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
 """Ends of the colour bars of the distortion picture."""
 
@@ -356,47 +350,6 @@ def _minutiae_of(
         return extract(pictures[f"{sought_in}.png"], made.map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
         return None, f"{' '.join(str(error).split())} Or find them with `settings` minutiae=phase."
-
-
-def _write_minutiae(
-    target: Path, view: FingerView, print_map: PrintMap, source: Source, origin: dict[str, JsonValue]
-) -> dict[str, Any]:
-    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them."""
-    write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
-    facts: dict[str, Any] = {"count": len(view.x_px), "finger": view.finger}
-    if source.height_mm is not None or source.points_mm is not None:
-        scale = print_map.ppi / 500.0
-        places = (np.stack([view.x_px, view.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
-        space = _in_space(places, view.direction_rad, print_map, source)
-        good = np.isfinite(space).all(axis=1)
-        theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
-        x, y, z = space[good, :3].T
-        record = Minutiae3D(x, y, z, theta, phi, view.type[good], view.quality[good], view.finger, origin)
-        write_minutiae3d(target / "minutiae3d.json", record)
-        facts["in_space"] = int(good.sum())
-    return facts
-
-
-def _in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
-    """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
-
-    NaN where the print shows nothing, or the surface is not known.
-    """
-    if source.points_mm is not None:
-        there, ahead = print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
-        return _on_chart(source.points_mm, there, ahead)
-    assert source.height_mm is not None
-    return in_space(
-        places, directions_rad, print_map, source.height_mm, source.pitch_mm,
-        input_from_upright=source.input_from_upright, xy_mm=source.xy_mm,
-    )  # fmt: skip
-
-
-def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:
-    """(N, 6) points and directions of places (N, 2) of a chart (H, W, 3), heading `ahead` (N,) on it."""
-    step = np.stack([np.cos(ahead), -np.sin(ahead)], axis=1)  # rows run downwards
-    here, before, after = (bilinear(points_mm, at) for at in (there, there - step, there + step))
-    return np.column_stack([here, after - before])
 
 
 def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:

@@ -63,9 +63,6 @@ class PrintJob(Job):
         "where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least "
         "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)")] = None
     ppi: Annotated[Literal[500, 1000], Help("pixels per inch")] = 500
-    pores: Annotated[bool, Help(
-        "also write pores.json: where sweat pores lie on the skin, in mm (pixels of 34 um at most; with --method photo "
-        "they are sought on the photograph, which shows more of them)")] = False
     px_per_mm: PxPerMm = None
     ridge_period_mm: RidgePeriod = None
     input_ppi: InputPpi = None

@@ -72,7 +72,6 @@ def _source(rolled: Rolled, preset: str, hashes: Any, subject: Any) -> Source:
     return Source(
         "capture", rolled.blended.known, rolled.chart.pitch_mm, np.eye(3), rolled.chart.shape,
         ridge_mm=rolled.blended.relief_mm, preset=preset, hashes=hashes, subject=subject,
-        points_mm=_skin_points(rolled),
     )  # fmt: skip
 
 

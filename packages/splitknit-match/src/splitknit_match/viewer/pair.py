@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import CatalogueEntry, Reading, ResultSurface, fields_of, require, sample
-from splitknit_match.matching.minutiae3d import one_to_one
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit_match.matching.template import make_template
@@ -141,8 +140,11 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     here, there = (np.arctan2(step[:, 1], step[:, 0]) for step in (a.tail_mm - a.place_mm, tails - moved))
     turns = (here[:, None] - there[None, :] + np.pi) % (2 * np.pi) - np.pi
     rows, columns = np.nonzero((gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD))
-    kept = one_to_one(rows, columns, gaps[rows, columns])
-    return list(zip(rows[kept].tolist(), columns[kept].tolist(), strict=True))
+    kept: dict[int, int] = {}
+    for k in np.argsort(gaps[rows, columns], kind="stable").tolist():
+        if rows[k] not in kept and columns[k] not in kept.values():
+            kept[int(rows[k])] = int(columns[k])
+    return list(kept.items())
 
 
 def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:

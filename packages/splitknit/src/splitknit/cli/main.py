@@ -39,7 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     from splitknit.registry import GONE
 
-    gone = next((name for name in (" ".join(words[:2]), " ".join(words[:1])) if name in GONE), "")
+    typed = " ".join(words[1:]).replace("=", " ")
+    parts = ((name, *name.partition(" ")) for name in GONE)
+    gone = next((name for name, verb, _, rest in parts if [verb] == words[:1] and f"{rest} " in f"{typed} "), "")
     if gone:
         print(f"splitknit: error: '{gone}' left the program: {GONE[gone]}", file=sys.stderr)
         return BAD_INPUT

@@ -1,6 +1,6 @@
 """Accuracy under coloured LEDs (Lin) and of Zheng's photometric stereo, beside the thesis's baseline and `metric`.
 
-    python validation/family/lights.py --work DIR [--fingers 6] [--scale 0.4] [--out validation/family/lights.json]
+    python validation/published/lights.py --work DIR [--fingers 6] [--scale 0.4] [--out lights.json]
 
 Every finger is photographed three times in the same pose: under seven white LEDs, and under six and nine coloured ones.
 Records are kept in DIR, one a finger, so that a run that was stopped goes on. Nothing was tuned on these fingers.

@@ -1,28 +1,30 @@
 """Sweat pores, found and true, at pixels of 26 and 13 um: reliefs and photographs of simulated fingers.
 
-    python validation/prints/pores.py --out FOLDER [--fingers 6] [--scales 0.5 1.0] [--write]
+    python validation/published/pores_found.py --out FOLDER [--fingers 6] [--scales 0.5 1.0] [--write]
 
-One capture each of the fingers with seeds from 6001, scale 0.5 and 1 (26 and 13 um). Pores are sought on the true
-relief, on the reliefs of ``metric`` and ``snk``, and as dark dots on the mean white photograph (crests of ``metric``).
-A pore is found if one lies within 0.1 mm of it. Skin counts that faces the camera within 45 deg, 0.5 mm inside the
-mask. Chance: the same pores, all shifted by 0.45 mm. Intervals of 95 % draw fingers. A finger that is in FOLDER is not
-made again; ``--write`` writes ``pores.json``. The threshold of `find_pores` was chosen on seed 6101.
+Pores are sought on the true relief, on the reliefs of ``metric`` and ``snk``, and on the mean white photograph. A pore
+is found if one lies within 0.1 mm of it. Skin counts that faces the camera within 45 deg, 0.5 mm inside the mask.
+Chance: the same pores, all shifted by 0.45 mm. Intervals of 95 % draw fingers. A finger that is in FOLDER is not made
+again; ``--write`` writes ``pores_found.json``. The threshold of `find_pores` was chosen on another seed (6101).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from pores import find_pores
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "prints"))
 from agreement_compare import paired
 
 import splitknit
 import splitknit_simulator
-from splitknit_match.prints.pores import find_pores
 
 REACH_MM, BORDER_MM, CHANCE_MM = 0.1, 0.5, 0.45
 SLANT_COS = float(np.cos(np.deg2rad(45)))
@@ -85,7 +87,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--fingers", type=int, default=6)
-    parser.add_argument("--first", type=int, default=6001, help="seed of the first finger")
     parser.add_argument("--scales", type=float, nargs="+", default=(0.5, 1.0))
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
@@ -93,7 +94,7 @@ def main() -> None:
     table: dict[str, Any] = {}
     for scale in options.scales:
         rows = []
-        for seed in range(options.first, options.first + options.fingers):
+        for seed in range(6001, 6001 + options.fingers):
             file = options.out / f"{seed}_{scale:g}.json"
             if not file.is_file():
                 text = json.dumps(figures(seed, scale))
