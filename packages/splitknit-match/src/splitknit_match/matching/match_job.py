@@ -44,13 +44,9 @@ class MatchJob(Job):
 
     Examples
     --------
-    >>> import splitknit
-    >>> import splitknit_simulator
     >>> import splitknit_match
-    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.12})
-    >>> result = splitknit.reconstruct(capture, "ea")
-    >>> round(splitknit_match.match(result, result).similarity, 2)
-    1.0
+    >>> splitknit_match.match("capture", "print.png").answer  # doctest: +SKIP
+    'match'
     """
 
     # fmt: off

@@ -55,7 +55,7 @@ class ComparedSide:
 
     path: str
     kind: str
-    """``capture``, ``result``, ``template``, ``print``, ``touches``, ``photo`` (of a finger) or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     area_mm2: float
     """Area of its ridges."""
     acquired: bool
@@ -333,8 +333,7 @@ def _rated(
         areas = found.a.area_mm2, found.b.area_mm2
         scores = scores_of(scores, areas, found.similarity_of_minutiae)
         rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
-        one_print = len(doubts) == 1 and "touches" not in (found.a.kind, found.b.kind)
-        if not doubts or (one_print and rated.answer == "match"):  # one resolution confirms the other
+        if not doubts or (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
             return replace(
                 found, fmr=rated.fmr, fmr_missing=rated.missing, fmr_basis=rated.basis, decision=rated.decision,
                 answer=rated.answer, undecided=rated.undecided,
