@@ -74,7 +74,7 @@ def main() -> None:
     window = slice(middle[0] - 110, middle[0] + 110), slice(middle[1] - 110, middle[1] + 110)
     zoomed = [cv2.resize(step[window], None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC) for step in steps]
     save(options.out / "prints-steps.jpg", beside(zoomed))
-    kinds = [make_print(photo, "unroll", kind) for kind in ("free", "arc", "tube", "cylinder")]
+    kinds = [make_print(photo, "unroll", kind) for kind in ("free", "arc")]
     panels = [distortion_picture(made.map, made.unrolled) for made in kinds if made.unrolled is not None]
     save(options.out / "prints-distortion.jpg", beside(panels[:2]))
     save(options.out / "prints-unrolled.jpg", beside([made.image for made in kinds]))

@@ -107,10 +107,7 @@ def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -
     assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(1000, abs=0.02)
     assert np.allclose(np.array(fine["size"]) / 2, coarse["size"], atol=1)
     assert fine["ridge_period_mm"]["median"] == pytest.approx(coarse["ridge_period_mm"]["median"], rel=0.02)
-    tube = facts_of(capsys, result, "--surface", "tube", "--set", "enhance=stft", "--out", tmp_path / "c")
-    assert tube["surface"] == "tube"
-    assert tube["enhanced"] == "stft"
-    wide = facts_of(capsys, result, "--method", "curvature", "--surface", "cylinder", "--out", tmp_path / "d")
+    wide = facts_of(capsys, result, "--method", "curvature", "--surface", "arc", "--out", tmp_path / "d")
     assert wide["size"][1] > coarse["size"][1]
     assert "distortion" in wide
 
@@ -185,7 +182,7 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     assert "neither a capture" in refusal(capsys, tmp_path / "empty", "--out", out)
     assert "no photograph" in refusal(capsys, result, "--method", "photo", "--out", out)
     assert "--method relief" in refusal(capsys, result, "--method", "unroll", "--surface", "plane", "--out", out)
-    assert "unroll.kind" in refusal(capsys, result, "--set", "unroll.kind=apple", "--out", out)
+    assert "unroll.slant_deg" in refusal(capsys, result, "--set", "unroll.slant_deg=apple", "--out", out)
     arrays = read_npz(result / "height.npz")
 
     def changed(name: str, **others: object) -> Path:

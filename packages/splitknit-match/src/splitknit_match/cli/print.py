@@ -16,8 +16,6 @@ def _words(facts: dict[str, Any]) -> list[str]:
         "plane": "on the finger plane, seen straight from above",
         "free": "on the skin laid flat with the least distortion",
         "arc": "on the skin laid flat row by row",
-        "tube": "on the best-fit tube, unrolled",
-        "cylinder": "on the best-fit cylinder, unrolled",
         "paper": "as it was pressed",
     }[facts["surface"]]
     period = facts["ridge_period_mm"]["median"]

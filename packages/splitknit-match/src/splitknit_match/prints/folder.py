@@ -71,7 +71,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     """
     started = time.perf_counter()
     settings, path, out, ppi = override(PrintingSettings(), job.settings or {}), job.path, Path(job.out), float(job.ppi)
-    method, place = _how(job, settings)
+    method, place = _how(job)
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
         source, around, given = _read(job, method, place, settings, progress)
@@ -84,7 +84,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             timings["printing"] = time.perf_counter() - clock
             progress("enhancing", 0.85)
             clock = time.perf_counter()
-            enhanced = enhance(made, ppi, settings)
+            enhanced = enhance(made, ppi)
             ridges = ridge_mask(enhanced)
             timings["enhancing"] = time.perf_counter() - clock
         except BadInput as error:
@@ -103,7 +103,6 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "surface": place,
             "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
             "ppi": ppi,
-            "enhanced": settings.enhance,
             **({"scale": source.scale} if source.scale else {}),
             "size": list(made.image.shape),
             "mirrored": True,
@@ -157,7 +156,7 @@ def _write_pictures(
     write_npz(target / "map.npz", arrays)
 
 
-def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
+def _how(job: PrintJob) -> tuple[str, str]:
     """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
     path = job.path
     photo = None if path.suffix.lower() == ".npz" else fingerphoto(path)
@@ -167,14 +166,14 @@ def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
     )
     if not path.is_file() or path.suffix.lower() == ".npz":
         method = job.method or "unroll"
-        return method, checked_surface(method, job.surface, settings)
+        return method, checked_surface(method, job.surface)
     if photo is not None:
         method = job.method or "photo"
         require(
             (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
             f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
         )
-        return method, checked_surface(method, job.surface or "free", settings)
+        return method, checked_surface(method, job.surface or "free")
     require(
         (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
         f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",

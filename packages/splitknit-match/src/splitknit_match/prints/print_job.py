@@ -59,9 +59,9 @@ class PrintJob(Job):
         "curvature: the shape index; photo: the photograph (needs a capture); specular: what the surface reflects "
         "(needs polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors)"
         )] = None
-    surface: Annotated[Literal["plane", "free", "arc", "tube", "cylinder"] | None, Help(
+    surface: Annotated[Literal["plane", "free", "arc"] | None, Help(
         "where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least "
-        "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)")] = None
+        "distortion, default for unroll) or arc (row by row)")] = None
     ppi: Annotated[Literal[500, 1000], Help("pixels per inch")] = 500
     px_per_mm: PxPerMm = None
     ridge_period_mm: RidgePeriod = None
