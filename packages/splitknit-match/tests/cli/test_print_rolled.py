@@ -47,7 +47,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert main(["print", *arguments]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["surface"] == "free"
-    assert {"print.png", "rolled.ply", "report.json", "distortion.png"} <= set(facts["files"])
+    assert {"print.png", "rolled.ply", "report.json"} <= set(facts["files"])
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
     assert rolled["warnings"] == ["the left view is cut off."]

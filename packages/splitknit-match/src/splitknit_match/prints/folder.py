@@ -8,31 +8,25 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
     BadInput,
-    ColourArray,
     JsonValue,
     PrintFile,
     Progress,
     atomic_folder,
     canonical_json,
     check_target,
-    colour,
     file_hash,
     json_text,
     naming,
     no_progress,
-    on_paper,
     override,
     provenance,
     require,
-    sampled_at,
     write_file,
-    write_image,
     write_npz,
     write_print_png,
 )
@@ -53,11 +47,10 @@ from splitknit_match.prints.make import (
 )
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_job import PrintJob
-from splitknit_match.prints.print_map import NOWHERE, PrintMap
+from splitknit_match.prints.print_map import PrintMap
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.rolled import read_rolled, write_rolled
 from splitknit_match.prints.sources import Source, read_source
-from splitknit_match.prints.unroll import Unrolled
 from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.rolled.finger import Rolled
@@ -113,7 +106,6 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         }
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
-            write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
         if around is not None:
             facts["rolled"] = write_rolled(target, around)
         clock = time.perf_counter()
@@ -328,10 +320,6 @@ def _sentence(cause: str, name: str, found: PrintQuality) -> str:
     return sentences[cause]
 
 
-AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
-"""Ends of the colour bars of the distortion picture."""
-
-
 def _minutiae_of(
     made: Print, pictures: Mapping[str, NDArray[np.uint8]], enhanced: Enhanced, sought_in: str
 ) -> tuple[Minutiae | None, str]:
@@ -349,41 +337,3 @@ def _minutiae_of(
         return extract(pictures[f"{sought_in}.png"], made.map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
         return None, f"{' '.join(str(error).split())} Or find them with `settings` minutiae=phase."
-
-
-def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
-    """(h, w, 3) two maps side by side with their colour bars, on the pixels of the print.
-
-    Left: area on the print over area of the skin, blue too small, orange too large. Right: by how much more the skin is
-    stretched one way than the other.
-    """
-    node = np.linalg.inv(unrolled.grid.input_from_grid)
-    x = node[0, 0] * print_map.columns + node[0, 1] * print_map.rows + node[0, 2] - 0.5
-    y = node[1, 0] * print_map.columns + node[1, 1] * print_map.rows + node[1, 2] - 0.5
-    shown = print_map.columns > 0.5 * NOWHERE
-    panels = []
-    for values_of, low, high, title in (
-        (unrolled.distortion.area, -AREA_LIMIT, AREA_LIMIT, "area"),
-        (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
-    ):
-        known = np.isfinite(values_of)
-        filled, fraction = np.where(known, values_of, 0.0).astype(np.float32), known.astype(np.float32)
-        values, weight = (sampled_at(part, x, y, outside=0.0) for part in (filled, fraction))
-        evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
-        picture = colour(evened, low, high, diverging=low < 0)
-        picture = on_paper(picture, (shown & (weight > 0.01)).astype(np.float32))
-        panels.append(np.vstack([picture, _bar(picture.shape[1], low, high, title)]))
-    return np.hstack([panels[0], np.full((panels[0].shape[0], 12, 3), 255, np.uint8), panels[1]])
-
-
-def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
-    """A colour bar with its ends in percent."""
-    bar = np.full((46, width, 3), 255, dtype=np.uint8)
-    ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
-    bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
-    texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
-    for text, fraction in zip(texts, (0.0, 0.5, 1.0), strict=True):
-        (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
-        place = int(4 + fraction * (width - 8 - length))
-        cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
-    return bar
