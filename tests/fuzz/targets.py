@@ -87,16 +87,12 @@ from splitknit_match.matching.match_job import make_template as template_of
 from splitknit_match.matching.match_job import match
 from splitknit_match.matching.minutiae_record import (
     Minutiae,
-    SpaceMinutiae,
     pack_minutiae,
-    pack_space_minutiae,
     unpack_minutiae,
-    unpack_space_minutiae,
 )
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit_match.prints.fingerphoto import read_fingerphoto
 from splitknit_match.prints.from_file import (
@@ -111,7 +107,6 @@ from splitknit_match.records.finger_image import encode_finger_images
 from splitknit_match.records.fmr_bytes import ISO_2005, ISO_2011
 from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.itl_reading import TransactionFacts, encode_transaction
-from splitknit_match.records.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record, read_minutiae_record
 from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.records.print_formats import read_prints
@@ -499,23 +494,16 @@ def _packed() -> list[Files]:
         many.integers(0, 99, 7).astype(np.int32), many.integers(0, 99, 7).astype(np.int32), many.uniform(0, 6, 7),
         np.ones(7, np.uint8), np.full(7, 50, np.uint8), (100, 100),
     )  # fmt: skip
-    space = SpaceMinutiae(
-        many.uniform(-9, 9, (7, 3)), many.uniform(0, 6, 7), many.uniform(-1, 1, 7), np.ones(7, np.uint8),
-        np.full(7, 50, np.uint8),
-    )  # fmt: skip
-    mask = np.ones((40, 30), bool)
-    code = SurfaceCode(np.where(mask, _noise(40, 30) % 9, 0).astype(np.uint8), mask, 0.1)
-    return _each("bytes", pack_minutiae(flat), pack_space_minutiae(space), pack_surface_code(code))
+    return _each("bytes", pack_minutiae(flat))
 
 
 def _packed_repaired(files: Files) -> Files:
-    """The checksum is the last of the head, whose size goes by the magic."""
+    """The checksum is the last of the head."""
     data = files.get("bytes")
     if not isinstance(data, bytes):
         return files
-    head = {b"SKMI": 16, b"SKM3": 12}.get(data[:4], 16)
-    body = data[head:]
-    return {"bytes": data[: head - 4].ljust(head - 4, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
+    body = data[16:]
+    return {"bytes": data[:12].ljust(12, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
 
 
 def _of_2011() -> bytes:
@@ -554,15 +542,6 @@ def _transactions() -> list[Files]:
         encode_transaction([small], facts, "png"),
         encode_transaction([large], facts, "wsq"),
     )
-
-
-def _spaces() -> list[Files]:
-    many = np.random.default_rng(2)
-    x, y, z = many.uniform(-9, 9, (3, 6))
-    found = Minutiae3D(
-        x, y, z, many.uniform(0, 6, 6), many.uniform(-1, 1, 6), np.ones(6, int), np.full(6, 9), "right_index"
-    )
-    return _written("x.json", lambda path: write_minutiae3d(path, found))
 
 
 SCORES = b"""system,label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b
@@ -1008,11 +987,10 @@ TARGETS = (
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
            _skt_repaired),
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
-    Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
+    Target("packed", _packed, _of_bytes(unpack_minutiae), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES, _of_2011()), _record),
     Target("what", _print_files, lambda folder, files: WhatJob(folder / "x").run(lambda *_: None)),
     Target("cloud", _clouds, _cloud),
-    Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),

@@ -40,7 +40,7 @@ from tables import Row, write_csv
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
 FAMILY_CASES = ("kumar", "zheng", "lin")
-FAMILY_MATCHERS = ("ridge", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
+FAMILY_MATCHERS = ("ridge", "minutiae")
 ROLL_VARIANTS = (Variant("none", "single", "pairs"), Variant("gate", "averaged", "fingers"))
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
@@ -129,7 +129,7 @@ def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
 
 
 def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """The systems that SnK is measured against, by the established matchers and by those of their own."""
+    """The systems that SnK is measured against, by the established matchers."""
     cases = list(dict.fromkeys([*options.cases, *FAMILY_CASES]))
     return _by_matchers(options, store, truth, "family", cases, dict.fromkeys(FAMILY_MATCHERS, ""))
 

@@ -41,11 +41,9 @@ from splitknit.exports import door as door
 from splitknit.finger.contrast import ClaheSettings as ClaheSettings
 from splitknit.finger.contrast import clahe as clahe
 from splitknit.finger.locate import BEYOND_CREASE_MM as BEYOND_CREASE_MM
-from splitknit.finger.locate import Finger as Finger
 from splitknit.finger.locate import FingerSettings as FingerSettings
 from splitknit.finger.locate import enlarged_mask as enlarged_mask
 from splitknit.finger.locate import find_finger as find_finger
-from splitknit.finger.locate import prepared_capture as prepared_capture
 from splitknit.finger.mask import check_borders as check_borders
 from splitknit.finger.mask import finger_mask as finger_mask
 from splitknit.finger.motion import MIN_RELIABILITY as MIN_RELIABILITY
@@ -67,7 +65,6 @@ from splitknit.finger.ridges import PrintSettings as PrintSettings
 from splitknit.finger.ridges import ink as ink
 from splitknit.finger.ridges import surface_print as surface_print
 from splitknit.finger.ridges import upright_from_print as upright_from_print
-from splitknit.finger.steady import find_steady_finger as find_steady_finger
 from splitknit.imaging.band import GREY_WEIGHTS as GREY_WEIGHTS
 from splitknit.imaging.band import Window as Window
 from splitknit.imaging.band import bin_mean as bin_mean
@@ -78,6 +75,7 @@ from splitknit.imaging.band import linear_image as linear_image
 from splitknit.imaging.band import linear_stack as linear_stack
 from splitknit.imaging.band import linear_survey as linear_survey
 from splitknit.imaging.band import pick_channel as pick_channel
+from splitknit.imaging.band import srgb_code as srgb_code
 from splitknit.imaging.coloured import balanced as balanced
 from splitknit.imaging.geometry import bounding_box as bounding_box
 from splitknit.imaging.geometry import enlarged as enlarged
@@ -89,7 +87,6 @@ from splitknit.imaging.geometry import sampled_at as sampled_at
 from splitknit.imaging.geometry import smoothed as smoothed
 from splitknit.imaging.geometry import warp as warp
 from splitknit.imaging.geometry import wide_blur as wide_blur
-from splitknit.imaging.polarised import aligned as aligned
 from splitknit.imaging.polarised import crossed_place as crossed_place
 from splitknit.imaging.polarised import undone as undone
 from splitknit.imaging.polarised import without_films as without_films
@@ -248,7 +245,6 @@ from splitknit.pad import judge as judge
 from splitknit.pad import not_covered as not_covered
 from splitknit.pad import pad_features as pad_features
 from splitknit.pad import pad_images as pad_images
-from splitknit.photometric.lambertian import left_out as left_out
 from splitknit.photometric.near_light import pseudo_normals as pseudo_normals
 from splitknit.pipeline import reconstruct as reconstruct
 from splitknit.pipeline import reconstruct_images as reconstruct_images

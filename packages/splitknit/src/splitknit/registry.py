@@ -64,8 +64,13 @@ GONE: dict[str, str] = {
     "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
     "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
+    "match --method voted": "use 'python validation/published/voted.py A B' from a checkout.",
+    "match --method minutiae3d": "use 'python validation/published/minutiae3d.py A B' from a checkout.",
+    "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
+    "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
+    "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
 }
-"""Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
+"""Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:

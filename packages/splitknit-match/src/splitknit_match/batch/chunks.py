@@ -27,7 +27,7 @@ _MAX_BYTES = 2_000_000_000  # largest file, and largest columns in it: surfaces 
 _MAX_ROWS, _MAX_COLUMNS = 10_000_000, 1000
 _TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
 _FLAGS = {"acquired", "genuine", "compared"}
-_PAYLOADS = {"template", "print", "images", "minutiae", "minutiae3d", "surface_code"}
+_PAYLOADS = {"template", "print", "images", "minutiae"}
 _NEVER_NULL = (_TEXTS | _FLAGS | _PAYLOADS | {"area_mm2"}) - {"print", "images"}
 _REMEDY = "delete it and run the same again: only what it holds is done anew"
 

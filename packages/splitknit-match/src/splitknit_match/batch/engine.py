@@ -48,7 +48,7 @@ from splitknit_match.batch.population import (
 from splitknit_match.batch.reading import Place, drop_cached, stored_places
 from splitknit_match.batch.scores import ScoreTask, score_block
 from splitknit_match.batch.settings import BatchSettings, Case
-from splitknit_match.batch.solids import SOLIDS, ExtractionTask, extract_features
+from splitknit_match.batch.solids import ExtractionTask, extract_features
 from splitknit_match.batch.store import Store, check_store_target, open_store
 from splitknit_match.evaluation.protocol import Comparisons
 from splitknit_match.evaluation.scores import Scores, ids_of, score_table
@@ -225,7 +225,7 @@ def _match(run: _Run) -> list[dict[str, Any]]:
             started = time.perf_counter()
             using = matcher(name, run.settings.matching)
             if using.source != "features":
-                chunks = _extraction_tasks(run, case, using.source)
+                chunks = _extraction_tasks(run, case)
                 run.done(extract_features, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = _score_tasks(run.store, run.population, run.settings, case, using)
@@ -274,7 +274,6 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     size = settings.chunk_captures or min(max(population.planned // 32, 1), 10)
     for capture in population.captures:
         groups.setdefault(capture.place // size, []).append(capture)
-    solids = {matcher(name, settings.matching).source for name in settings.matchers} & set(SOLIDS)
     tasks = []
     for group, captures in sorted(groups.items()):
         names = [capture.name for capture in captures]
@@ -292,7 +291,6 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
                     missing,
                     settings.matching,
                     images=settings.surfaces,
-                    solids=tuple(sorted(solids)),
                 )
             )
     return tasks
@@ -303,12 +301,11 @@ def _anywhere(folder: Location) -> Location:
     return folder.resolve() if isinstance(folder, Path) else folder
 
 
-def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
-    """Chunks of features beside which there is none of `kind`."""
-    there = {file.stem for file in run.store.files(kind, case.name)}
-    place, matching = _anywhere(run.population.folder), run.settings.matching
+def _extraction_tasks(run: _Run, case: Case) -> list[ExtractionTask]:
+    """Chunks of features beside which there are no minutiae."""
+    there = {file.stem for file in run.store.files("minutiae", case.name)}
     files = [file for file in run.store.files("features", case.name) if file.stem not in there]
-    return [ExtractionTask(run.store.folder, place, case, file.stem, kind, matching) for file in files]
+    return [ExtractionTask(run.store.folder, case.name, file.stem) for file in files]
 
 
 def _score_tasks(

@@ -27,7 +27,6 @@ from splitknit_match.batch.execution import TaskDone
 from splitknit_match.batch.objects import Location, captures_at_hand
 from splitknit_match.batch.population import CaptureRef
 from splitknit_match.batch.settings import Case
-from splitknit_match.batch.solids import solid_payload, write_extracted
 from splitknit_match.batch.surfaces import pack_surface
 from splitknit_match.matching.surface import MatchingSettings, surface_template
 from splitknit_match.matching.template import pack
@@ -51,7 +50,6 @@ class FeatureTask:
     cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
     matching: MatchingSettings
     images: bool
-    solids: tuple[str, ...] = ()  # features in space that are made at once, of :data:`.solids.SOLIDS`
 
 
 def _feature_schema() -> Any:
@@ -107,10 +105,6 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
         templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
         origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
-        for kind in task.solids:  # before the features, by which a later run knows what is finished
-            file = task.store / kind / case.name / f"{name}{SUFFIX}"
-            found = [(row["capture"], bool(row.get(kind)), row.get(kind, b"")) for row in rows[case.name]]
-            write_extracted(file, kind, found, origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
     return TaskDone(sum(map(len, rows.values())), failures=tuple(failures), unreadable=tuple(unreadable))
 
@@ -145,6 +139,5 @@ def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, l
         # as ``splitknit reconstruct`` writes it
         "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin)),
         "images": pack_surface(surface, result.height_mm) if task.images else None,
-        **{kind: solid_payload(kind, surface, task.matching) for kind in task.solids},
         **{name: None if value is None else float(value) for name, value in quality.items()},
     }

@@ -60,7 +60,7 @@ class Store:
         return dict(document)
 
     def files(self, kind: str, name: str) -> list[Location]:
-        """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
+        """Finished chunks of ``features`` or ``minutiae`` of a case, or of ``scores/CASE`` of a matcher."""
         folder = self.folder / kind / name  # what is being written there begins with a dot
         return [folder / one for one in files_below(folder) if one.endswith(SUFFIX) and not one.startswith(".")]
 

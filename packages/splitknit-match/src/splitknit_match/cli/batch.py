@@ -22,9 +22,7 @@ class BatchJob(Job):
         "a case of your own: a preset with settings changed; may be repeated",
         "NAME=PRESET:STAGE.FIELD=VALUE,...")] = ()
     matchers: Annotated[str, Help(
-        "ridge (default), thesis, thesis-code, minutiae, voted, minutiae3d, surface-code, tetrahedra, with commas; or "
-        "none",
-        "LIST")] = "ridge"
+        "ridge (default), thesis, thesis-code, minutiae, with commas; or none", "LIST")] = "ridge"
     impostors: Annotated[Fraction, Help("of the comparisons of two fingers", "FRACTION")] = 1.0
     seed: Annotated[Natural, Help("which of them", "N")] = 0
     surfaces: Annotated[bool, Help(
