@@ -86,9 +86,6 @@ NOT_STOPPED = {
     "identify": "reads",
     "pad": "reads",
     "rig cad": "needs build123d",
-    "train relief": "needs torch",
-    "train separation": "needs torch",
-    "train shape": "needs torch",
     "view": "writes what a person saves of a gel sensor's frames",
 }
 """Verbs that are not stopped here, and why."""

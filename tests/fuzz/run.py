@@ -66,7 +66,6 @@ NO_READERS = {
     "capture.live.open_frames": "opens a device, or reads what io.images.read_image reads, or OpenCV a film",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
-    "training.networks.load_torch": "imports a package",
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
     "cli.import_clouds.import_cloud": "reads what io.clouds.read_cloud reads",

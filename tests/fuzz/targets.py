@@ -129,8 +129,6 @@ from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
 from splitknit_rig.calibration.shading_folder import read_centres
 from splitknit_rig.rig.candidates import RigCandidate
 from splitknit_rig.rig.optimise import Study, _SweepFolder
-from splitknit_simulator.training.separation import SeparationData, SeparationSettings
-from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
@@ -839,21 +837,6 @@ def _batch(folder: Path, files: Files) -> object:
     )
 
 
-def _training(folder: Path) -> None:
-    open_folder(TrainingRun(folder), SeparationData(), SeparationSettings())
-    (folder / "data").mkdir()
-    np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
-    (folder / "data" / "finger_0000001.json").write_text(json.dumps({"finger": 1, "light": [1, 2]}))
-
-
-def _trained(folder: Path, files: Files) -> object:
-    def loaded() -> None:
-        for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
-            np.asarray(samples[0][0]).sum()
-
-    return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
-
-
 CANDIDATE = RigCandidate(150.0, 50.0, 1.0)
 
 
@@ -1097,7 +1080,6 @@ TARGETS = (
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
-    Target("training", lambda: [_folder(_training)], _trained),
     Target("rig_sweep", _sweeps, _sweep),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -10,7 +12,6 @@ import numpy as np
 
 from splitknit.model import Camera, Led, default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit_simulator.finger.palm import draw_palm, palm_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import (
     Checkerboard,
@@ -21,6 +22,10 @@ from splitknit_simulator.light.separation import (
 )
 from splitknit_simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
 from splitknit_simulator.surface import SimulatedSurface
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from palms import draw_palm, palm_surface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)

@@ -8,7 +8,6 @@ from splitknit.cli.options import parse_assignment as parse_assignment
 from splitknit.cli.verb import Outcome as Outcome
 from splitknit.cli.verb import Verb as Verb
 from splitknit.cli.verb import count as count
-from splitknit.cli.verb import options_of as options_of
 from splitknit.cli.verb import wants_json as wants_json
 from splitknit.cli.view import ViewJob as ViewJob
 from splitknit.devices import CameraDevice as CameraDevice
@@ -37,8 +36,6 @@ from splitknit.errors import require as require
 from splitknit.errors import shown_path as shown_path
 from splitknit.errors import with_given_folders as with_given_folders
 from splitknit.exports import door as door
-from splitknit.finger.contrast import ClaheSettings as ClaheSettings
-from splitknit.finger.contrast import clahe as clahe
 from splitknit.finger.locate import BEYOND_CREASE_MM as BEYOND_CREASE_MM
 from splitknit.finger.locate import Finger as Finger
 from splitknit.finger.locate import FingerSettings as FingerSettings
@@ -120,7 +117,6 @@ from splitknit.io.capture import photographs_hint as photographs_hint
 from splitknit.io.capture import read_capture as read_capture
 from splitknit.io.capture import with_rig as with_rig
 from splitknit.io.capture import write_capture as write_capture
-from splitknit.io.clouds import Cloud as Cloud
 from splitknit.io.csv_table import csv_text as csv_text
 from splitknit.io.csv_table import plain_text as plain_text
 from splitknit.io.enrolment import FINGERS as FINGERS
@@ -147,7 +143,6 @@ from splitknit.io.light_list import write_light_list as write_light_list
 from splitknit.io.mesh import stl_chunks as stl_chunks
 from splitknit.io.mesh import surface_mesh as surface_mesh
 from splitknit.io.mesh import write_ply as write_ply
-from splitknit.io.npz import map_npy as map_npy
 from splitknit.io.npz import write_npz as write_npz
 from splitknit.io.photo_tree import read_tree as read_tree
 from splitknit.io.photographs import PxPerMm as PxPerMm
@@ -207,7 +202,6 @@ from splitknit.io.targets import check_target as check_target
 from splitknit.io.tiff import SIGNATURES as SIGNATURES
 from splitknit.jobs import Photographs as Photographs
 from splitknit.jobs import read_photographs as read_photographs
-from splitknit.methods.metric import metric_skin as metric_skin
 from splitknit.mirrors.body import Body as Body
 from splitknit.mirrors.captured import skin_slopes as skin_slopes
 from splitknit.mirrors.captured import views_in as views_in
@@ -245,11 +239,6 @@ from splitknit.model import require_scale as require_scale
 from splitknit.model import shared_exposures as shared_exposures
 from splitknit.model import spectral_band as spectral_band
 from splitknit.model import surface_of as surface_of
-from splitknit.networks.augmentation import Symmetry as Symmetry
-from splitknit.networks.unet import card_bytes as card_bytes
-from splitknit.networks.unet import network_of as network_of
-from splitknit.networks.unet import read_network as read_network
-from splitknit.networks.unet import run_network as run_network
 from splitknit.networks.unet import running as running
 from splitknit.networks.unet import use_device as use_device
 from splitknit.pad import BASIS as BASIS
@@ -288,17 +277,11 @@ from splitknit.report.charts import Values as Values
 from splitknit.report.charts import colour_bar as colour_bar
 from splitknit.report.charts import line_chart as line_chart
 from splitknit.report.charts import percent_marks as percent_marks
-from splitknit.report.charts import profile_chart as profile_chart
 from splitknit.report.charts import round_marks as round_marks
-from splitknit.report.charts import standalone as standalone
 from splitknit.report.photos import Picture as Picture
 from splitknit.report.photos import captioned as captioned
 from splitknit.report.result import make_report as make_report
 from splitknit.report.result import write_results as write_results
-from splitknit.separation.binary import checkerboard as checkerboard
-from splitknit.separation.direct import exposure_level as exposure_level
-from splitknit.separation.direct import local_level as local_level
-from splitknit.separation.stacks import StackSettings as StackSettings
 from splitknit.settings import Checked as Checked
 from splitknit.settings import Limits as Limits
 from splitknit.settings import check_fields as check_fields
@@ -316,15 +299,6 @@ from splitknit.skin.images import coarser as coarser
 from splitknit.skin.images import finer_grid as finer_grid
 from splitknit.skin.images import finer_images as finer_images
 from splitknit.skin.images import shipped_networks as shipped_networks
-from splitknit.skin.images import skin_images as skin_images
-from splitknit.skin.learned import GLARE as GLARE
-from splitknit.skin.learned import RELIEF_MM as RELIEF_MM
-from splitknit.skin.learned import RELIEF_SYMMETRY as RELIEF_SYMMETRY
-from splitknit.skin.learned import RIDGE_BAND_MM as RIDGE_BAND_MM
-from splitknit.skin.learned import SHAPE_SLOPE as SHAPE_SLOPE
-from splitknit.skin.learned import SHAPE_SYMMETRY as SHAPE_SYMMETRY
-from splitknit.skin.learned import Networks as Networks
-from splitknit.skin.learned import azimuth_waves as azimuth_waves
 from splitknit.skin.learned import can_learn as can_learn
 from splitknit.skin.learned import features as features
 from splitknit.skin.learned import relief_by_network as relief_by_network
@@ -332,9 +306,6 @@ from splitknit.skin.light import Lighting as Lighting
 from splitknit.skin.light import fine_lighting as fine_lighting
 from splitknit.skin.light import slant_of as slant_of
 from splitknit.skin.light import trust_of as trust_of
-from splitknit.skin.shape import coarse_images as coarse_images
-from splitknit.skin.shape import coarse_shape as coarse_shape
-from splitknit.skin.shape import on_fine_grid as on_fine_grid
 from splitknit.steps import Memory as Memory
 from splitknit.verbs import FINGER as FINGER
 from splitknit.verbs import KEY_FILE as KEY_FILE

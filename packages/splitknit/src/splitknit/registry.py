@@ -27,7 +27,6 @@ VERBS = {
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
     "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
-    "train": (SIMULATOR, "train a network on simulated skin (needs torch)"),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
     "rig": (RIG, "plan and build a rig: parts, circuit, dimensions"),
@@ -49,7 +48,10 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-GONE: dict[str, str] = {}
+GONE: dict[str, str] = {
+    "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
+}
 """Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
 
 
