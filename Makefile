@@ -14,13 +14,13 @@ BIN = $(VENV)/bin
 PYTEST_ARGS ?= -n 2 --dist worksteal
 
 MEMBERS := splitknit splitknit-simulator splitknit-rig splitknit-match
-EXTRAS ?= batch,minutiae
+EXTRAS ?= minutiae
 LOCK_ARGS ?=
 
 # the member of each extra
 $(foreach name,completion photos plot x3p,$(eval OF_$(name) := splitknit[$(name)]))
 $(foreach name,cad capture genicam,$(eval OF_$(name) := splitknit-rig[$(name)]))
-$(foreach name,batch cluster minutiae objects pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,cluster minutiae pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 
@@ -94,7 +94,7 @@ $(VENV)/.ready: constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 	$(BIN)/python -m pip install --quiet --require-hashes -r $(VENV)/pip.txt
 	$(BIN)/python -m pip uninstall --quiet --quiet --yes setuptools
 	$(BIN)/python -m pip install --quiet --no-deps $(MEMBERS:%=-e packages/%)
-	$(INSTALL) $(MEMBERS) $(if $(filter splitknit-match,$(MEMBERS)),'splitknit-match[batch$(comma)minutiae]')
+	$(INSTALL) $(MEMBERS) $(if $(filter splitknit-match,$(MEMBERS)),'splitknit-match[minutiae]')
 	@touch $@
 
 # Hashes are those of all files of a release, for every platform, and those that are there already: torch's first one is
@@ -105,7 +105,7 @@ lock:
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
 		--python-version 3.11 $(foreach name,capture genicam,) \
-		$(foreach name,completion photos plot x3p cad batch cluster minutiae objects pad records search serve,--extra $(name)) \
+		$(foreach name,completion photos plot x3p cad cluster minutiae pad records search serve,--extra $(name)) \
 		--group dev --group browser --group docs --group install --group reference --group training $(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 

@@ -66,8 +66,9 @@ from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.viewer.server import open_paths, start
 from splitknit.viewer.service import Service
-from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
-from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
+from splitknit_match.batch.features import BANDS, QUALITY
+from splitknit_match.batch.features import COLUMNS as FEATURES
 from splitknit_match.batch.population import read_population
 from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import Store, open_store
@@ -805,16 +806,14 @@ def _store() -> Files:
         store = out / "store"
         store.mkdir()
         open_store(store, there, EA)
-        columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
+        rows = []
         for number, capture in enumerate(there.captures):
             row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
             row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
             row |= {"session": capture.session, "acquired": True, "failure": "", "area_mm2": 70.0, "warnings": []}
-            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": None}
-            row |= {"images": _surface()}
-            for name, value in row.items():
-                columns[name].append(value)
-        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, _feature_schema(), {"kind": "features"})
+            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": b""}
+            rows.append(row | {"images": _surface()})
+        write_chunk(store / "features" / "ea" / "00000-x.npz", rows, FEATURES, {"kind": "features"})
         write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
 
     return _folder(make)
@@ -833,7 +832,7 @@ def _batch(folder: Path, files: Files) -> object:
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
         lambda: store.images("ea", "S01/session_1/right_index"),
-        lambda: [(read_schema(file).names, read_origin(file)) for file in store.files("features", "ea")],
+        lambda: [read_origin(file) for file in store.files("features", "ea")],
     )
 
 

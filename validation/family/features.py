@@ -100,14 +100,14 @@ def from_captures(population: Path, case: str) -> Callable[[str], Surface]:
 def from_store(store: Path, case: str) -> Callable[[str], Surface]:
     """Surfaces that a batch has kept."""
     places: dict[str, tuple[Path, int]] = {}
-    for file in sorted((store / "features" / case).glob("*.parquet")):
-        for row, name in enumerate(read_chunk(file, ["capture"]).column("capture").to_pylist()):
+    for file in sorted((store / "features" / case).glob("*.npz")):
+        for row, name in enumerate(read_chunk(file, ["capture"])["capture"].tolist()):
             places[name] = (file, row)
 
     def read(name: str) -> Surface:
         file, row = places[name]
-        payload = read_chunk(file, ["images"]).column("images")[row].as_py()
-        if payload is None:
+        payload = read_chunk(file, ["images"])["images"][row]
+        if not payload:
             raise BadInput("it could not be acquired.")
         return unpack_surface(payload)
 

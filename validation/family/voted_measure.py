@@ -46,8 +46,8 @@ def lists_of(population: Path, capture: tuple[str, int, str], **options: Any) ->
 def plain_of(store: Path, case: str, capture: tuple[str, int, str]) -> Minutiae | None:
     """Minutiae of a reconstruction's relief print; None where the store lacks it."""
     place = stored_places(Store(store).files("features", case)).get(name_of(capture))
-    data = None if place is None else read_chunk(place.file, ["print"]).column("print").to_pylist()[place.row]
-    return None if data is None else extract(decode_png(data, "print")[..., 0])
+    data = None if place is None else read_chunk(place.file, ["print"])["print"][place.row]
+    return extract(decode_png(data, "print")[..., 0]) if data else None
 
 
 class Judge:

@@ -23,8 +23,6 @@ from splitknit_simulator.light.films import side_lights as side_lights
 from splitknit_simulator.light.films import turned_film_rad as turned_film_rad
 from splitknit_simulator.light.lighting import irradiance as irradiance
 from splitknit_simulator.light.renderer import RenderSettings as RenderSettings
-from splitknit_simulator.population.folder import POPULATION_FILE as POPULATION_FILE
-from splitknit_simulator.population.folder import TABLE_FILE as TABLE_FILE
 from splitknit_simulator.population.folder import simulate_population as simulate_population
 from splitknit_simulator.scene import TwinSettings as TwinSettings
 from splitknit_simulator.twin import FingerScene as FingerScene

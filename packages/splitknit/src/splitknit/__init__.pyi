@@ -103,13 +103,11 @@ from splitknit.integration.poisson import trusted_height as trusted_height
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM as REFERENCE_PX_PER_MM
 from splitknit.integration.shapelets import ShapeletSettings as ShapeletSettings
 from splitknit.integration.shapelets import shapelets as shapelets
-from splitknit.io.atomic import MANIFEST as MANIFEST
 from splitknit.io.atomic import append_line as append_line
 from splitknit.io.atomic import atomic_file as atomic_file
 from splitknit.io.atomic import atomic_folder as atomic_folder
 from splitknit.io.atomic import hold as hold
 from splitknit.io.atomic import make_folder as make_folder
-from splitknit.io.atomic import manifest_of as manifest_of
 from splitknit.io.atomic import private_modes as private_modes
 from splitknit.io.atomic import sweep as sweep
 from splitknit.io.atomic import write_file as write_file
@@ -143,6 +141,7 @@ from splitknit.io.light_list import write_light_list as write_light_list
 from splitknit.io.mesh import stl_chunks as stl_chunks
 from splitknit.io.mesh import surface_mesh as surface_mesh
 from splitknit.io.mesh import write_ply as write_ply
+from splitknit.io.npz import read_npz as read_npz
 from splitknit.io.npz import write_npz as write_npz
 from splitknit.io.photo_tree import read_tree as read_tree
 from splitknit.io.photographs import PxPerMm as PxPerMm
