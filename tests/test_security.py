@@ -128,9 +128,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "TLS with certificates on both sides": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
-    "credentials are taken from the environment only and never written": (
-        "packages/splitknit-match/tests/batch/test_batch_objects.py::test_what_a_name_means",
-    ),
     "fuzzers for every reader": (
         "tests/fuzz/test_fuzz.py",
         "tests/fuzz/run.py",
@@ -139,8 +136,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "tests/io/test_targets.py::test_no_verb_replaces_photographs",
     ),
     "leads to no file outside its folder": (
-        "packages/splitknit-match/tests/batch/test_batch_objects.py::test_a_key_names_no_file_outside",
-        "packages/splitknit-match/tests/batch/test_batch_objects.py::test_a_store_names_no_capture_outside",
+        "tests/batch/test_batch_stages.py::test_nothing_is_written_or_read_through_a_link",
     ),
     "is checked against the SHA-256 in `constraints.txt`": (
         "tests/test_packaging.py::test_everything_is_installed_as_the_constraints_say",
@@ -193,7 +189,6 @@ UNTESTED = {
     "Only the latest version is fixed": "a promise of the maintainers",
     "asset | against | by": "the head of the table",
     "whoever may write the log can change it": "nothing in the log is sealed (read)",
-    "rights and encryption at rest are the bucket's own": "nothing in batch sets either (read)",
     "leftovers of file managers": "held with the list `.splitknit` above",
     "the Docker image below it is a tag": "read in the Dockerfile; no image was built",
     "Caches of optional packages": "what other packages do; not tried again",

@@ -81,9 +81,6 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
-    "train relief": "needs torch",
-    "train separation": "needs torch",
-    "train shape": "needs torch",
     "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""

@@ -62,8 +62,9 @@ from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.viewer.server import pages_of, start
-from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
-from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
+from splitknit_match.batch.features import BANDS, QUALITY
+from splitknit_match.batch.features import COLUMNS as FEATURES
 from splitknit_match.batch.population import read_population
 from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import Store, open_store
@@ -116,8 +117,6 @@ from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit_simulator.training.separation import SeparationData, SeparationSettings
-from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 RAW = Key(bytes(range(32)), raw=True)
@@ -759,16 +758,14 @@ def _store() -> Files:
         store = out / "store"
         store.mkdir()
         open_store(store, there, EA)
-        columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
+        rows = []
         for number, capture in enumerate(there.captures):
             row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
             row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
             row |= {"session": capture.session, "acquired": True, "failure": "", "area_mm2": 70.0, "warnings": []}
-            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": None}
-            row |= {"images": _surface()}
-            for name, value in row.items():
-                columns[name].append(value)
-        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, _feature_schema(), {"kind": "features"})
+            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": b""}
+            rows.append(row | {"images": _surface()})
+        write_chunk(store / "features" / "ea" / "00000-x.npz", rows, FEATURES, {"kind": "features"})
         write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
 
     return _folder(make)
@@ -787,23 +784,8 @@ def _batch(folder: Path, files: Files) -> object:
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
         lambda: store.images("ea", "S01/session_1/right_index"),
-        lambda: [(read_schema(file).names, read_origin(file)) for file in store.files("features", "ea")],
+        lambda: [read_origin(file) for file in store.files("features", "ea")],
     )
-
-
-def _training(folder: Path) -> None:
-    open_folder(TrainingRun(folder), SeparationData(), SeparationSettings())
-    (folder / "data").mkdir()
-    np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
-    (folder / "data" / "finger_0000001.json").write_text(json.dumps({"finger": 1, "light": [1, 2]}))
-
-
-def _trained(folder: Path, files: Files) -> object:
-    def loaded() -> None:
-        for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
-            np.asarray(samples[0][0]).sum()
-
-    return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
 
 
 # --- calibration and separated light -----------------------------------------------------------------------------
@@ -1010,7 +992,6 @@ TARGETS = (
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
-    Target("training", lambda: [_folder(_training)], _trained),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),

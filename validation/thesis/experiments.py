@@ -237,14 +237,14 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
             table = store.features(case, ["capture", "acquired", "failure", "area_mm2"])
         except ValueError:
             continue
-        acquired = np.asarray(table["acquired"].to_pylist(), dtype=bool)
+        acquired = np.asarray(table["acquired"], dtype=bool)
         reasons: dict[str, int] = {}
-        for words, good in zip(table["failure"].to_pylist(), acquired.tolist(), strict=True):
+        for words, good in zip(table["failure"].tolist(), acquired.tolist(), strict=True):
             if not good:
                 reasons[str(words)] = reasons.get(str(words), 0) + 1
-        names = [str(name) for name in table["capture"].to_pylist()]
+        names = [str(name) for name in table["capture"].tolist()]
         partial = np.array([bool(truth.get(name, {}).get("partial", False)) for name in names])
-        area = np.asarray(table["area_mm2"].to_pylist(), dtype=float)
+        area = np.asarray(table["area_mm2"], dtype=float)
         rows.append(
             {
                 "case": case, "captures": acquired.size, "failures": int((~acquired).sum()),

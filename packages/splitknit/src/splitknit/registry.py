@@ -28,7 +28,6 @@ VERBS = {
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
     "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
-    "train": (SIMULATOR, "train a network on simulated skin (needs torch)"),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
     "rig": (RIG, "draw the targets that calibrate a rig"),
@@ -69,6 +68,8 @@ GONE: dict[str, str] = {
     "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
     "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
     "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
+    "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }
 """Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
 

@@ -17,9 +17,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from views import View, cloud_of, on_planes
 
-from splitknit import Cloud, FloatArray, require
-from splitknit_simulator.scanners.views import View, cloud_of, on_planes
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import FloatArray
 
 _NOISE_PX = 7  # side of the square over which the residuals of the sinusoids are averaged
 

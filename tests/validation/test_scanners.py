@@ -6,9 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
-from splitknit_simulator.scanners import focus, laser, stereo, structured_light
-from splitknit_simulator.scanners.views import View, cloud_of, on_planes
+
+with scripts_of(VALIDATION / "scanners") as script:
+    focus, laser, stereo, structured_light = map(script, ("focus", "laser", "stereo", "structured_light"))
+    View, cloud_of, on_planes = (getattr(script("views"), name) for name in ("View", "cloud_of", "on_planes"))
 
 SHAPE = (60, 80)
 

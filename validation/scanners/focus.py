@@ -10,9 +10,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from views import View, between_neighbours, cloud_of
 
-from splitknit import Cloud, FloatArray, require
-from splitknit_simulator.scanners.views import View, between_neighbours, cloud_of
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import FloatArray
 
 _LEAST = 0.2  # by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Cloud, FloatArray, require
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import FloatArray
 from splitknit_simulator.surface import Array
 
 

@@ -1,14 +1,12 @@
 """A patch of a palm: the skin of fingers with flatter relief, coarser ridges and lines, gently curved.
 
 The thesis trains its separation on palms, whose skin is that of fingers and which fill the picture. A palm here is a
-patch under an orthographic camera, its ridges displaced along the shape's normal; where the camera sees more than the
-patch, there is nothing.
+patch under an orthographic camera, its ridges displaced along the shape's normal.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -16,7 +14,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit import Camera, Checked, FloatArray, Limits, check_fields, require
+from splitknit.errors import require
+from splitknit.model import Camera, FloatArray
 from splitknit_simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
 from splitknit_simulator.finger.ridges import grow_ridges, smooth_noise
 from splitknit_simulator.surface import Array, SimulatedSurface
@@ -45,7 +44,7 @@ def _draw_lines(
     wrinkles: int,
     principal_depth_mm: float,
     wrinkle_depth_mm: float,
-) -> tuple[_PalmLine, ...]:
+) -> list[_PalmLine]:
     """Draw the lines of one palm, each through a place inside the map, branches after their stems; `principal` and
     `wrinkles` count the stems, and every line varies about the typical depths by about a third.
     """
@@ -67,7 +66,7 @@ def _draw_lines(
         length = float(np.clip(7.0 * np.exp(0.6 * rng.standard_normal()), 2.0, 25.0))
         width = max(rng.uniform(0.09, 0.2), 1.3 * depth)
         lines += _stem(rng, through, heading, length=length, depth=depth, width=width, generations=1)
-    return tuple(lines)
+    return lines
 
 
 def _stem(
@@ -117,7 +116,7 @@ def _wander(knots: Array, step: int, count: int) -> Array:
     return np.asarray(np.interp(np.arange(count), step * np.arange(knots.size), knots), dtype=np.float64)
 
 
-def _groove_map(lines: tuple[_PalmLine, ...], x_mm: Array, y_mm: Array) -> Array:
+def _groove_map(lines: list[_PalmLine], x_mm: Array, y_mm: Array) -> Array:
     """(H, W) depth in mm of all lines together on regular axes; y falls with the row.
 
     Every line is a row of Gaussian dips a third of its width apart; the deepest counts.
@@ -189,11 +188,9 @@ class _PalmShape:
         return height, slope_x, slope_y
 
 
-def _draw_shape(
-    rng: np.random.Generator, half_size_mm: tuple[float, float], radius_mm: tuple[float, float]
-) -> _PalmShape:
+def _draw_shape(rng: np.random.Generator, half_size_mm: tuple[float, float]) -> _PalmShape:
     """Draw one sheet; its highest point within the patch lies on the finger plane, z = 0."""
-    low, high = radius_mm
+    low, high = _RADIUS_MM
     radii = low * (high / low) ** rng.random(2)
     tilt = np.clip(0.06 * rng.standard_normal(2), -0.12, 0.12)
     pads = []
@@ -213,6 +210,13 @@ def _draw_shape(
     return replace(shape, top_mm=top)
 
 
+SIZE_MM = (44.0, 34.0)  # width and height of the patch
+PITCH_MM = 0.05  # of the relief's grid
+_PERIOD_MM = (0.48, 0.62)  # mean ridge period
+_RIDGE_DEPTH_UM = (20.0, 60.0)  # mean height of ridges over valleys: flatter than on fingers
+_DELTA_SHARE = 0.15  # fraction of the patches that hold a triradius
+_PRINCIPAL, _WRINKLES = (0, 3), (10, 60)  # principal lines and finer ones in the patch, inclusive
+_RADIUS_MM = (35.0, 150.0)  # radii of curvature along the patch's two axes
 _PERIOD_VARIATION = 0.06  # relative standard deviation of the ridge period within a palm, over distances of about 5 mm
 _TURN_PER_MM = 0.02  # standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
 _PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)  # depth of the principal lines and of the finer ones
@@ -225,76 +229,61 @@ FLATTENED_MM = 0.12  # ridges flatten inside grooves of about this depth
 class _Palm:
     """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the middle."""
 
-    seed: int
     period_mm: float  # mean ridge period
     ridge_depth_um: float  # mean height of ridges over valleys
     shape: _PalmShape
-    lines: tuple[_PalmLine, ...]
     x_mm: Array  # (W,) of the columns
     y_mm: Array  # (H,) of the rows; falls with the row
-    angle_rad: FloatArray  # (H, W) direction of the ridges, counter-clockwise from x, defined up to pi
-    relief_mm: (
-        FloatArray  # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
-    )
+    # (H, W) displacement along the shape's normal: 0 at ridge tops, negative in valleys and lines
+    relief_mm: FloatArray
     pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
-    triradius_mm: tuple[float, float] | None = None  # x and y of the triradius, where the patch has one
 
 
-def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
-    """Draw one patch of a palm; the same seed and settings give the same bytes.
+def draw_palm(seed: int) -> _Palm:
+    """Draw one patch of a palm; the same seed gives the same bytes.
 
     Ashbaugh 1999, Quantitative-qualitative friction ridge analysis (palmar ridges, flexion creases, white lines).
     """
-    settings = settings or PalmSettings()
-    require(seed >= 0, f"the seed of a palm must not be negative, but it is {seed}.")
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xBA1]).spawn(7)]
     pick = draws[0]
-    period = float(pick.uniform(*settings.period_mm))
-    depth_um = float(pick.uniform(*settings.ridge_depth_um))
+    period = float(pick.uniform(*_PERIOD_MM))
+    depth_um = float(pick.uniform(*_RIDGE_DEPTH_UM))
     darkening, mottling = float(pick.uniform(*_DARKENING)), float(pick.uniform(*_MOTTLING))
-    pitch = 2.0 * settings.pitch_mm  # of coarse axes, whose lengths suit the Fourier transform and cover the patch
-    width, height = (scipy.fft.next_fast_len(int(np.ceil(s / pitch)) + 1, real=True) for s in settings.size_mm)
+    pitch = 2.0 * PITCH_MM  # of coarse axes, whose lengths suit the Fourier transform and cover the patch
+    width, height = (scipy.fft.next_fast_len(int(np.ceil(s / pitch)) + 1, real=True) for s in SIZE_MM)
     x_mm, y_mm = _centred(width, pitch), -_centred(height, pitch)
-    angle, triradius = _direction(draws[1], settings, x_mm, y_mm)
-    wave = twice_as_fine(_ridges(draws[2], settings, angle, period))
-    fine_x = x_mm[0] + settings.pitch_mm * np.arange(wave.shape[1])
-    fine_y = y_mm[0] - settings.pitch_mm * np.arange(wave.shape[0])
-    skin = MasterPrintSettings(period_mm=period, pitch_mm=settings.pitch_mm)
+    angle = _direction(draws[1], x_mm, y_mm)
+    wave = twice_as_fine(_ridges(draws[2], angle, period))
+    fine_x = x_mm[0] + PITCH_MM * np.arange(wave.shape[1])
+    fine_y = y_mm[0] - PITCH_MM * np.arange(wave.shape[0])
+    skin = MasterPrintSettings(period_mm=period, pitch_mm=PITCH_MM)
     ridge = ridge_profile(draws[3], wave, skin)
-    pores = scatter_pores(draws[3], wave, settings.pitch_mm, period, (0.8, 0.13))
-    half = (0.5 * settings.size_mm[0], 0.5 * settings.size_mm[1])
+    pores = scatter_pores(draws[3], wave, PITCH_MM, period, (0.8, 0.13))
+    half = (0.5 * SIZE_MM[0], 0.5 * SIZE_MM[1])
     lines = _draw_lines(
         draws[4],
         half,
-        principal=int(draws[4].integers(*settings.principal, endpoint=True)),
-        wrinkles=int(draws[4].integers(*settings.wrinkles, endpoint=True)),
+        principal=int(draws[4].integers(*_PRINCIPAL, endpoint=True)),
+        wrinkles=int(draws[4].integers(*_WRINKLES, endpoint=True)),
         principal_depth_mm=1e-3 * float(draws[4].uniform(*_PRINCIPAL_UM)),
         wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*_WRINKLE_UM)),
     )
     groove = _groove_map(lines, fine_x, fine_y)
-    uneven = np.clip(1.0 + 0.15 * smooth_noise(draws[5], wave.shape, 4.0 / settings.pitch_mm), 0.5, 1.5)
+    uneven = np.clip(1.0 + 0.15 * smooth_noise(draws[5], wave.shape, 4.0 / PITCH_MM), 0.5, 1.5)
     flatten = np.exp(-((groove / FLATTENED_MM) ** 2))
     relief = -groove - 1e-3 * depth_um * uneven * (1.0 - ridge) * (0.2 + 0.8 * flatten)
     relief -= 1e-3 * 0.35 * depth_um * pores * flatten
-    blotches = 1.0 + mottling * np.clip(smooth_noise(draws[5], wave.shape, 2.0 / settings.pitch_mm), -2.5, 2.5)
-    broad = cv2.GaussianBlur(groove, (0, 0), 0.1 / settings.pitch_mm)
+    blotches = 1.0 + mottling * np.clip(smooth_noise(draws[5], wave.shape, 2.0 / PITCH_MM), -2.5, 2.5)
+    broad = cv2.GaussianBlur(groove, (0, 0), 0.1 / PITCH_MM)
     pigment = blotches * (1.0 - darkening * np.minimum(broad / 0.2, 1.5)) * (1.0 - 0.04 * pores * flatten)
-    # The directions at half the pitch, by the doubled angle so that they may wrap
-    size = (2 * angle.shape[1], 2 * angle.shape[0])
-    cosine, sine = (cv2.resize(f(2.0 * angle), size, interpolation=cv2.INTER_LINEAR) for f in (np.cos, np.sin))
-    twice = np.asarray(0.5 * np.arctan2(sine, cosine) % np.pi)
     return _Palm(
-        seed,
         period,
         depth_um,
-        _draw_shape(draws[6], half, settings.radius_mm),
-        lines,
+        _draw_shape(draws[6], half),
         fine_x,
         fine_y,
-        twice.astype(np.float32),
         relief.astype(np.float32),
         pigment.astype(np.float32),
-        triradius,
     )
 
 
@@ -337,10 +326,8 @@ def _centred(count: int, pitch: float) -> Array:
     return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, dtype=np.float64)
 
 
-def _direction(
-    rng: np.random.Generator, settings: PalmSettings, x_mm: Array, y_mm: Array
-) -> tuple[Array, tuple[float, float] | None]:
-    """(H, W) direction of the ridges, and the triradius if there is one."""
+def _direction(rng: np.random.Generator, x_mm: Array, y_mm: Array) -> Array:
+    """(H, W) direction of the ridges, about a triradius on some patches."""
     pitch = float(x_mm[1] - x_mm[0])
     shape = (y_mm.size, x_mm.size)
     x, y = np.meshgrid(x_mm, y_mm)
@@ -348,16 +335,15 @@ def _direction(
     angle = rng.uniform(0.0, np.pi) + turn[0] * x + turn[1] * y
     angle += rng.uniform(0.1, 0.3) * smooth_noise(rng, shape, 9.0 / pitch)
     angle += rng.uniform(0.03, 0.09) * smooth_noise(rng, shape, 2.5 / pitch)
-    at = rng.uniform(-0.3, 0.3, 2) * settings.size_mm
-    if rng.random() >= settings.delta_share:
-        return angle, None
-    angle -= 0.5 * np.arctan2(y - at[1], x - at[0])
-    return angle, (float(at[0]), float(at[1]))
+    at = rng.uniform(-0.3, 0.3, 2) * SIZE_MM
+    if rng.random() < _DELTA_SHARE:
+        angle -= 0.5 * np.arctan2(y - at[1], x - at[0])
+    return angle
 
 
-def _ridges(rng: np.random.Generator, settings: PalmSettings, angle: Array, period_mm: float) -> FloatArray:
+def _ridges(rng: np.random.Generator, angle: Array, period_mm: float) -> FloatArray:
     """(H, W) wave of the ridges on the coarse grid."""
-    pitch = 2.0 * settings.pitch_mm
+    pitch = 2.0 * PITCH_MM
     logs = _PERIOD_VARIATION * np.clip(smooth_noise(rng, angle.shape, 4.0 / pitch), -2.5, 2.5)
     noise = rng.standard_normal(angle.shape).astype(np.float32)
     return grow_ridges(noise, angle, period_mm * np.exp(logs) / pitch)
@@ -371,39 +357,3 @@ def _normals(slope_x: Array, slope_y: Array, seen: NDArray[np.bool_]) -> FloatAr
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.where(seen[..., None], normals, 0.0).astype(np.float32)
-
-
-# Ranges that palms are drawn from.
-
-
-@dataclass(frozen=True, slots=True)
-class PalmSettings(Checked):
-    """Ranges that a palm is drawn from."""
-
-    size_mm: tuple[float, float] = (44.0, 34.0)
-    """Width and height of the patch."""
-    pitch_mm: float = 0.05
-    """Grid pitch of the patch's relief."""
-    period_mm: Annotated[tuple[float, float], Limits(0.3, 1.0)] = (0.48, 0.62)
-    """Mean ridge period."""
-    ridge_depth_um: Annotated[tuple[float, float], Limits(0.0, 200.0)] = (20.0, 60.0)
-    """Mean height of ridges over valleys: flatter than on fingers."""
-    delta_share: Annotated[float, Limits(0.0, 1.0)] = 0.15
-    """Fraction of the patches that hold a triradius."""
-    principal: Annotated[tuple[int, int], Limits(0, 10)] = (0, 3)
-    """Principal lines in the patch, inclusive."""
-    wrinkles: Annotated[tuple[int, int], Limits(0, 400)] = (10, 60)
-    """Finer lines, inclusive."""
-    radius_mm: Annotated[tuple[float, float], Limits(20.0, 1000000.0)] = (35.0, 150.0)
-    """Radii of curvature of the patch along its two axes."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(min(self.size_mm) >= 4.0, f"palm.size_mm must be at least 4 mm each way, but it is {self.size_mm}.")
-        for name in ("period_mm", "ridge_depth_um", "principal", "wrinkles", "radius_mm"):
-            low, high = getattr(self, name)
-            require(low <= high, f"palm.{name} must be (low, high), but it is ({low}, {high}).")
-        require(
-            0 < self.pitch_mm <= self.period_mm[0] / 8,
-            f"palm.pitch_mm must be an eighth of the smallest ridge period or less, but it is {self.pitch_mm}.",
-        )

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import cv2
+import focus
+import laser
 import numpy as np
+import stereo
+import structured_light
 from numpy.typing import NDArray
+from views import View
 
-from splitknit import BoolArray, Camera, Cloud, FloatArray, Led, atomic_file, check_file, require
+from splitknit.io.clouds import Cloud
+from splitknit.model import BoolArray, Camera, FloatArray, Led
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
 from splitknit_simulator.finger.finger import placement_of
@@ -22,8 +26,6 @@ from splitknit_simulator.finger.skin_map import skin_map
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
-from splitknit_simulator.scanners import focus, laser, stereo, structured_light
-from splitknit_simulator.scanners.views import View
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.surface import Array
 from splitknit_simulator.twin import drawn_finger
@@ -32,12 +34,10 @@ SCALE = 0.4
 PX_PER_MM = 75.7 * SCALE
 HEIGHT_MM = 140.0
 PIVOT = np.array([0.0, 0.0, -6.0])  # in the finger: cameras and projectors turn about it
-VOLUME_MM = (14.0, 15.0, 8.0)  # what a scanner measures: so far to both sides of the pivot
 PROJECTOR_ROWS, PROJECTOR_PX_MM, PROJECTOR_DEG = 1300, 0.03, 25.0
 PROJECTOR_BLUR_MM, LASER_SIGMA_MM = 0.05, 0.05
 APERTURE_MM = 28.0  # of the lens of depth from focus: f/2.5 at 70 mm
 PERIODS, STEPS = (1300.0, 200.0, 36.0), 6
-_WRITTEN = re.compile(rb"(-?[0-9]+\.[0-9]{4}[ \n]){3}")
 Pattern = Callable[[FloatArray], NDArray[np.floating]]  # light by the projector's row
 Scan = tuple[Cloud, float, float]  # with the light on the skin (1: one evenly lit exposure), seconds of computing
 
@@ -124,9 +124,9 @@ class Sight:
 class Fingers:
     """A finger under cameras, each made once."""
 
-    def __init__(self, seed: int, impression: int = 0) -> None:
+    def __init__(self, seed: int) -> None:
         """As `simulate_capture` draws it and lays it down."""
-        drawn = drawn_finger(seed, None, TwinSettings(scale=SCALE), impression, None)
+        drawn = drawn_finger(seed, None, TwinSettings(scale=SCALE), 0, None)
         self.body = FingerBody(drawn.finger.shape)
         self.skin = skin_map(drawn.finger.master(), drawn.finger.skin)
         self.placement = placement_of(self.body, drawn.pose, drawn.rig.camera)
@@ -233,20 +233,3 @@ def hull(finger: Fingers) -> Scan:
     begun = time.process_time()
     cloud = stereo.hull(masks, views, np.array([[-13.0, -14.4, -8.0], [13.0, 14.4, 1.5]]), 0.045)
     return cloud, 1.0, time.process_time() - begun
-
-
-SCANNERS: dict[str, Callable[[Fingers], Scan]] = {
-    "stripes": stripes, "laser": laser_line, "stereo": cameras, "hull": hull, "focus": depth_from_focus,
-}  # fmt: skip
-
-
-def scan_to_file(out: Path, scanner: str, seed: int, impression: int, *, overwrite: bool) -> dict[str, Any]:
-    """Write the cloud (.xyz, mm) that a scanner delivers of a simulated finger; return what was made."""
-    require(out.suffix.lower() == ".xyz", f"'{out}' must end in .xyz: it is a point cloud.")
-    check_file(out, "an earlier simulated scan", lambda data: bool(_WRITTEN.match(data)))
-    require(overwrite or not out.exists(), f"'{out}' exists; give `overwrite`, or another `out`.")
-    cloud, _, _ = SCANNERS[scanner](Fingers(seed, impression))
-    points = cloud.points_mm[(np.abs(cloud.points_mm - PIVOT) < VOLUME_MM).all(axis=1)]
-    with atomic_file(out) as stream:
-        np.savetxt(stream, points, "%.4f")
-    return {"out": str(out), "seed": seed, "scanner": scanner, "points": len(points)}

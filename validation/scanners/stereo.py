@@ -17,9 +17,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from views import View, cloud_of
 
-from splitknit import BoolArray, Cloud, FloatArray, require
-from splitknit_simulator.scanners.views import View, cloud_of
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.surface import Array
 
 _ROUNDS, _LARGEST_STEP_PX = 4, 0.5

@@ -12,9 +12,11 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+from views import View, between_neighbours, cloud_of, on_planes
 
-from splitknit import Cloud, FloatArray, require
-from splitknit_simulator.scanners.views import View, between_neighbours, cloud_of, on_planes
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import FloatArray
 
 
 def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatArray:
