@@ -18,7 +18,7 @@ from chromium import Page, PageMaker, why_not
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.viewer import service
 from splitknit_match.gallery.entry import Entry, NewCapture
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.matching.template import Template, pack
 from viewer_server import Asking, started
 from written_files import read_glb
@@ -618,11 +618,11 @@ def test_names_from_a_report_are_only_text(shown: Path, asking: Serve, page: Pag
 
 def test_names_of_people_are_only_text(asking: Serve, page: PageMaker, tmp_path: Path) -> None:
     people = [name for name in MARKUP if name.isprintable()]
-    with Gallery.create(tmp_path / "people.gallery", "0" * 64) as gallery:
+    with GalleryFile(tmp_path / "people.gallery") as gallery:
         gallery.add([
             NewCapture(Entry(name, "right_index", "1", "result", f"{number:064x}", 0.0), b"")
             for number, name in enumerate(people)
-        ])  # fmt: skip
+        ], "0" * 64)  # fmt: skip
     seen = page(1280, 800)
     server = asking(tmp_path / "people.gallery")
     seen.driver.get(server.server.url)
@@ -639,11 +639,11 @@ def test_a_gallery(asking: Serve, page: PageMaker, tmp_path: Path) -> None:
     level = (np.hypot(rows - 40, columns - 35) % 5 // 1.25).astype(np.uint8)
     template = Template(level, np.hypot(rows - 45, columns - 35) < 34, 0.1)
     template.level[~template.valid] = 0
-    with Gallery.create(tmp_path / "people.gallery", "0" * 64) as gallery:
+    with GalleryFile(tmp_path / "people.gallery") as gallery:
         gallery.add([
             NewCapture(Entry("Ada", "right_index", "1", "result", "0" * 64, 20.0), pack(template)),
             NewCapture(Entry("Ben", "left_thumb", "1", "result", "1" * 64, 0.0), b""),
-        ])  # fmt: skip
+        ], "0" * 64)  # fmt: skip
     seen = page(1280, 800)
     seen.driver.get(asking(tmp_path / "people.gallery").server.url)
     seen.wait("const i = document.querySelector('#people-list img'); return i && i.complete && i.naturalWidth === 70")

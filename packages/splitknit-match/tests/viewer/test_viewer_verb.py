@@ -20,9 +20,9 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.io.npz import write_npz
 from splitknit.viewer.server import opened_page
-from splitknit_match.gallery import KEY_VARIABLE
 from splitknit_match.gallery.entry import Entry, NewCapture
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile
+from splitknit_match.gallery.key import KEY_VARIABLE
 from splitknit_match.matching.template import Template, pack
 from viewer_server import started
 
@@ -111,11 +111,11 @@ def _result(folder: Path, arrays: dict) -> Path:
 
 def test_a_gallery_shows_its_people(tmp_path: Path) -> None:
     template = Template(np.full((50, 40), 3, np.uint8), np.ones((50, 40), bool), 0.1)
-    with Gallery.create(tmp_path / "people.gallery", "0" * 64) as gallery:
+    with GalleryFile(tmp_path / "people.gallery") as gallery:
         gallery.add([
             NewCapture(Entry("Ada", "right_index", "1", "result", "0" * 64, 20.0), pack(template)),
             NewCapture(Entry("Ben", "left_thumb", "1", "result", "1" * 64, 0.0), b""),
-        ])  # fmt: skip
+        ], "0" * 64)  # fmt: skip
     running, facts = started(tmp_path / "people.gallery")
     try:
         with urllib.request.urlopen(facts["url"] + "api/catalogue") as answer:

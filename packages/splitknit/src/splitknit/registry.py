@@ -36,8 +36,7 @@ VERBS = {
     "match": (MATCH, "report how similar two fingers are"),
     "enroll": (MATCH, "put fingers into a gallery, which is made where there is none"),
     "identify": (MATCH, "find a finger in a gallery, or check whose it is said to be"),
-    "gallery": (MATCH, "look into a gallery, remove from it, export, import, check and encrypt it"),
-    "forget": (MATCH, "erase all that is kept of a person in galleries and folders"),
+    "gallery": (MATCH, "look into a gallery, remove from it, export, import and check it"),
     "export": (MATCH, "write fingers as records, images and meshes that other systems read"),
     "records": (MATCH, "what a file of another system is, and what it holds"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
@@ -49,7 +48,13 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-GONE: dict[str, str] = {}
+GONE: dict[str, str] = {
+    "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
+    "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
+    "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",
+    "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
+    "gallery repair": "use 'gallery check', and 'gallery remove --row' for what it names.",
+}
 """Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
 
 

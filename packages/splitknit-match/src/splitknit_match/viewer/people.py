@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, encode_image, require
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.key import Key, key_of
 from splitknit_match.matching.template import unpack
 
@@ -23,13 +23,13 @@ class People:
         """Raises BadInput if it is not a gallery, damaged, or the key is missing or wrong."""
         self._path, self._key = path, key
         self._lock = threading.Lock()
-        with Gallery.open(path, key) as gallery:
+        with GalleryFile(path, key) as gallery:
             self._rows = gallery.entries()
 
     def document(self) -> list[dict[str, Any]]:
         """For the page."""
         names = ("person", "finger", "session", "area_mm2")
-        facts = ({name: getattr(one.entry, name) for name in names} for one in self._rows)
+        facts = ({name: getattr(one, name) for name in names} for one in self._rows)
         each = zip(self._rows, facts, strict=True)
         return [{"row": one.row, "acquired": one.template_bytes > 0, **about} for one, about in each]
 
@@ -39,7 +39,7 @@ class People:
         """
         known = row.isascii() and row.isdigit() and len(row) < 12 and any(one.row == int(row) for one in self._rows)
         require(known, "there is no such row in the gallery.")
-        with self._lock, Gallery.open(self._path, self._key) as gallery:
+        with self._lock, GalleryFile(self._path, self._key) as gallery:
             payload = gallery.templates([int(row)]).get(int(row), b"")
         template = unpack(payload)
         if template.empty:
