@@ -22,9 +22,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from code_tails import wilson
 from numpy.typing import NDArray
 from pressed_prints import finger, press
+from wilson import wilson
 
 from splitknit.io.prints import read_print_png
 from splitknit_match.evaluation.fusion import fit_linear, fit_logistic

@@ -25,10 +25,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from code_tails import wilson
 from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
 from numpy.typing import NDArray
 from pressed_prints import press
+from wilson import wilson
 
 from impostors import FOLDER
 from splitknit_match.matching import fusion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, asdict, dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from splitknit import AnyPath, Help, Job, KeyFile, Natural, Outcome, Progress, Refused, Verb, count, path, require
 
@@ -65,7 +65,7 @@ class InfoJob(_OfGallery):
 
         with self.opened() as gallery:
             rows, sha256 = gallery.entries(), gallery.settings_sha256
-        facts = {
+        facts: dict[str, Any] = {
             "gallery": str(self.gallery),
             "version": VERSION,
             "encrypted": gallery.key is not None,

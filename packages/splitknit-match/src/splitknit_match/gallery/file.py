@@ -235,7 +235,7 @@ class GalleryFile:
             try:
                 sound = all(type(value) is kind for value, kind in zip(values, _KINDS.values(), strict=True))
                 require(sound, "a value is of another kind.")
-                found.append(Entry(*values, row=row))
+                found.append(Entry(*values, row))
             except BadInput as error:
                 raise self._damaged_row(row, str(error)) from error
         return found
