@@ -21,7 +21,7 @@ LOCK_ARGS ?=
 $(foreach name,completion photos plot x3p,$(eval OF_$(name) := splitknit[$(name)]))
 $(foreach name,reference train,$(eval OF_$(name) := splitknit-simulator[$(name)]))
 $(foreach name,cad capture genicam,$(eval OF_$(name) := splitknit-rig[$(name)]))
-$(foreach name,batch cluster minutiae objects pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,batch cluster encrypt minutiae objects pad records,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 
@@ -106,7 +106,7 @@ lock:
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
 		--python-version 3.11 $(foreach name,capture genicam,) \
-		$(foreach name,completion photos plot x3p reference train cad batch cluster minutiae objects pad records search serve,--extra $(name)) \
+		$(foreach name,completion photos plot x3p reference train cad batch cluster encrypt minutiae objects pad records serve,--extra $(name)) \
 		--group dev --group browser --group docs --group install $(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 

@@ -28,7 +28,7 @@ from scipy.stats import beta
 from splitknit import read_print_png
 from splitknit_match.gallery.entry import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.identify import NEAREST, templates_hash
+from splitknit_match.gallery.identify import templates_hash
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
@@ -47,7 +47,7 @@ PPI = {
 FOLDS = tuple(PPI)[:4], tuple(PPI)[4:]
 SIZE = 10_000
 LIST = 50
-COMPARED = (1, 2, 6, 14, NEAREST, 30, LIST)
+COMPARED = (1, 2, 6, 14, 30, LIST)
 SURE = 9.0
 
 

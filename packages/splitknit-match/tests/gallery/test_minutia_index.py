@@ -89,14 +89,13 @@ def test_few_minutiae_are_compared_always(gallery) -> None:
 def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path: Path, monkeypatch) -> None:
     """The exhaustive search, the reference, finds the same who is there."""
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
-    monkeypatch.setattr("splitknit_match.gallery.identify.NEAREST", 2)
     with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
         captures = (NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
         opened.add(captures, templates_hash(MatchingSettings()))
-        absent = opened.identify(seen(4000))
+        absent = opened.identify(seen(4000), top=2)
         assert absent.answer != "match" and absent.searched.compared == 2
         assert "about 1 in 100 matches is lost" in absent.searched.note
-        found = [opened.identify(seen(7, 0.4, again=2), search=how) for how in ("auto", "exhaustive")]
+        found = [opened.identify(seen(7, 0.4, again=2), search=how, top=2) for how in ("auto", "exhaustive")]
     assert [one.searched.compared for one in found] == [2, 20]
     assert {one.candidates[0].person for one in found} == {"P7"}
     assert found[0].candidates[0].similarity == found[1].candidates[0].similarity
@@ -112,3 +111,4 @@ def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
     monkeypatch.setattr("splitknit_match.matching.fusion.SURE", 1000.0)
     with pytest.raises(TypeError):
         fused_match(*sides)
+    assert fused_match(*sides, sure=0.0).similarity == expected  # as a search does

@@ -213,7 +213,7 @@ class _Looks:
 
     def _like_others(self, side: Side) -> list[RankedCandidate]:
         """Candidates beyond the limit that are other fingers."""
-        found = self._asked(side, top=5, merge="finger")
+        found = self._asked(side, merge="finger")
         limit = found.decision.threshold if found.decision is not None else float("inf")
         alike = [one for one in found.candidates if (one.person, one.finger) != self.who and one.similarity >= limit]
         others = [one for one in alike if one.person != self.who[0]]

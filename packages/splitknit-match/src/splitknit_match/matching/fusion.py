@@ -120,12 +120,13 @@ _Start = tuple[Affine, Laid | None]
 """One alignment that is tried, from B's places to A's, and by which minutiae."""
 
 
-def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
+def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | None = None) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
     Raises BadInput as :func:`splitknit_match.matching.ridge.ridge_match`.
 
-    `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them.
+    `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them; `sure`: support of an
+    alignment by minutiae from which ridges propose none (default: SURE).
     """
     left, right = prepared_sides(a, b, Prepared, None)
     areas = left.template.area_mm2, right.template.area_mm2
@@ -149,7 +150,7 @@ def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
         correlation, overlap_mm2 = found.correlation, found.overlap_mm2
     else:
         grid, overlap_mm2, by_minutiae = right.patches, none, None
-        (affine, by), first = _best_start(left, right, laid)
+        (affine, by), first = _best_start(left, right, laid, SURE if sure is None else sure)
         if by is None:
             affine = refined(left, right, affine, first)
         else:
@@ -256,9 +257,9 @@ def _rigid(a: Prepared, b: Prepared, laid: Laid) -> Affine:
     return rigid(*shapes, laid.angle_rad, (laid.right_mm / pitch, -laid.up_mm / pitch))
 
 
-def _best_start(a: Prepared, b: Prepared, laid: list[Laid]) -> tuple[_Start, Agreement]:
+def _best_start(a: Prepared, b: Prepared, laid: list[Laid], sure: float) -> tuple[_Start, Agreement]:
     """The alignment that ridges and minutiae agree on best, and its patches."""
-    proposed = bool(laid) and laid[0].support >= SURE
+    proposed = bool(laid) and laid[0].support >= sure
     starts: list[_Start] = [] if proposed else [(one, None) for one in starts_by_ridges(a, b)]
     starts += [(_rigid(a, b, one), one) for one in laid]
     places = _pixels(b, _of(b)[0]) if laid else np.zeros((0, 2))
