@@ -16,7 +16,6 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from splitknit import (
@@ -235,7 +234,7 @@ class GalleryFile:
             try:
                 sound = all(type(value) is kind for value, kind in zip(values, _KINDS.values(), strict=True))
                 require(sound, "a value is of another kind.")
-                found.append(Entry(*values, row))
+                found.append(Entry(**dict(zip(_KINDS, values, strict=True)), row=row))
             except BadInput as error:
                 raise self._damaged_row(row, str(error)) from error
         return found
@@ -481,7 +480,7 @@ def _stamp_of(path: Path) -> tuple[int, ...] | None:
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _sqlcipher() -> ModuleType:
+def _sqlcipher() -> Any:
     with importing("encrypted galleries need SQLCipher: pip install 'splitknit-match[encrypt]'."):
         from sqlcipher3 import dbapi2
     return dbapi2
