@@ -23,11 +23,8 @@ from typing import Any
 from splitknit.presets import PRESETS
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.prints.make import PrintingSettings
-from splitknit_rig.calibration.lights_found import LightSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
-from splitknit_rig.rig.circuit import CircuitSettings
-from splitknit_rig.rig.part_settings import PartSettings
 from splitknit_simulator.bench_photos import BenchPhotos
 from splitknit_simulator.camera.device import TwinDeviceSettings
 from splitknit_simulator.population.sessions import PopulationSettings
@@ -131,16 +128,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         (("capture.", SessionSettings()), ("pi.", PiCameraSettings()), ("device.", TwinDeviceSettings())),
     ),
     (
-        "`splitknit calibrate lights`",
-        "Limits, and what is known beforehand of nail and circle.",
-        (("", LightSettings()),),
-    ),
-    (
-        "`splitknit rig cad`",
-        "What follows from the rig file cannot be set.",
-        (("", PartSettings()),),
-    ),
-    (
         "`splitknit print`",
         "`ink.ppi` follows `--ppi`; what `quality.` has for each figure is in [prints](../guide/prints.md#quality).",
         (("", PrintingSettings()),),
@@ -150,7 +137,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "What each is: [matching](../guide/matching.md). Captures are reconstructed with `--preset` as it is.",
         (("", MatchingSettings()),),
     ),
-    ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
 )
 """Heading, words, and what the names begin with, for every verb but ``reconstruct``."""
 
