@@ -273,7 +273,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [one for one in TARGETS if options.target is None or one.name in options.target]
     until = None if options.hours is None else time.monotonic() + 3600 * options.hours
-    for module in ("tifffile", "nistitl", "nbis", "cryptography.x509"):
+    for module in ("tifffile", "nistitl", "nbis"):
         with contextlib.suppress(ImportError):  # once, here, and not in every child
             importlib.import_module(module)
     # the same for what hypothesis loads when it is first used

@@ -19,12 +19,11 @@ import tempfile
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
-from unittest import mock
 
 import cv2
 import numpy as np
@@ -73,15 +72,12 @@ from splitknit_match.cli.records import WhatJob
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.score_files import read_exclusions, read_scores
 from splitknit_match.evaluation.study import _read_exclusion_list, _read_systems
-from splitknit_match.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
-from splitknit_match.gallery.file import describe
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify_job import identify
-from splitknit_match.gallery.key import Key, ScryptSettings, code_secret, key_of
+from splitknit_match.gallery.key import key_of
 from splitknit_match.gallery.manage import export_gallery, import_gallery
 from splitknit_match.gallery.serve import read_token
-from splitknit_match.gallery.shards import Shards, _seal, write_shards
-from splitknit_match.matching.code import CODE_VERSION, code_of
 from splitknit_match.matching.inputs import Pixels, read_side
 from splitknit_match.matching.inputs import _read_surface as read_matched
 from splitknit_match.matching.match_job import make_template as template_of
@@ -119,8 +115,6 @@ from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
-RAW = Key(bytes(range(32)), raw=True)
-PHRASE = Key(b"correct horse battery", raw=False)
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())
 
 
@@ -197,11 +191,6 @@ def _folder(make: Callable[[Path], object]) -> Files:
         make(root)
         found = sorted(file for file in root.rglob("*") if file.is_file())
         return {file.relative_to(root).as_posix(): file.read_bytes() for file in found}
-
-
-def _seeded() -> Any:
-    """Salts and nonces that are the same every time."""
-    return mock.patch("os.urandom", Random(5).randbytes)
 
 
 def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
@@ -627,7 +616,7 @@ def _new(person: str, seed: int, session: str = "1", images: str = "") -> NewCap
     template = make_template(ridge_band(_relief(seed), np.ones((90, 80), bool), 0.1))
     entry = Entry(person, "right_index", session, "result", f"{seed:064x}", area_mm2=70.0, images=images)
     picture = encode_image(_noise(9, 9), ".png") if images else None
-    return NewCapture(entry, pack(template), code_of(template).tobytes(), CODE_VERSION, picture)
+    return NewCapture(entry, pack(template), picture)
 
 
 def _relief(seed: int) -> Any:
@@ -636,98 +625,60 @@ def _relief(seed: int) -> Any:
 
 
 @cache
-def _gallery(key: Key | None) -> bytes:
-    from splitknit_match.gallery.enrol import templates_hash
+def _gallery() -> bytes:
+    from splitknit_match.gallery.identify import templates_hash
 
-    with tempfile.TemporaryDirectory() as scratch, _seeded():
+    with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
-        with Gallery.create(path, templates_hash(MatchingSettings()), key, ScryptSettings(log2_n=10)) as gallery:
-            gallery.add([_new("Ann", 1, images="thumbnail"), _new("Ann", 1, "2"), _new("Bob", 2)])
+        with GalleryFile(path) as gallery:
+            captures = [_new("Ann", 1, images="thumbnail"), _new("Ann", 1, "2"), _new("Bob", 2)]
+            gallery.add(captures, templates_hash(MatchingSettings()))
         return path.read_bytes()
 
 
-def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
-    def read(folder: Path, files: Files) -> object:
-        path = folder / "x.skg"
-        key = replace(kind, counter=folder / "counter") if kind is not None and "counter" in files else kind
+def _opened(folder: Path, files: Files) -> object:
+    path = folder / "x.skg"
 
-        def contents() -> None:
-            with Gallery.open(path, key) as gallery:
-                gallery.entries()
-                gallery.templates()
-                gallery.codes(CODE_VERSION)
-                gallery.images()
+    def contents() -> None:
+        with GalleryFile(path) as gallery:
+            gallery.people()
+            gallery.images()
 
-        def checked() -> None:
-            with Gallery.open(path, key) as gallery:
-                for _, problem in gallery.problems():
-                    said(BadInput(problem))
-                    assert problem.isprintable(), f"a problem is not one printable line: {problem!a}"
+    def checked() -> None:
+        with GalleryFile(path) as gallery:
+            for _, problem in gallery.problems():
+                said(BadInput(problem))
+                assert problem.isprintable(), f"a problem is not one printable line: {problem!a}"
 
-        return _any(
-            contents,
-            checked,
-            lambda: describe(path),
-            lambda: gallery_scores(path, key=key),
-        )
-
-    return read
+    return _any(contents, checked, lambda: gallery_scores(path))
 
 
 def _galleries() -> list[Files]:
     probe = encode_template(_new("x", 1).template, VERSION)
-    return [{"x.skg": _gallery(None), "x.skt": probe}]
+    return [{"x.skg": _gallery(), "x.skt": probe}]
 
 
 def _identified(folder: Path, files: Files) -> object:
-    return identify(folder / "x.skg", folder / "x.skt", search="codes")
-
-
-def _shards() -> list[Files]:
-    codes = np.stack([code_of(unpack(_new("x", seed).template)) for seed in range(3)])
-    with _seeded():
-        return [_folder(lambda folder: write_shards(folder, np.arange(3), codes))]
-
-
-def _searched(folder: Path, files: Files) -> object:
-    return Shards(folder).search(unpack(_new("x", 1).template), 3)
-
-
-def _shards_repaired(files: Files) -> Files:
-    """The list of what there is; without a key anyone can make it."""
-    data, listed = files.get("codes-000000.skc"), files.get("shards.json")
-    if not isinstance(data, bytes) or not isinstance(listed, bytes):
-        return files
-    try:
-        salt = bytes.fromhex(json.loads(data[:4096])["salt"])
-        document = dict(json.loads(listed))
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return files
-    contents = {"codes-000000.skc": hashlib.sha256(data).hexdigest()}
-    document |= {"shards": contents, "seal": _seal(contents, code_secret(None, salt))}
-    return files | {"shards.json": json.dumps(document).encode("ascii")}
+    return identify(folder / "x.skg", folder / "x.skt")
 
 
 def _exports() -> list[Files]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
-        path.write_bytes(_gallery(None))
-        return [_folder(lambda to: export_gallery(path, to, images=True))]
+        path.write_bytes(_gallery())
+        return [_folder(lambda to: export_gallery(GalleryFile(path), to, images=True))]
 
 
 def _imported(folder: Path, files: Files) -> None:
     with tempfile.TemporaryDirectory(dir=folder.parent) as other:
         path = Path(other) / "x.skg"
         try:
-            import_gallery(path, folder)
+            import_gallery(GalleryFile(path), folder)
         except BadInput:
-            if path.exists():
-                with Gallery.open(path) as gallery:
-                    assert len(gallery) == 0, "a refused folder left something in the gallery"
+            assert not path.exists(), "a refused folder left a gallery"
             raise
-        with Gallery.open(path) as gallery:
+        with GalleryFile(path) as gallery:
             assert gallery.problems() == [], "what was imported is damaged"
-            gallery.codes(CODE_VERSION)
 
 
 # --- batch, populations, folders that grow -----------------------------------------------------------------------
@@ -981,13 +932,9 @@ TARGETS = (
     Target("settings-toml", lambda: [{"x.toml": _TOML}], _settings("x.toml")),
     Target("settings-set", lambda: [{"set": _SET}], _assignments),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
-    Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse", bytes(range(200, 232))), _keys),
-    Target("gallery", lambda: _each("x.skg", _gallery(None)), _opened(None)),
-    Target("gallery_sealed", lambda: [{"x.skg": _gallery(RAW), "counter": b'{"": 1}'}], _opened(RAW)),
-    Target("gallery_phrase", lambda: _each("x.skg", _gallery(PHRASE)), _opened(PHRASE)),
-    Target("gallery_entry", lambda: _each("bytes", encode_entry(_new("Ann", 1).entry)), _of_bytes(decode_entry)),
+    Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse"), _keys),
+    Target("gallery", lambda: _each("x.skg", _gallery()), _opened),
     Target("identify", _galleries, _identified, _skt_repaired),
-    Target("shards", _shards, _searched, _shards_repaired),
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,14 +14,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
 
 from batch_stores import EA, chunks, rows_of
 from splitknit.cli.main import main
@@ -93,20 +90,16 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 def certificates(folder: Path) -> Path:
     """Write a CA, a certificate that it signed, and the key of that."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make certificates")
     folder.mkdir()
-    keys = [ec.generate_private_key(ec.SECP256R1()) for _ in range(2)]
-    names = [x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)]) for name in ("ca", "node")]
-    now = datetime.now(UTC)
-    for file, name, key in zip(("ca.pem", "cert.pem"), names, keys, strict=True):
-        builder = x509.CertificateBuilder().subject_name(name).issuer_name(names[0]).public_key(key.public_key())
-        builder = builder.serial_number(x509.random_serial_number())
-        builder = builder.not_valid_before(now - timedelta(hours=1)).not_valid_after(now + timedelta(days=1))
-        signed = builder.add_extension(x509.BasicConstraints(file == "ca.pem", None), True).sign(
-            keys[0], hashes.SHA256()
-        )
-        (folder / file).write_bytes(signed.public_bytes(serialization.Encoding.PEM))
-    pem = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    (folder / "key.pem").write_bytes(keys[1].private_bytes(*pem))
+    new = "-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes"
+    for command in (
+        f"req -x509 {new} -days 1 -subj /CN=ca -keyout ca_key.pem -out ca.pem",
+        f"req {new} -subj /CN=node -keyout key.pem -out node.csr",
+        "x509 -req -in node.csr -CA ca.pem -CAkey ca_key.pem -CAcreateserial -days 1 -out cert.pem",
+    ):
+        subprocess.run(["openssl", *command.split()], cwd=folder, check=True, capture_output=True, timeout=60)
     return folder
 
 

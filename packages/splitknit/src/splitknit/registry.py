@@ -36,8 +36,7 @@ VERBS = {
     "match": (MATCH, "report how similar two fingers are"),
     "enroll": (MATCH, "put fingers into a gallery, which is made where there is none"),
     "identify": (MATCH, "find a finger in a gallery, or check whose it is said to be"),
-    "gallery": (MATCH, "look into a gallery, remove from it, export, import, check and encrypt it"),
-    "forget": (MATCH, "erase all that is kept of a person in galleries and folders"),
+    "gallery": (MATCH, "look into a gallery, remove from it, export, import and check it"),
     "export": (MATCH, "write fingers as records, images and meshes that other systems read"),
     "records": (MATCH, "what a file of another system is, and what it holds"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
@@ -50,6 +49,12 @@ VERBS = {
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 GONE: dict[str, str] = {
+    "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
+    "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
+    "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",
+    "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
+    "gallery repair": "use 'gallery check', and 'gallery remove --row' for what it names.",
+    "identify --shards": "leave it out: an index in memory serves up to some 100,000 captures.",
     "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
     "reconstruct --frames": "reconstruct each colour photograph by itself.",
     "reconstruct --level": "it was for gel sensors.",
