@@ -168,11 +168,6 @@ def prints(folder: Path) -> Iterator[Step]:
 
 def rig(folder: Path) -> Iterator[Step]:
     """Parts to the first finger, on the simulated rig."""
-    yield Step("rig circuit --out board", makes="board/parts.csv")
-    yield Step("rig circuit --out board --set circuit.white.current_a=0.3", 2, "white")  # more than the LED stands
-    yield Step("rig circuit --films servo --out filmed", makes="filmed/films.svg")
-    yield Step("rig circuit --rig filmed/rig.json --films hand --out wrong", 2, "'servo'")  # it has films already
-    yield Step("capture --device twin --rig filmed/rig.json --out wrong", 2, "provenance.films")  # the twin has none
     yield Step("rig target --out targets", makes="targets")
     yield Step("simulate --bench --seed 7 --scale 0.35 --out bench", makes="bench/plane.png")
     camera = "calibrate camera bench/board --board 9x6 --plane bench/plane.png --rig bench/rig_drawn.json"

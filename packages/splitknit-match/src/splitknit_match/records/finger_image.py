@@ -134,19 +134,21 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")
     check_length(data, length, name)
-    require(_fits(data), f"{name} is damaged: the lengths of its images do not add up to that of the record.")
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
     ppi = _resolution(unit, x, y, name)
     compression = _compression(code, _CODES, bits, name)
     found: list[PrintFile] = []
     pixels = 0
-    while cursor.place < len(data):
+    while cursor.place < len(data) and len(found) < _MAX_VIEWS:
         what = f"image {len(found) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
+        require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
         found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+    more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
+    require(len(found) > 0 and cursor.place == len(data), more)
     return tuple(found)
 
 
@@ -186,17 +188,6 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
     return tuple(found)
-
-
-def _fits(data: bytes) -> bool:
-    """Whether the lengths of the views lead to the end."""
-    place, count = _HEADER_BYTES, 0
-    while place + _VIEW.size <= len(data) and count < _MAX_VIEWS:
-        length = int.from_bytes(data[place : place + 4], "big")
-        if length < _VIEW.size:
-            return False
-        place, count = place + length, count + 1
-    return count > 0 and place == len(data)
 
 
 def _resolution(unit: int, x: int, y: int, name: str) -> float:

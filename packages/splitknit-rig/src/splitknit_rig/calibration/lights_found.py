@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from splitknit import Array, BadInput, Camera, Checked, Led, Limits, Rig, override, plane_points, require
+from splitknit import Array, BadInput, Camera, Led, Rig, plane_points, require
 from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import (
     BANDS,
@@ -22,7 +22,7 @@ from splitknit_rig.calibration.lights import (
     name_of_led,
     pixels,
 )
-from splitknit_rig.calibration.nail import STRAY_MM, JointFit, NailSettings, by_joint_fit
+from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
 
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
@@ -32,36 +32,10 @@ LedName = tuple[str, int]
 """Band, and number in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class LightLimits(Checked):
-    """What is refused."""
-
-    _group = "limits"
-
-    limit_deg: Annotated[float, Limits(0, 90, above=True)] = 5.0
-    """Two directions of one LED that differ by more than this disagree."""
-
-
 _COPY_MM = 0.4
 """Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
 _MOVE_MM = 1.0  # nail positions that are nearer than this are one position
 _SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
-
-
-@dataclass(frozen=True, slots=True)
-class LightSettings:
-    """All settings of the calibration of lights."""
-
-    limits: LightLimits = field(default_factory=LightLimits)
-    nail: NailSettings = field(default_factory=NailSettings)
-
-
-def light_settings(job: LightsJob) -> LightSettings:
-    """The settings of a job; its own arguments go before `settings`. Raises BadInput naming the setting at fault."""
-    settings = override(LightSettings(), job.settings or {})
-    own = {"limits": ("limit_deg",), "nail": ("nail_height_mm", "nail_seen")}
-    given = {f"{part}.{name}": getattr(job, name) for part, names in own.items() for name in names}
-    return override(settings, {name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +73,21 @@ class CalibratedLights:
 
 
 def find_leds(
-    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob
+    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob, nail: Nail
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
     """Find and judge every LED of a table: LEDs, facts, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, keep, settings = str(job.table or job.images), job.keep, light_settings(job)
-    limit_deg = settings.limits.limit_deg
-    _check_tips(tips, camera.image_size, name)
+    name, keep = str(job.table or job.images), job.keep
+    limit_deg = job.limit_deg
+    check_tips(tips, camera.image_size, name)
     try:
-        _check_nails(tips, camera)
-        known, seen = settings.nail.nail_height_mm, settings.nail.nail_seen
-        plain, height = by_circle(tips, camera, circle, known_height_mm=known, seen=seen)
-        copied = _copied_leds(tips, camera)
+        check_nails(tips, camera)
+        plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm, seen=nail.seen)
+        copied = copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
-        joint = by_joint_fit(sound, camera, circle, settings.nail) if positions > 1 and sound else None
+        joint = by_joint_fit(sound, camera, circle, nail) if positions > 1 and sound else None
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(
@@ -124,8 +97,8 @@ def find_leds(
     used = joint if method == "joint" else None
     first = {(one.band, one.led): one for one in plain}
     chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}
-    verdicts = _judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
-    sentence = _refusal(verdicts, chosen, limit_deg)
+    verdicts = judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
+    sentence = refusal(verdicts, chosen, limit_deg)
     leds = []
     fitted: dict[LedName, dict[str, Any]] = {}
     if joint is not None:
@@ -142,25 +115,14 @@ def find_leds(
                 **{name: spread.get(name) for name in ("interval_deg", "interval_mm")},
                 "verdict": verdict,
                 "kept": keep or verdict in _TRUSTED,
-                "nails": list(best.nails),
-                "circle": {**_place(first[band, led]), "positions_mm": first[band, led].singles.tolist()},
-                "joint": place,
             }
         )
-    words = list(verdicts.values())
     facts: dict[str, Any] = {
         "method": method,
         "limit_deg": limit_deg,
         "nail_positions": positions,
         "nail_height_mm": height if used is None else used.nail_height_mm,
         "leds": leds,
-        "totals": {
-            "leds": len(words),
-            **{word.replace(" ", "_"): words.count(word) for word in (OK, DISAGREES, COPIED, STRAYS, UNCHECKED)},
-            "refused": sum(word not in _TRUSTED for word in words),
-            "kept": sum(one["kept"] for one in leds),
-        },
-        "joint": None if joint is None else _joint_facts(joint, sound),
         "warnings": _warnings(verdicts, used, sound) + ([f"kept although {sentence}"] if keep and sentence else []),
         "refused": None if keep else sentence,
     }
@@ -193,25 +155,6 @@ def _place(found: LedEstimate) -> dict[str, Any]:
     }
 
 
-def _joint_facts(joint: JointFit, tips: Sequence[Tip]) -> dict[str, Any]:
-    return {
-        "nail_height_mm": joint.nail_height_mm,
-        "nail_height_interval_mm": joint.nail_height_interval_mm,
-        "circle": {
-            "radius_mm": joint.circle.radius_mm,
-            "height_mm": joint.circle.height_mm,
-            "centre_mm": list(joint.circle.centre_mm),
-        },
-        "rms_px": None if np.isnan(joint.rms_px) else joint.rms_px,
-        "tips": [
-            {"band": tip.band, "led": tip.led, "nail": tip.nail, "residual_px": residual.tolist(), "outlier": bool(out)}
-            for tip, residual, out in zip(
-                tips, joint.residual_px, np.isin(np.arange(len(tips)), joint.outliers), strict=True
-            )
-        ],
-    }
-
-
 def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]) -> list[str]:
     warnings = []
     if UNCHECKED in verdicts.values():
@@ -230,7 +173,7 @@ def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Seq
     return warnings
 
 
-def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
+def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
     """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels in the image."""
     rows, columns = image_size
     for tip in tips:
@@ -260,7 +203,7 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
             )
 
 
-def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
+def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     """LEDs whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
@@ -272,7 +215,7 @@ def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     return found
 
 
-def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
+def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     """Check that a nail number is one place, and two numbers two places."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Array] = {}
@@ -297,7 +240,7 @@ def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
         )
 
 
-def _judge(
+def judge(
     found: Mapping[LedName, LedEstimate], copied: Set[LedName], strays: Set[LedName], limit_deg: float
 ) -> dict[LedName, str]:
     """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the nail shows."""
@@ -314,7 +257,7 @@ def _judge(
     return {name: verdict(name, one.disagreement_deg) for name, one in found.items()}
 
 
-def _refusal(verdicts: Mapping[LedName, str], found: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
+def refusal(verdicts: Mapping[LedName, str], found: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     named: dict[str, list[str]] = {}
     for name, word in verdicts.items():

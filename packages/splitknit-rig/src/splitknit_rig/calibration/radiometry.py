@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,8 @@ from splitknit import (
     Array,
     Band,
     Capture,
-    Checked,
     FloatArray,
     Led,
-    Limits,
     Rig,
     linear_image,
     linear_stack,
@@ -84,12 +82,12 @@ def led_name(leds: Sequence[Led], index: int) -> str:
     return f"{band} {sum(led.band == band for led in leds[:index])}"
 
 
-def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
-    """Condense a capture of a white card, each LED of the rig alone in one image. `black_level`: where the capture does
-    not state it. Raises BadInput if capture and rig do not fit, or an image is missing, double, black or clipped.
+def card_images(capture: Capture, rig: Rig) -> CardImages:
+    """Condense a capture of a white card, each LED of the rig alone in one image. Raises BadInput if capture and rig do
+    not fit, or an image is missing, double, black or clipped.
     """
     _check_fit(capture, rig)
-    bands = [_with_black(band, black_level) for band in capture.bands.values()]
+    bands = list(capture.bands.values())
     order = _images_of_leds(bands, rig)
     for band in bands:
         for k in range(len(band.pixels)):
@@ -128,12 +126,6 @@ def _check_fit(capture: Capture, rig: Rig) -> None:
     for k, led in enumerate(rig.leds):
         words = f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first."
         require(led.position_mm is not None, words)
-
-
-def _with_black(band: Band, black_level: float | None) -> Band:
-    if black_level is None or (band.black_level != 0).any():
-        return band
-    return replace(band, black_level=np.full(len(band.black_level), black_level), ambient_black_level=black_level)
 
 
 def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
@@ -186,18 +178,10 @@ def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
 _GLOSS_PERCENT = 2.0  # a card whose mirror spot is brighter than this (and five of its errors) shines
 _AMBIENT_PERCENT = 5.0  # light from elsewhere above which there is a warning, relative to the LEDs'
+LIMIT_PERCENT = 1.0  # largest rms of an LED's residuals
+DRIFT_PERCENT = 3.0  # departure of an LED from the calibration above which there is a warning
 _PATTERN_PERCENT = 1.0
 """Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
-
-
-@dataclass(frozen=True, slots=True)
-class RadiometrySettings(Checked):
-    """Limits of a radiometric calibration."""
-
-    limit_percent: Annotated[float, Limits(0, above=True)] = 1.0
-    """Largest rms of an LED's residuals."""
-    drift_percent: Annotated[float, Limits(0, above=True)] = 3.0
-    """Departure of an LED from the calibration above which there is a warning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,17 +201,16 @@ def fit_radiometry(
     capture: Capture,
     rig: Rig,
     card: CardPlane | None = None,
-    black_level: float | None = None,
-    settings: RadiometrySettings | None = None,
+    limit_percent: float = LIMIT_PERCENT,
 ) -> RadiometricCalibration:
     """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on the finger plane by
     default) under each LED. Raises BadInput, naming what and where, if the images show no even, matt card.
     """
-    chosen, plane = settings or RadiometrySettings(), card or CardPlane()
-    images = card_images(capture, rig, black_level)
+    plane = card or CardPlane()
+    images = card_images(capture, rig)
     flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane)
-    _check(flat, rig, chosen)
-    leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
+    _check(flat, rig, limit_percent)
+    leds = [_led_facts(rig, flat, images, k, limit_percent) for k in range(len(rig.leds))]
     facts: dict[str, Any] = {
         "captured_at": capture.captured_at,
         "card": {
@@ -253,11 +236,11 @@ def fit_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(rig, images, flat, black_level, chosen),
+        warnings=_warnings(rig, images, flat, limit_percent),
     )
 
 
-def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
+def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
     dust = float(flat.dust.mean())
     require(
         dust <= MAX_DUST,
@@ -266,14 +249,14 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     )
     worst, rms = int(np.argmax(flat.rms_percent)), float(flat.rms_percent.max())
     require(
-        rms <= settings.limit_percent or flat.common_percent < 0.7 * rms,
+        rms <= limit_percent or flat.common_percent < 0.7 * rms,
         f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs; "
         f"use a clean matt white card.",
     )
     require(
-        rms <= settings.limit_percent,
+        rms <= limit_percent,
         f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
-        f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
+        f"rms is {rms:.1f} % (at most {limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
         f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
         f"is).",
     )
@@ -284,7 +267,7 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     )
 
 
-def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: RadiometrySettings) -> dict[str, Any]:
+def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, limit_percent: float) -> dict[str, Any]:
     led = flat.leds[k]
     origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
     rms, error = float(flat.rms_percent[k]), float(flat.exponent_error[k])
@@ -299,19 +282,16 @@ def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: 
         "level": _round(float(level)),
         "rms_percent": _round(rms),
         "largest_percent": _round(float(flat.largest_percent[k])),
-        "verdict": "good" if rms <= 0.5 * settings.limit_percent else "fair",
+        "verdict": "good" if rms <= 0.5 * limit_percent else "fair",
     }
 
 
-def _warnings(
-    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
-) -> tuple[str, ...]:
+def _warnings(rig: Rig, images: CardImages, flat: FlatField, limit_percent: float) -> tuple[str, ...]:
     words = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words.append(
-                f"there is no ambient image of the band {band}: ambient light"
-                f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
+                f"there is no ambient image of the band {band}: ambient light and black level counted as the LEDs'."
             )
         elif fraction > _AMBIENT_PERCENT:
             words.append(
@@ -319,7 +299,7 @@ def _warnings(
                 f"close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
-        if largest > 3 * settings.limit_percent:
+        if largest > 3 * limit_percent:
             words.append(
                 f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
                 f"or something shadows it."
@@ -336,9 +316,7 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def check_card(
-    capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
-) -> dict[str, Any]:
+def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> dict[str, Any]:
     """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
     :func:`fit_radiometry`.
 
@@ -346,9 +324,8 @@ def check_card(
     median of its band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band,
     None where exposures are not known; ``ambient_percent``; ``warnings``: what departs.
     """
-    chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)
-    images = card_images(capture, rig, black_level)
+    images = card_images(capture, rig)
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
     now = images.light / expected
     ratio = np.median(now, axis=1)
@@ -363,7 +340,7 @@ def check_card(
     sentences: list[str] = []
     for k, value in enumerate(own):
         name = f"LED {led_name(rig.leds, k)}"
-        if abs(value - 1) > 0.01 * chosen.drift_percent:
+        if abs(value - 1) > 0.01 * limit_percent:
             sentences.append(f"{name} is {_change(float(value))} than at the calibration.")
         if pattern[k] > _PATTERN_PERCENT:
             sentences.append(
@@ -371,7 +348,7 @@ def check_card(
                 f"the picture): it moved or turned."
             )
     for band, value in common.items():
-        if value is not None and abs(value - 1) > 0.01 * chosen.drift_percent:
+        if value is not None and abs(value - 1) > 0.01 * limit_percent:
             sentences.append(
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."

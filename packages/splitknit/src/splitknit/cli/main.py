@@ -39,9 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     from splitknit.registry import GONE
 
-    typed = " ".join(words[1:]).replace("=", " ")
-    parts = ((name, *name.partition(" ")) for name in GONE)
-    gone = next((name for name, verb, _, rest in parts if [verb] == words[:1] and f"{rest} " in f"{typed} "), "")
+    typed = [part for word in words[1:] for part in word.split("=", 1)]
+    options = [*typed, *(" ".join(typed[k : k + 2]) for k in range(len(typed)))]
+    named = [" ".join(words[:1]), *(f"{words[0]} {option}" for option in options)]
+    gone = next((name for name in named if name in GONE), "")
     if gone:
         print(f"splitknit: error: '{gone}' left the program: {GONE[gone]}", file=sys.stderr)
         return BAD_INPUT
