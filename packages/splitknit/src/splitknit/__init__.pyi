@@ -176,8 +176,8 @@ from splitknit.io.provenance import settings_hash as settings_hash
 from splitknit.io.results import SURFACES as SURFACES
 from splitknit.io.results import read_fields as read_fields
 from splitknit.io.results import read_result as read_result
-from splitknit.io.results import write_picture as write_picture
 from splitknit.io.results import surface_bytes as surface_bytes
+from splitknit.io.results import write_picture as write_picture
 from splitknit.io.rig import read_rig as read_rig
 from splitknit.io.rig import write_rig as write_rig
 from splitknit.io.targets import check_capture as check_capture
