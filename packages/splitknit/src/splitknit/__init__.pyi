@@ -176,6 +176,7 @@ from splitknit.io.provenance import settings_hash as settings_hash
 from splitknit.io.results import SURFACES as SURFACES
 from splitknit.io.results import read_fields as read_fields
 from splitknit.io.results import read_result as read_result
+from splitknit.io.results import surface_bytes as surface_bytes
 from splitknit.io.results import write_picture as write_picture
 from splitknit.io.results import surface_bytes as surface_bytes
 from splitknit.io.rig import read_rig as read_rig
