@@ -75,7 +75,7 @@ def ways(settings: HanrahanKruegerSettings = SHIPPED) -> dict[str, Way]:
         "lambertian robust": lambda scene: robust(scene.stack, scene.lights, scene.mask),
         "layers robust": layered(weighted),
         "lambertian near": lambda scene: near_light(
-            scene.stack, scene.rig, *_near(scene), robust=None, view=_view(scene)
+            scene.stack, scene.rig, *_near(scene), robust=False, view=_view(scene)
         ),
         "layers near": lambda scene: hanrahan_krueger_near(
             scene.stack, scene.rig, *_near(scene), settings=equal, view=_view(scene)
@@ -95,7 +95,7 @@ def _view(scene: Scene) -> Any:
 def figures(scene: Scene, normals: FloatArray) -> dict[str, float]:
     """Normals, ridge band and shape against the truth: see :mod:`splitknit.accuracy`."""
     camera = scene.rig.camera
-    gradients = gradients_from_normals(normals, scene.mask, PRESETS["ea"].normals.max_slope)
+    gradients = gradients_from_normals(normals, scene.mask, 6.0)
     pitch = np.float32(camera.pitch_mm)
     bank = ShapeletSettings(scales=3, sigma_px=camera.px_per_mm / 75.7)
     ridge = shapelets(*gradients, scene.mask, bank) * pitch

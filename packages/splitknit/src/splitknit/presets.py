@@ -11,11 +11,9 @@ from splitknit.finger.contrast import ClaheSettings
 from splitknit.finger.locate import FingerSettings
 from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration.knit import KnitSettings
-from splitknit.integration.poisson import PoissonSettings
 from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
-from splitknit.photometric.robust import RobustSettings
 from splitknit.settings import Checked, Limits, check_fields, differing, override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.images import MetricSettings
@@ -48,12 +46,6 @@ class NormalsSettings(Checked):
 
     method: Literal["lambertian", "robust", "near_light", "hanrahan_krueger"] = "near_light"
     """``lambertian``, ``robust``, ``near_light``, or ``hanrahan_krueger`` (two-layer skin under distant lights)."""
-    robust: RobustSettings = field(default_factory=RobustSettings)
-    """Weights of ``robust`` and ``near_light``."""
-    rounds: Annotated[int, Limits(1, 20)] = 3
-    """Number of rounds of ``near_light`` and integration."""
-    max_slope: Annotated[float, Limits(0, above=True)] = 6.0
-    """Steeper slopes are shortened to this."""
     hanrahan_krueger: HanrahanKruegerSettings = field(default_factory=HanrahanKruegerSettings)
     """Optics and iterations of ``hanrahan_krueger``."""
 
@@ -64,9 +56,6 @@ class HeightSettings(Checked):
 
     method: Literal["poisson", "frankot_chellappa"] = "poisson"
     """``poisson`` (masked least squares) or ``frankot_chellappa``."""
-    padding: Literal["zero", "mirror"] = "zero"
-    """Border of ``frankot_chellappa``: ``zero`` as in the thesis, or ``mirror``."""
-    poisson: PoissonSettings = field(default_factory=PoissonSettings)
     level: Annotated[int, Limits(0, 8)] = 4
     """Of a calibrated shading: order of the polynomial of the place that is removed as the field's own bend, fitted to
     what is flat; 0: none. On an empty gel 4 leaves 0.4 um rms of 4.3, 5 leaves 0.3."""
@@ -113,11 +102,6 @@ class Parameters:
     photometry: Photometry
     height: HeightSettings
     shapelets: ShapeletSettings
-
-    @property
-    def max_slope(self) -> float:
-        """Steeper slopes are shortened to this."""
-        return self.photometry.normals.max_slope
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger.mask import (
-    MaskSettings,
     _chromaticity,
     _two_means,
     check_borders,
@@ -65,18 +64,17 @@ def test_finds_the_finger_whatever_its_tone(draw_finger, tone, disturbance, leas
 )
 def test_in_two_steps_the_outline_is_the_same(draw_finger, disturbance):
     scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
-    settings = MaskSettings(coarse_px_per_mm=4.0, fine_px_per_mm=10.0)
-    rough = finger_region(scene.rgb, scene.px_per_mm, settings)
+    rough = finger_region(scene.rgb, scene.px_per_mm)
     assert overlap(rough, scene.mask) > 0.97
-    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm, settings)
+    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm)
     assert overlap(found, scene.mask) > 0.98
-    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(fine_px_per_mm=10.0))) > 0.99
+    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm)) > 0.99
 
 
 @pytest.mark.parametrize("tone", ["medium", "very light"])
 def test_the_thesis_mask_is_that_of_two_clusters(draw_finger, tone):
     scene = draw_finger(tone)
-    plain = finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(method="kmeans"))
+    plain = finger_mask(scene.rgb, scene.px_per_mm, "kmeans")
     assert plain.shape == scene.mask.shape
     assert overlap(plain, scene.mask) > 0.95
     np.testing.assert_array_equal(plain, fill_holes(largest_component(plain)))
@@ -198,11 +196,6 @@ def test_bad_images(image, message):
         finger_mask(image, 12.0)
     with pytest.raises(BadInput, match="px_per_mm"):
         finger_mask(np.ones((50, 50), np.float32), 0.0)
-
-
-def test_bad_settings():
-    with pytest.raises(BadInput, match="fine_px_per_mm"):
-        MaskSettings(fine_px_per_mm=0.0)
 
 
 def test_chromaticity_is_neutral_in_the_dark_and_ignores_neutral_light():

@@ -205,7 +205,6 @@ def left_out_pictures(
     """
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit import (
-        PrintSettings,
         aligned,
         balanced,
         find_steady_finger,
@@ -237,7 +236,7 @@ def left_out_pictures(
             picture = _component(normals, albedo, name, finger)
             values, weight = resample(picture, mask, pitch, print_map, chosen.sigma_px)
             try:
-                yield _LeftOut(k, name, ink(values, weight, PrintSettings(ppi=PPI)))
+                yield _LeftOut(k, name, ink(values, weight, PPI))
             except BadInput:  # flat: no vote
                 continue
 

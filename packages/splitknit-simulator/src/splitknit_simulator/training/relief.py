@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import GLARE as GLARE_UNIT
 from splitknit import (
+    COARSE_PITCH_MM,
     RELIEF_MM,
     RELIEF_SYMMETRY,
     RIDGE_BAND_MM,
@@ -50,6 +50,7 @@ from splitknit import (
     slant_of,
     trust_of,
 )
+from splitknit import GLARE as GLARE_UNIT
 from splitknit_simulator.camera.sensor import record
 from splitknit_simulator.finger.finger import PoseRanges, finger_surface
 from splitknit_simulator.light.renderer import BandLight, RenderSettings, render_band
@@ -154,8 +155,8 @@ def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) 
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside, settings.metric.working_pitch_mm)
-    images = coarse_images(bands, grid, settings.metric.coarse_pitch_mm, settings.metric.plane_mm)
+    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside)
+    images = coarse_images(bands, grid, settings.metric.plane_mm)
     optics = settings.skin.optics(images.channels)
     shape = coarse_shape(images, optics, settings.metric.coarse_steps)
     found = on_fine_grid(shape.height_mm, images)
@@ -164,7 +165,7 @@ def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) 
     level = true[grid.mask].mean(dtype=np.float64)
     true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
     surface = ((1 - np.float32(mix)) * true + np.float32(mix) * found).astype(np.float32)
-    light = _light_on(bands[0].rig, grid, surface, settings.metric.coarse_pitch_mm)
+    light = _light_on(bands[0].rig, grid, surface)
     return _assembled(bands[0], grid, surface, light, on_grid)
 
 
@@ -190,9 +191,9 @@ def _assembled(
     return np.concatenate(parts).astype(np.float16)
 
 
-def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> Lighting:
+def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray) -> Lighting:
     """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
-    factor = max(1, round(coarse_pitch_mm / grid.pitch_mm))
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     rows, columns = low.shape
     height = bin_mean(np.ascontiguousarray(surface_mm[: rows * factor, : columns * factor]), factor)
@@ -272,7 +273,7 @@ def _piece(  # noqa: PLR0917
     truth = {"mask": inside, "height_mm": heights, "shape_mm": shape, "glare_white": glare * exposure}
     on_grid = TruthOnGrid(truth, (slice(None), slice(None)), grid, 1)
     smooth = on_grid.shape_mm() + _smooth_error(rng, grid)
-    lights = _light_on(rig, grid, smooth, preset_settings("metric").metric.coarse_pitch_mm)
+    lights = _light_on(rig, grid, smooth)
     sample = _assembled(white, grid, smooth, lights, on_grid)
     return np.ascontiguousarray(sample[:, TRIM_PX:-TRIM_PX, TRIM_PX:-TRIM_PX])
 

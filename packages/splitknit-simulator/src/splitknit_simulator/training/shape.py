@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import (
+    COARSE_PITCH_MM,
     RELIEF_MM,
     RIDGE_BAND_MM,
     SHAPE_SLOPE,
@@ -111,7 +112,7 @@ def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: 
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside, settings.metric.working_pitch_mm)
+    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside)
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     relief, wide = _split_relief(on_grid, grid)
@@ -129,7 +130,7 @@ def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: 
 
     networks = Networks(true_relief, no_slopes)
     metric_skin(bands, grid, settings.skin, settings.metric, networks)
-    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     return _assembled_shape(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
 
 

@@ -576,7 +576,7 @@ def mirror_views(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
     from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
 
     require(not settings.visible_alone, NOT_SPLIT)
-    return seen_in_mirrors(capture, settings.mask, settings.shape.mirror)
+    return seen_in_mirrors(capture, settings.shape.mirror)
 
 
 def on_mirror_shape(

@@ -16,7 +16,7 @@ from splitknit.photometric.equations import solve, unit_normals
 from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings, Pixels, fitted
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import near_light, near_scene
-from splitknit.photometric.robust import RobustSettings, robust_fit, strengths
+from splitknit.photometric.robust import robust_fit, strengths
 
 _LIGHTS_A_CHUNK = 64
 """Chunks are as small as for this many images: some forty arrays of a chunk are at work at once."""
@@ -145,7 +145,7 @@ def hanrahan_krueger_near(  # noqa: PLR0917
         here, lights, part = scene.cut(chunk)
         return here, lights, part[0]
 
-    plain = near_light(stack, rig, surface_mm, mask, None, None, view)
+    plain = near_light(stack, rig, surface_mm, mask, view=view, robust=False)
     return _run(cut, scene.images[0], scene.mask, _median(plain[1], scene.mask), chosen)
 
 
@@ -171,7 +171,7 @@ def _run(
             return
         here, lights, part = cut(chunk)
         if settings.weights == "robust":
-            g, weights = robust_fit(part, lights, RobustSettings())
+            g, weights = robust_fit(part, lights)
         else:
             g, weights = solve(part, lights, None), np.ones_like(part)
         start = np.maximum(unit_normals(g)[1], np.float32(_FAINT * typical))
