@@ -63,7 +63,7 @@ DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 JPEG_LOSS, JPEG_LOSS_COARSE, _JPEG_COARSE = 0.3, 0.9, 14.0
 """Part of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to 30 px/mm, but 0.75 and
-more at 11; and the px/mm between them (``validation/jpeg``)."""
+more at 11; and the px/mm between them (two simulated fingers, qualities of 60 to 97)."""
 COLOURED = (
     "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
     "another of the published cases."
