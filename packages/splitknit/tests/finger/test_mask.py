@@ -8,8 +8,6 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger.mask import (
-    _chromaticity,
-    _two_means,
     check_borders,
     finger_mask,
     finger_outline,
@@ -196,34 +194,6 @@ def test_bad_images(image, message):
         finger_mask(image, 12.0)
     with pytest.raises(BadInput, match="px_per_mm"):
         finger_mask(np.ones((50, 50), np.float32), 0.0)
-
-
-def test_chromaticity_is_neutral_in_the_dark_and_ignores_neutral_light():
-    rng = np.random.default_rng(0)
-    image = np.zeros((40, 40, 3), np.float32)
-    image[:, 20:] = [0.4, 0.27, 0.2]
-    image += 0.001 * rng.standard_normal(image.shape).astype(np.float32)
-    chroma = _chromaticity(image)
-    np.testing.assert_allclose(chroma.sum(axis=2), 1.0, atol=1e-5)
-    np.testing.assert_allclose(chroma[:, :20], 1 / 3, atol=0.02)
-    assert chroma[:, 20:, 0].min() > 0.45
-    # by hand for the corrected (3.61): least channel 0.2, mean of the least 0.1
-    exact = _chromaticity(
-        np.where(np.arange(40)[None, :, None] < 20, 0.0, [0.4, 0.27, 0.2]).astype(np.float32)
-        * np.ones((40, 1, 1), np.float32)
-    )
-    np.testing.assert_allclose(exact[0, 30], np.array([0.3, 0.17, 0.1]) / 0.57, rtol=1e-5)
-
-
-def test_two_means_separates_and_is_deterministic():
-    rng = np.random.default_rng(1)
-    values = np.concatenate([rng.normal(0, 1, (300, 2)), rng.normal(8, 1, (100, 2))]).astype(np.float32)
-    second, separation = _two_means(values)
-    truth = np.arange(400) >= 300
-    assert (second == truth).all() or (second != truth).all()
-    assert separation > 8
-    np.testing.assert_array_equal(second, _two_means(values)[0])
-    assert _two_means(np.ones((50, 1), np.float32))[1] == 0.0
 
 
 @pytest.mark.parametrize("box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]])
