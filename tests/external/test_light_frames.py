@@ -10,8 +10,7 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.io.light_list import read_named_lights
-from splitknit.photometric.frames import FRAMES, _fit_turn, _frame_of, fit_lights
-from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.frames import FRAMES, fit_lights
 
 pytestmark = pytest.mark.external
 
@@ -45,7 +44,7 @@ def test_all_eight_frames(data_dir, name):
     for frame, matrix in FRAMES.items():
         given = np.array(lights, dtype=float)
         given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
-        assert _frame_of(_fit_turn(lambertian(stack, given, mask)[0], mask)) == frame
+        assert fit_lights(stack, given, mask).frame == frame
 
 
 @pytest.mark.slow
