@@ -112,6 +112,6 @@ def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenI
 
 def test_one_mirror_is_enough(capture: Capture) -> None:
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
-    alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings(slopes=False))
+    alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings())
     assert alone.shape.facts["mirrors"] == ["left"]
     assert alone.shape.facts["outline_rms_mm"]["left"] < 0.1

@@ -589,7 +589,7 @@ def on_mirror_shape(
     from splitknit.mirrors.captured import mirror_shape_of
 
     detail_mm = None if settings.method == "thesis" else surface.shape_mm
-    shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, settings.shape.mirror, detail_mm)
+    shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, detail_mm)
     photographs.finger = replace(photographs.finger, mask=mask)
     facts = {**surface.facts, **facts}
     said = (*surface.warnings, *seen.shape.doubts)

@@ -27,6 +27,7 @@ from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
+DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
 SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
 APART_MM = 1.0  # distance of the places whose slopes are used
 RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
@@ -42,12 +43,12 @@ class SeenInMirrors:
 
 
 def mirror_shape_of(
-    finger: Finger, seen: SeenInMirrors, settings: MirrorShapeSettings, detail_mm: FloatArray | None
+    finger: Finger, seen: SeenInMirrors, detail_mm: FloatArray | None
 ) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
     """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far as the mirrors show
     it; and facts for the result. Every pixel of the front view has its own z of the shape, so that relief and shape
-    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the
-    settings is kept: creases, and what no smooth section has; None: nothing is.
+    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than `DETAIL_MM`
+    is kept: creases, and what no smooth section has; None: nothing is.
     """
     camera = seen.capture.rig.camera
     window, inside = finger.window, finger.inside
@@ -57,7 +58,7 @@ def mirror_shape_of(
         shape = view_of(camera, *window, along_rays=True).along(z)
         shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
     if detail_mm is not None:
-        cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
+        cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
         from_light = np.where(inside, detail_mm, np.float32(0))
         finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)

@@ -261,7 +261,7 @@ def mirror_shape(
     start, slopes = Estimate(body, seen.poses), None
     fit = fit_views(start, outlines, squareness, rounds=rounds)
     refuse_misfit(fit, seen.mirrors)
-    if slopes_on is not None and settings.slopes:
+    if slopes_on is not None:
         slopes = slopes_on(MirrorShape(rig.camera, fit.body, {}, {"front": front}, fit))
     if slopes is not None:
         fit = fit_views(start, outlines, squareness, slopes, rounds)

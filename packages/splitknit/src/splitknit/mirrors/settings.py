@@ -23,8 +23,3 @@ class MirrorShapeSettings(Checked):
     """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
     """Flatness of the pad that is expected; the fit finds its own. 0 is an ellipse."""
-    slopes: bool = True
-    """Let the skin's slopes in white light determine the form and the roll of the sections."""
-    detail_mm: Annotated[float, Limits(0, above=True)] = 1.5
-    """What is finer than this is taken from white light, where the preset undoes the skin's blur: creases. Light by way
-    of the mirrors bends what is wider."""
