@@ -3,7 +3,7 @@
 # make test MEMBER=splitknit: one member's tests, in an environment with only that member and what it may import
 # make examples: run every example and write docs/guide/examples.md
 # make docs: the documentation as a site, ./site/index.html; a broken link or an undocumented public name is an error
-# make install: all that `splitknit` needs; with EXTRAS=cad,train (docs/guide/install.md) other parts as well
+# make install: all that `splitknit` needs; with EXTRAS=train (docs/guide/install.md) other parts as well
 # make lock: write constraints.txt for the dependencies of all members; with LOCK_ARGS=--upgrade in newer releases
 # make clean: remove what these made
 
@@ -20,7 +20,7 @@ LOCK_ARGS ?=
 # the member of each extra
 $(foreach name,completion photos plot x3p,$(eval OF_$(name) := splitknit[$(name)]))
 $(foreach name,reference train,$(eval OF_$(name) := splitknit-simulator[$(name)]))
-$(foreach name,cad capture genicam,$(eval OF_$(name) := splitknit-rig[$(name)]))
+$(eval OF_capture := splitknit-rig[capture])
 $(foreach name,batch cluster minutiae objects pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
@@ -37,10 +37,8 @@ ifdef MEMBER
 # an environment of its own: what the member may import, and no more
 member := $(subst _,-,$(MEMBER))
 needs := $(if $(filter $(member),$(MEMBERS)),,$(error no member '$(MEMBER)'; there are $(MEMBERS)))
-needs := splitknit $(filter-out splitknit,splitknit-simulator $(member))
-ifeq ($(member),splitknit)
-needs := splitknit
-endif
+# what their tests need beside the core: the simulator
+needs := splitknit $(if $(filter splitknit,$(member)),,splitknit-simulator $(member))
 MEMBERS := $(sort $(needs))
 VENV := .venv-$(member)
 
@@ -105,9 +103,9 @@ lock:
 	$(call pinned,uv) > $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
-		--python-version 3.11 $(foreach name,capture genicam,) \
-		$(foreach name,completion photos plot x3p reference train cad batch cluster minutiae objects pad records search serve,--extra $(name)) \
-		--group dev --group browser --group docs --group install $(MEMBERS:%=--no-emit-package %) \
+		--python-version 3.11 $(foreach name,capture,) \
+		$(foreach name,completion photos plot x3p reference train batch cluster minutiae objects pad records search serve,--extra $(name)) \
+		--group dev --group hardware --group browser --group docs --group install $(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 
 clean:

@@ -31,5 +31,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return
     skip = pytest.mark.skip(reason="needs the built rig on a Raspberry Pi (set SPLITKNIT_HARDWARE=1)")
     for item in items:
-        if "hardware" in item.keywords:
+        if item.get_closest_marker("hardware"):
             item.add_marker(skip)

@@ -24,7 +24,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 SUITES = {
     "bench_normals.py": (["--rounds", "9"], ["--rounds", "2"]),
-    "bench_skin_layers.py": (["--rounds", "5"], ["--rounds", "1", "--pixels", "20"]),
     "bench_integrate.py": (["--rounds", "9"], ["--rounds", "2"]),
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
@@ -32,9 +31,7 @@ SUITES = {
     "bench_search.py": (["--rounds", "5"], ["--rounds", "1", "--fingers", "2000", "--people", "3"]),
     "bench_gallery.py": ([], ["--fingers", "2000"]),
     "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
-    "bench_viewer.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3"]),
     "bench_clouds.py": ([], ["--points", "1e5"]),
-    "bench_live.py": (["--seconds", "15"], ["--seconds", "3"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
     "bench_capture.py": (["--rounds", "2"], ["--rounds", "1", "--scales", "0.5"]),
     "bench_mirror_shape.py": (["--rounds", "5"], ["--rounds", "1"]),
@@ -64,7 +61,6 @@ SHOWN = (
         "robust (shadow-aware)",
         "numpy: batched solve, shadow-aware",
     ),
-    ("skin in two layers", "bench_skin_layers.py", "Noise of 1%", "hanrahan_krueger, equal weights (`xie`)", ""),
     (
         "integration",
         "bench_integrate.py",
@@ -78,7 +74,6 @@ SHOWN = (
     ("minutiae", "bench_match.py", _MINUTIAE, "minutiae of a relief print", "nbis-py: minutiae of the same as PNG"),
     ("unrolled print", "bench_prints.py", _PHALANGE, "unrolled print (free)", ""),
     ("ROC", "bench_evaluate.py", "ROC, scores in double precision", "roc", "scikit-learn: roc_curve"),
-    ("viewer, to the first view", "bench_viewer.py", "viewer-1", "all: process to first view", ""),
 )
 """Rows of the page: what it calls them, script, how the table's title begins, the row there, and a peer's row."""
 

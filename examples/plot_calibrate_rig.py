@@ -1,4 +1,4 @@
-"""A rig of one's own in Python: its LEDs from the shadows of a nail, what a wrong place costs, and its LED board.
+"""A rig of one's own in Python: its LEDs from the shadows of a nail, and what a wrong place costs.
 
     python examples/plot_calibrate_rig.py [--nails 4] [--tip-error-px 1]
 
@@ -15,7 +15,6 @@ import numpy as np
 from splitknit.model import Rig
 from splitknit_rig.calibration.lights import Circle, Tip, by_circle
 from splitknit_rig.calibration.nail import by_joint_fit
-from splitknit_rig.rig.circuit_files import design_circuit
 from splitknit_simulator.calibration_set.solids import NailScene
 from splitknit_simulator.rigs import built_rig
 
@@ -61,10 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
         drawn = 52.5 * np.array([np.cos(2 * np.pi * k / 7), np.sin(2 * np.pi * k / 7), 140 / 52.5])
         errors = [angle_deg(np.asarray(p), true) for p in (one.position_mm, both.position_mm, drawn)]
         print(f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg {limit:9.2f} deg {errors[2]:11.2f} deg")
-    board = design_circuit(rig)
-    stage = board.channels[0].stage
-    low, middle, high = (1000 * a for a in stage.current_a)
-    print(f"LED board: {board.parts} parts, {middle:.0f} mA a LED ({low:.0f} to {high:.0f} over all corners)")
     return 0
 
 

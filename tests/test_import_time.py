@@ -12,7 +12,7 @@ import pytest
 from splitknit_match.matching.template import VERSION, Template, pack
 from splitknit_match.records.templates import write_template
 
-HEAVY = ("numpy", "cv2", "scipy", "tifffile", "jinja2", "imagecodecs", "torch", "onnxruntime", "mitsuba", "matplotlib")
+HEAVY = ("numpy", "cv2", "scipy", "jinja2", "torch", "onnxruntime", "mitsuba", "matplotlib")
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
 
 
@@ -33,7 +33,7 @@ def test_help_needs_no_numerics() -> None:
 
 
 def test_the_pipeline_loads_scipy_in_parts_when_they_are_used() -> None:
-    parts = ("scipy.fft", "scipy.ndimage", "scipy.linalg", "scipy.sparse", "scipy.spatial", "onnxruntime", "tifffile")
+    parts = ("scipy.fft", "scipy.ndimage", "scipy.linalg", "scipy.sparse", "scipy.spatial", "onnxruntime")
     assert _loaded_after("import splitknit.pipeline", parts) == []
 
 
@@ -44,7 +44,7 @@ def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path) -> None:
         level = np.repeat(rng.integers(0, 4, (90, 23), dtype=np.uint8), 4, axis=1)
         write_template(tmp_path / f"{name}.skt", pack(Template(level, np.ones(level.shape, np.bool_), 0.1)), VERSION)
     others = ("pipeline", "finger", "skin", "networks", "prints", "photometric", "io.capture", "io.images", "cli.batch")
-    parts = ("scipy", "numpy.ma", "onnxruntime", "tifffile", "jinja2", "tomllib", "secrets", "concurrent.futures")
+    parts = ("scipy", "numpy.ma", "onnxruntime", "jinja2", "tomllib", "secrets", "concurrent.futures")
     words = ["match", str(tmp_path / "a.skt"), str(tmp_path / "b.skt")]
     code = f"from splitknit.cli.main import main\nassert main({words}) == 0"
     assert _loaded_after(code, (*(f"splitknit.{name}" for name in others), *parts)) == []

@@ -51,9 +51,7 @@ def test_members_have_one_version_and_need_each_other_in_it() -> None:
     assert {project["version"] for project in PROJECTS.values()} == {PROJECT["version"]}
     for name, project in PROJECTS.items():
         others = {one for one in project["dependencies"] if one.startswith("splitknit")}
-        wanted = {"splitknit": set(), "splitknit-simulator": {"splitknit"}}.get(
-            name, {"splitknit", "splitknit-simulator"}
-        )
+        wanted = set() if name == "splitknit" else {"splitknit"}
         assert others == {f"{one}=={PROJECT['version']}" for one in wanted}
 
 

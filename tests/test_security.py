@@ -30,7 +30,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit-match/tests/gallery/test_gallery.py::test_no_journal_stays_after_an_interrupt_or_beside_a_gallery_that_is_read",
         "packages/splitknit-match/tests/batch/test_forget.py::test_a_strangers_folder_holds_no_erasure_up",
     ),
-    "checks of `Host`, `Origin` and `Sec-Fetch-Site`": ("packages/splitknit/tests/viewer/test_viewer_guard.py",),
+    "checks of `Host`, `Origin` and `Sec-Fetch-Site`": ("packages/splitknit/tests/viewer/test_viewer.py",),
     "loopback unless a TLS certificate is given": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
@@ -47,7 +47,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "the browser and the WSQ decoder do not inherit variables": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_the_child_inherits_no_key",
-        "packages/splitknit-match/tests/viewer/test_viewer_verb.py::test_the_browser_gets_neither_the_token_nor_a_key",
+        "packages/splitknit/tests/viewer/test_viewer.py::test_the_browser_gets_neither_the_token_nor_a_key",
     ),
     "WSQ, whose decoder is third-party code, is decoded in a process of its own": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
@@ -62,7 +62,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/networks/test_weights.py::test_data_outside_the_file_are_refused",
     ),
     "sizes are checked before memory is taken": (
-        "packages/splitknit/tests/io/test_height_maps.py::test_what_an_x3p_unpacks_to_is_bounded",
         "packages/splitknit/tests/io/test_npz.py::test_a_long_list_of_files_takes_no_memory",
         "packages/splitknit/tests/io/test_npz.py::test_files_of_an_archive_that_lie_on_each_other_are_refused",
     ),
@@ -104,7 +103,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
     "Another user of the machine can occupy": (
-        "packages/splitknit-match/tests/viewer/test_viewer_server.py::test_connections_are_limited",
+        "packages/splitknit/tests/viewer/test_viewer.py::test_connections_are_limited",
         "packages/splitknit-match/tests/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
     ),
     "codes are turned by a matrix that follows from the key": (
@@ -156,11 +155,11 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
     ),
     "`view` and `serve` listen on loopback": (
-        "packages/splitknit-match/tests/viewer/test_viewer_server.py::test_only_the_loopback_address_listens",
+        "packages/splitknit/tests/viewer/test_viewer.py::test_tokens_are_random_and_only_the_loopback_address_listens",
         "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
     "`view` opens your browser": (
-        "packages/splitknit-match/tests/viewer/test_viewer_verb.py::test_the_browser_gets_neither_the_token_nor_a_key",
+        "packages/splitknit/tests/viewer/test_viewer.py::test_the_browser_gets_neither_the_token_nor_a_key",
     ),
     "must set the variable itself, otherwise networks are refused": (
         "packages/splitknit/tests/networks/test_unet.py::test_onnxruntime_imported_with_telemetry_is_refused",

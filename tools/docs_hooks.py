@@ -29,8 +29,6 @@ ARRAYS = (
     "splitknit.photometric.robust.robust",
     "splitknit.photometric.near_light.near_light",
     "splitknit.photometric.near_light.pseudo_normals",
-    "splitknit.photometric.hanrahan_krueger.hanrahan_krueger",
-    "splitknit.photometric.hanrahan_krueger.hanrahan_krueger_near",
     "splitknit.imaging.light_field.light_vectors_at",
     "splitknit.integration.frankot_chellappa.frankot_chellappa",
     "splitknit.integration.poisson.poisson",

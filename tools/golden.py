@@ -36,7 +36,7 @@ SENSITIVE, WIDER = ("match ", "template"), 2e-2
 similarity of 0.780 on one kind and 0.787 on another, and one minutia more in the template."""
 Entry = dict[str, Any]
 QUICK = ["--set", "metric.rounds=1"]
-PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng", "xie")
+PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng")
 METHODS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
 
 

@@ -24,11 +24,8 @@ from splitknit.presets import PRESETS
 from splitknit_match.matching.search import SearchSettings
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.prints.make import PrintingSettings
-from splitknit_rig.calibration.lights_found import LightSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
-from splitknit_rig.rig.circuit import CircuitSettings
-from splitknit_rig.rig.part_settings import PartSettings
 from splitknit_simulator.bench_photos import BenchPhotos
 from splitknit_simulator.camera.device import TwinDeviceSettings
 from splitknit_simulator.population.sessions import PopulationSettings
@@ -132,16 +129,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         (("capture.", SessionSettings()), ("pi.", PiCameraSettings()), ("device.", TwinDeviceSettings())),
     ),
     (
-        "`splitknit calibrate lights`",
-        "Limits, and what is known beforehand of nail and circle.",
-        (("", LightSettings()),),
-    ),
-    (
-        "`splitknit rig cad`",
-        "What follows from the rig file cannot be set.",
-        (("", PartSettings()),),
-    ),
-    (
         "`splitknit print`",
         "`ink.ppi` follows `--ppi`; what `quality.` has for each figure is in [prints](../guide/prints.md#quality).",
         (("", PrintingSettings()),),
@@ -156,7 +143,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "Besides `band.`, `template.` and `ridge.` of the table above. The search: [galleries](../guide/gallery.md).",
         (("search.", SearchSettings()),),
     ),
-    ("`splitknit rig circuit`", "Names may begin with `circuit.`.", (("circuit.", CircuitSettings()),)),
 )
 """Heading, words, and what the names begin with, for every verb but ``reconstruct``."""
 

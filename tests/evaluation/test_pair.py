@@ -18,7 +18,6 @@ from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.model import Reconstruction
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results
-from splitknit_rig.rig.phantom import HEIGHTS_UM, PITCH_MM, phantom, phantom_mesh
 
 RADIUS_MM, PITCH = 8.0, 0.06
 MAIN = "0 to 40"
@@ -146,30 +145,6 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert main(["compare", a, str(tmp_path / "nothing"), "--out", str(out)]) == 2
     assert (out / "report.json").is_file()
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_the_phantom_is_closed_and_as_high_as_stated() -> None:
-    result, fields = phantom()
-    vertices, faces = phantom_mesh(result)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    forth, back = (np.sort(edges[:, k] * len(vertices) + edges[:, 1 - k]) for k in (0, 1))
-    np.testing.assert_array_equal(forth, back)  # every edge once in each direction
-    assert len(np.unique(forth)) == len(forth)
-    corners = vertices[faces].astype(np.float64)
-    assert np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0  # seen from outside
-    rows, columns = result.mask.shape
-    relief = result.ridge_mm / np.sqrt(1 + np.square(np.gradient(np.nan_to_num(result.shape_mm), PITCH_MM, axis=1)))
-    for field in fields:
-        across, along = field["middle_mm"]
-        column = round((columns - 1) / 2 + 8.5 * np.sin(across / 8.5) / PITCH_MM)
-        row = round((rows - 1) / 2 - along / PITCH_MM)
-        there = relief[row - 20 : row + 21, column - 15 : column + 16]
-        assert 1e3 * np.ptp(there) == pytest.approx(field["height_um"], rel=0.05)
-    assert {field["height_um"] for field in fields} == set(HEIGHTS_UM)
-    aside = {name: np.roll(getattr(result, name), 20, axis=1) for name in ("height_mm", "ridge_mm", "shape_mm", "mask")}
-    found = compare_results(replace(result, **aside), result)
-    np.testing.assert_allclose(found.shift_mm, (20 * PITCH_MM, 0.0, 0.0), atol=1e-4)
 
 
 def test_the_stated_errors_are_those_of_the_study() -> None:

@@ -41,10 +41,9 @@ VERBS: dict[str, str] = {
     "simulate-bench": "simulate --bench --out {out} --seed 1 --scale 0.1 --overwrite",
     "simulate-population": "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1",
     "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
-    "separate": "separate {base}/one --method single --block 24 --check-px 4 --out {out}",
+    "separate": "separate polarised {base}/flat {base}/flat --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
     "calibrate-lights": "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}",
-    "calibrate-shading": "calibrate shading --flat {base}/flat --out {out}",
     "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
     "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
     "print": "print {base}/result --out {out}",
@@ -58,10 +57,7 @@ VERBS: dict[str, str] = {
     "gallery-import": "gallery import {gallery} {base}/exported",
     "gallery-repair": "gallery repair {gallery}",
     "gallery-migrate": "gallery migrate {gallery}",
-    "rig-circuit": "rig circuit --out {out}",
     "rig-target": "rig target --out {out}",
-    "rig-phantom": "rig phantom --out {out}",
-    "rig-optimise": "rig optimise --objective slopes --out {out}",
     "compare": "compare {base}/result {base}/result --out {out}",
     "match-template": "match {base}/result {base}/result --template {out}",
     "evaluate": "evaluate --scores {base}/scores.csv --replicates 20 --out {out}",
@@ -85,11 +81,10 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
-    "rig cad": "needs build123d",
     "train relief": "needs torch",
     "train separation": "needs torch",
     "train shape": "needs torch",
-    "view": "writes what a person saves of a gel sensor's frames",
+    "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("gallery-index", "simulate-population", "batch", "demo")
@@ -197,8 +192,6 @@ def prepared(base: Path) -> None:
     ):
         with contextlib.redirect_stdout(io.StringIO()):
             assert splitknit(words.format(base).split()) == 0, words
-    (base / "one").mkdir()
-    shutil.copyfile(base / "capture/white_0.png", base / "one/white_0.png")
     (base / "bench/nail/nail_0").rename(base / "nail")
     (base / "flat").mkdir()
     for k in range(3):

@@ -59,20 +59,11 @@ READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
     "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
-    "capture.pi.open_analyser": "opens a device",
-    "capture.pi.open_pi": "opens devices",
-    "capture.streams.open_genicam": "opens a device",
-    "capture.streams.open_uvc": "opens a device",
-    "capture.live.open_frames": "opens a device, or reads what io.images.read_image reads, or OpenCV a film",
-    "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
     "cli.import_clouds.import_cloud": "reads what io.clouds.read_cloud reads",
-    "cli.import_people.import_people": "reads what io.photo_tree.read_tree reads",
-    "cli.view_live.open_live": "opens a device, or reads what capture.live.open_frames reads",
-    "viewer.people.open_people": "opens a gallery, as the target gallery does",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

@@ -41,12 +41,10 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.clouds import read_cloud
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.light_list import read_intensities, read_named_lights
 from splitknit.io.mesh import stl_chunks, write_ply
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.photo_tree import read_tree
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
@@ -58,14 +56,12 @@ from splitknit.jobs import read_photographs
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
-from splitknit.photometric.shading import Shading, read_shading, write_shading
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
-from splitknit.viewer.server import open_paths, start
-from splitknit.viewer.service import Service
+from splitknit.viewer.server import pages_of, start
 from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
 from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit_match.batch.population import read_population
@@ -121,14 +117,10 @@ from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.wsq_image import encode_wsq
-from splitknit_match.viewer.people import People
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import _check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit_rig.calibration.shading_folder import read_centres
-from splitknit_rig.rig.candidates import RigCandidate
-from splitknit_rig.rig.optimise import Study, _SweepFolder
 from splitknit_simulator.training.separation import SeparationData, SeparationSettings
 from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
@@ -345,7 +337,6 @@ def _clouds() -> list[Files]:
     flat = points.reshape(-1, 3)
     rows = [" ".join(map(str, row)) for row in flat.tolist()]
     up, shade = np.tile(np.float32([0, 0, 1]), (56, 1)), np.arange(56, dtype=np.uint8)
-    pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 7\nHEIGHT 8\nPOINTS 56\nDATA {}\n"
     ply = "ply\nformat ascii 1.0\nelement vertex 56\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     text = "\n".join(rows).encode() + b"\n"
     faces = np.arange(54).reshape(-1, 3).astype(np.int32)
@@ -353,14 +344,10 @@ def _clouds() -> list[Files]:
     return [
         *_written("x.ply", lambda path: write_ply(path, flat, up, shade)),
         {"x.ply": ply.encode() + text},
-        {"x.pcd": pcd.format("binary").encode() + points.tobytes()},
-        {"x.pcd": pcd.format("ascii").encode() + text},
-        {"x.xyz": b"# made\n" + text},
+        {"x.xyz": text},
         {"x.obj": ("v " + "\nv ".join(rows) + "\nf 1 2 3\n").encode()},
         {"x.stl": b"".join(stl_chunks(flat, faces))},
         {"x.stl": f"solid x\n{solid}endsolid\n".encode()},
-        {"x.tmd": tmd_bytes(points[..., 2], 0.5)},
-        {"x.x3p": x3p_bytes(points[..., 2], 0.5, "made")},
     ]
 
 
@@ -448,20 +435,6 @@ def _object(folder: Path, files: Files) -> None:
 
 def _flat_images() -> list[Files]:
     return [{f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}]
-
-
-def _shadings() -> list[Files]:
-    shading = Shading(
-        pitch_mm=0.01, image_size=(16, 17), direction=np.eye(3), nearness=np.zeros(3), ambient=np.zeros(3),
-        fall_off=np.zeros((3, 15)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
-        deviation=np.full(9, 0.01), max_slope=1.0, height_mm_per_slope=0.1,
-    )  # fmt: skip
-    return _written("shading.npz", lambda path: write_shading(path, shading))
-
-
-def _trees() -> list[Files]:
-    names = [f"{who}/{session}/right_index/white_{k}.png" for who in "ab" for session in (1, 2) for k in range(2)]
-    return [dict.fromkeys(names, b"x")]
 
 
 @cache
@@ -852,20 +825,6 @@ def _trained(folder: Path, files: Files) -> object:
     return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
 
 
-CANDIDATE = RigCandidate(150.0, 50.0, 1.0)
-
-
-def _sweeps() -> list[Files]:
-    def make(folder: Path) -> None:
-        _SweepFolder(folder, Study()).write(CANDIDATE, {"candidate": {"name": CANDIDATE.name}, "rms_um": 3.5})
-
-    return [_folder(make)]
-
-
-def _sweep(folder: Path, files: Files) -> object:
-    return _SweepFolder(folder, Study()).read(CANDIDATE)
-
-
 # --- calibration and separated light -----------------------------------------------------------------------------
 
 
@@ -914,45 +873,21 @@ def _pattern(folder: Path, files: Files) -> None:
 
 # --- viewer ------------------------------------------------------------------------------------------------------
 
-PATHS = (
-    "api/catalogue", "api/result/0", "api/result/0/first", "api/result/0/tile/1/0/0", "api/result/0/minutiae",
-    "api/result/0/pick?ox=0&oy=0&oz=50&dx=0&dy=0&dz=-1", "api/result/0/section?x0=-3&y0=0&x1=3&y1=1",
-    "api/result/0/picture/preview.png", "api/result/0/thumb", "api/result/0/photo/0?width=20",
-    "api/result/0/export/ply?step=4", "api/result/0/export/stl?step=2", "api/result/0/export/glb?step=1",
-    "api/pair/0/0", "api/pair/0/0/difference", "api/pair/0/0/section?x0=-3&y0=0&x1=3&y1=1",
-)  # fmt: skip
-
 
 @cache
 def _shown() -> Files:
-    arrays = _arrays()
-    capture = _captures()[0]
     report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
-    report |= {"capture": {"subject": {"id": "S01", "finger": "right_index", "session": 1}}}
-    report |= {"inputs_sha256": {name: hashlib.sha256(content).hexdigest() for name, content in capture.items()}}
-    made = {"result/height.npz": _npz(arrays)[0]["height.npz"], "result/report.json": json.dumps(report).encode()}
-    made |= _written("result/print.png", lambda path: (path.parent.mkdir(), write_print_png(path, _print(), 500.0)))[0]
-    made |= {"result/minutiae.iso": ISO_BYTES, "result/preview.png": encode_image(_noise(20, 30, 3), ".png")}
-    return {**made, **{f"capture/{name}": content for name, content in capture.items()}}
+    return {"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}
 
 
 def _viewed(folder: Path, files: Files) -> object:
-    service = open_paths([folder / "result"])
-
-    def ask(path: str) -> None:
-        where, _, query = path.partition("?")
-        answer = service.answer(where, dict(part.split("=") for part in query.split("&") if part))
-        with contextlib.closing(answer):
-            size = len(answer.chunks if isinstance(answer.chunks, bytes) else b"".join(answer.chunks))
-        assert size == answer.size, f"{path} gives {size} bytes and says {answer.size}"
-
-    return _any(*(lambda path=path: ask(path) for path in PATHS))
+    return pages_of(read_result(folder), folder.name)
 
 
 def _requests() -> list[Files]:
-    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "api/people/1", *PATHS)]
+    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "facts", "surface", "nothing")]
     lines += ["HEAD /TOKEN/ HTTP/1.0"]
-    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\nAccept-Encoding: gzip\r\n\r\n"
+    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\n\r\n"
     return _each("bytes", *(f"{line}\r\n{more}".encode() for line in lines))
 
 
@@ -960,8 +895,8 @@ def _requests() -> list[Files]:
 def _server() -> Any:
     """A server of this process, beside whose thread nothing else runs here."""
     folder = Path(tempfile.mkdtemp(dir=SCRATCH[0] if SCRATCH else None))
-    put(folder, {**_shown(), "x.skg": _gallery(None)})
-    server = start(Service(open_paths([folder / "result"]).catalogue, People(folder / "x.skg")), 0)
+    put(folder, _shown())
+    server = start(pages_of(read_result(folder), "result"), 0)
     threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
     return server
 
@@ -1096,19 +1031,13 @@ TARGETS = (
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
     Target("training", lambda: [_folder(_training)], _trained),
-    Target("rig_sweep", _sweeps, _sweep),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
-    Target("shading", _shadings, _of_files("shading.npz", read_shading)),
     Target("rates", lambda: _each("rates.json", _RATES), _of_files("rates.json", read_own_rates)),
     Target("token", lambda: _each("token", b"b9T2cYw0\n"), _of_files("token", read_token)),
     Target("intensities", lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
            _of_files("light_intensities.txt", lambda path: read_intensities(path, 2))),
-    Target("centres", lambda: _each("centres.txt", b"# balls\n10.5 20\n30, 40.25\n"),
-           _of_files("centres.txt", read_centres)),
-    Target("tree", _trees,
-           lambda folder, files: read_tree(folder, ["{subject}/{session}/{finger}/white_{light}.png"])),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),

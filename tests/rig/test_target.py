@@ -10,8 +10,7 @@ import pytest
 from page_raster import draw, objects_of
 from splitknit.cli.main import main
 from splitknit_rig.calibration.plane import plane_scale
-from splitknit_rig.calibration.targets import Board, find_board, find_disc
-from splitknit_rig.rig.target import (
+from splitknit_rig.calibration.sheet import (
     _CARD_MARGIN_MM,
     _DISC_MM,
     _DISC_RADIUS_MM,
@@ -22,6 +21,7 @@ from splitknit_rig.rig.target import (
     dots_mm,
     target_pdf,
 )
+from splitknit_rig.calibration.targets import Board, find_board, find_disc
 
 PX_PER_MM = 12.0
 

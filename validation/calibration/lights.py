@@ -15,7 +15,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from splitknit.model import Rig, default_rig
 from splitknit_rig.calibration.lights import BANDS, Circle, Tip, by_circle
-from splitknit_rig.calibration.nail import NailSettings, by_joint_fit
+from splitknit_rig.calibration.nail import Nail, by_joint_fit
 from splitknit_rig.calibration.shadow import find_nail
 from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.solids import NailScene
@@ -68,7 +67,7 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
         rig = built_rig(seed)
         rng = np.random.default_rng([seed, 0x11])
         two, four = (noisy_table(rig, places, nail_mm, rng) for places in (TWO, FOUR))
-        known = NailSettings(nail_height_mm=nail_mm + float(rng.normal(0, NAIL_MM)))
+        known = Nail(nail_mm + float(rng.normal(0, NAIL_MM)))
         drawn = default_rig()
         exact = noisy_table(drawn, TWO, nail_mm, rng)
         plain, _ = by_circle(exact, drawn.camera, CIRCLE)
@@ -76,8 +75,8 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
         _note(errors, "nothing measured: LEDs as drawn", _drawn_errors(rig))
         _note(errors, "circle, two positions", _errors(by_circle(two, rig.camera, CIRCLE)[0], rig))
         for name, tips, settings in (
-            ("joint fit, two positions", two, NailSettings()),
-            ("joint fit, four positions", four, NailSettings()),
+            ("joint fit, two positions", two, Nail()),
+            ("joint fit, four positions", four, Nail()),
             ("joint fit, four positions, nail's height known", four, known),
         ):
             fit = by_joint_fit(tips, rig.camera, CIRCLE, settings)
@@ -112,7 +111,7 @@ def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
                 tip_off.append((view.tips_px - scene.shadow_tips_px()[first : first + 7]) / rig.camera.px_per_mm)
                 nail_off.append((view.nail_px - scene.tip_px()) / rig.camera.px_per_mm)
                 tips += [_tip(band, k, nail, view.nail_px, tip) for k, tip in enumerate(view.tips_px)]
-        fit = by_joint_fit(_sorted(tips), rig.camera, CIRCLE, replace(NailSettings(), nail_sd_mm=0.05))
+        fit = by_joint_fit(_sorted(tips), rig.camera, CIRCLE, Nail(sd_mm=0.05))
         errors.append(_errors(fit.leds, rig))
     return {
         **_figures(np.array(errors)),

@@ -7,11 +7,9 @@ Markdown summary. The truth is the maximum minus the minimum over *all* phases o
 size, in steps of a pixel; what is judged sees only the shifts that a projector takes. PSNR is given for two peaks: the
 white image's 99.9th percentile, and that of the truth itself.
 
-- ``noise_free``: PSNR of direct and global light by check size and shifts; from 25 images also by symmetry, with the
-  white image or without.
-- ``ideal``: opaque skin, where the pattern is ideal: largest error relative to the brightest pixel.
-- ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum, and symmetry, against least squares with
-  states known or found in the images, over all lit and dark images or in the middle of the checks.
+- ``noise_free``: PSNR of direct and global light by check size and shifts.
+- ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum against least squares with states known
+  or found in the images, over all lit and dark images or in the middle of the checks.
 - ``ratio``: direct light over surface reflection by check size, a whole finger and a palm under the seven white LEDs.
 - ``centred``: the fast truth against the one over all phases; with the projector at its LED, and in the camera's axis.
 
@@ -37,16 +35,14 @@ from patches import (
     draw_patches,
     inner,
     known_states,
-    opaque,
+    noisy_images,
     photograph,
     truth_of,
 )
-from summary import summary
 
 from splitknit.model import Camera, Led
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
-from splitknit.separation.symmetry import by_symmetry
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.finger.palm import draw_palm, palm_surface
 from splitknit_simulator.light.separation import Checkerboard, Separated
@@ -57,8 +53,6 @@ CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
 STEPS = (5, 7, 9)
 """Odd: an even number of shifts shows every checkerboard twice."""
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
-WELL, READ_NOISE = 4700.0, 2.5
-"""Electrons, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7 of full scale."""
 UNBOUNDED = StackSettings(clip_level=None)
 """Simulated radiance does not clip."""
 
@@ -70,19 +64,13 @@ def noise_free(patches: dict[str, Patch], checks: Iterable[float], steps: Iterab
         for check in checks:
             truth = truth_of(patch, check)
             mask = inner(patch[0], truth)
-            white = np.moveaxis(truth.white, 0, -1)
             for count in steps:
                 pattern = Checkerboard(check, steps=count)
                 stack = photograph(patch, pattern)
                 common: dict[str, Any] = {"mask": mask, "settings": UNBOUNDED}
                 common |= {"shifts": pattern.shifts_mm(), "period": 2 * check}
-                found = {"maximum - minimum": checkerboard(stack, **common)}
-                if count == 5:
-                    found["symmetry"] = by_symmetry(stack, **common)
-                    found["symmetry, white"] = by_symmetry(stack, white=white, **common)
-                for method, parts in found.items():
-                    what = {"surface": name, "check_mm": check, "shifts": count**2, "method": method}
-                    rows.append({**what, **_judged(parts, truth, mask)})
+                what = {"surface": name, "check_mm": check, "shifts": count**2, "method": "maximum - minimum"}
+                rows.append({**what, **_judged(checkerboard(stack, **common), truth, mask)})
                 print(f"  {name} {check} mm {count**2} shifts: {rows[-1]['direct_db']}", flush=True)
     return rows
 
@@ -101,24 +89,6 @@ def _judged(parts: Separation, truth: Separated, mask: np.ndarray) -> dict[str, 
     }
 
 
-def ideal(patches: dict[str, Patch]) -> list[dict[str, Any]]:
-    """Opaque skin: light leaves where it entered, so direct light is all light."""
-    rows = []
-    for name, patch in patches.items():
-        for check, alpha, dark in ((0.21, 0.5, 0.0), (0.42, 0.5, 0.1), (0.42, 0.25, 0.0), (0.42, 0.75, 0.05)):
-            truth = truth_of(opaque(patch), check)
-            stack = photograph(opaque(patch), Checkerboard(check, alpha=alpha, dark=dark))
-            mask = inner(patch[0], truth)
-            # squares of a quarter of the plane: a pixel on a steep flank may see too few shifts to be lit throughout
-            found = checkerboard(stack, alpha=alpha, dark=dark, mask=mask, settings=UNBOUNDED)
-            error = np.abs(found.direct[..., 0] - truth.direct[0])[mask]
-            peak = float(truth.direct[0][mask].max())
-            what = {"surface": name, "check_mm": check, "alpha": alpha, "dark": dark}
-            fraction = float(np.abs(found.global_[..., 0][mask]).max()) / peak
-            rows.append({**what, "largest_error": float(error.max()) / peak, "global_share": fraction})
-    return rows
-
-
 def noise(patches: dict[str, Patch], check: float) -> list[dict[str, Any]]:
     """Bias and error of the estimates on a noisy stack of 25 images."""
     rows = []
@@ -126,14 +96,10 @@ def noise(patches: dict[str, Patch], check: float) -> list[dict[str, Any]]:
         truth = truth_of(patch, check)
         mask = inner(patch[0], truth)
         clean = photograph(patch, Checkerboard(check))
-        scale = WELL * 0.7 / np.percentile(truth.white[0][mask], 99.9)
-        rng = np.random.default_rng(5)
-        spread = np.sqrt(np.maximum(clean * scale, 0) + READ_NOISE**2)
-        noisy = ((clean * scale + spread * rng.standard_normal(clean.shape)) / scale).astype(np.float32)
-        # states with broad rims are 1 or 0 only well inside a check
-        sharp, broad = (known_states(patch, truth, mask, Checkerboard(check, edge_mm=e * check)) for e in (0.0, 0.6))
+        noisy = noisy_images(clean, truth, mask)
+        states = known_states(patch, truth, mask, Checkerboard(check))
         real, white = truth.direct[:, mask], truth.white[:, mask]
-        estimates = [_estimates(stack, check, mask, sharp, broad) for stack in (clean, noisy)]
+        estimates = [_estimates(stack, check, mask, states) for stack in (clean, noisy)]
         for method in estimates[0]:
             quiet, loud = (parts[method].direct[mask].T for parts in estimates)
             rows.append(
@@ -152,20 +118,15 @@ def noise(patches: dict[str, Patch], check: float) -> list[dict[str, Any]]:
     return rows
 
 
-def _estimates(
-    stack: np.ndarray, check_mm: float, mask: np.ndarray, sharp: np.ndarray, broad: np.ndarray
-) -> dict[str, Separation]:
-    """All estimates from one stack, with the states of sharp checks, and of checks with broad rims."""
+def _estimates(stack: np.ndarray, check_mm: float, mask: np.ndarray, states: np.ndarray) -> dict[str, Separation]:
+    """All estimates from one stack, with the states of its pixels."""
     common: dict[str, Any] = {"mask": mask, "settings": UNBOUNDED}
     side = check_mm * PX_PER_MM
     found = estimate_patterns(stack, **common)
     return {
         "maximum - minimum": checkerboard(stack, **common),
-        "symmetry": by_symmetry(stack, **common),
-        "known states": checkerboard(stack, patterns=sharp, **common),
-        "known states, broad rims": checkerboard(stack, patterns=broad, **common),
-        "known states, check_px": checkerboard(stack, patterns=sharp, check_px=side, **common),
-        "states found": checkerboard(stack, patterns=found, **common),
+        "known states": checkerboard(stack, patterns=states, **common),
+        "known states, check_px": checkerboard(stack, patterns=states, check_px=side, **common),
         "states found, check_px": checkerboard(stack, patterns=found, check_px=side, **common),
     }
 
@@ -203,6 +164,28 @@ def centred(patches: dict[str, Patch], checks: Iterable[float]) -> list[dict[str
     return rows
 
 
+def summary(results: dict[str, Any]) -> str:
+    """The figures that ``docs/experiments/separation.md`` has."""
+    lines = []
+    for check in sorted({row["check_mm"] for row in results["noise_free"]}):
+        for shifts in sorted({row["shifts"] for row in results["noise_free"]}):
+            group = [r["direct_db"] for r in results["noise_free"] if (r["check_mm"], r["shifts"]) == (check, shifts)]
+            least = [min(row[peak] for row in group) for peak in ("white_peak", "own_peak")]
+            lines.append(f"{check} mm, {shifts} images: {least[0]:.1f} dB or more, own peak {least[1]:.1f}")
+    for method in dict.fromkeys(row["method"] for row in results["noise"]):
+        group = [row for row in results["noise"] if row["method"] == method]
+        levels = [row["direct_db"]["own_peak"] for row in group]
+        bias = [100 * value for row in group for value in row["bias_by_noise"]]
+        level = f"{min(levels):.1f} to {max(levels):.1f} dB (own peak)"
+        lines.append(f"noise, {method}: {level}, by noise {min(bias):+.1f} to {max(bias):+.1f} %")
+    for row in results["ratio"]:
+        over = ", ".join(f"{value:.2f}" for value in row["direct_over_glare"])
+        lines.append(f"{row['surface']}, {row['check_mm']} mm: direct over surface reflection {over}")
+    for row in results["centred"]:
+        lines.append(f"{row['surface']}, {row['check_mm']} mm, the fast truth: {100 * row['led_rms']:.2f} % rms")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Run everything and store it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -216,7 +199,6 @@ def main() -> None:
     one = {name: patch for name, patch in patches.items() if name.endswith("0")}
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "noise_free": lambda: noise_free(patches, checks, STEPS[:1] if arguments.smoke else STEPS),
-        "ideal": lambda: ideal(patches),
         "noise": lambda: noise(patches, checks[-1] if arguments.smoke else 0.42),
         "ratio": lambda: ratios(arguments.smoke),
         "centred": lambda: centred(one, checks[:3]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -15,18 +14,18 @@ from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import (
     Checkerboard,
     Separated,
-    checkerboard_stack,
+    checkerboard_images,
     pattern_states,
     separate_truth,
 )
-from splitknit_simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
+from splitknit_simulator.light.skin import Medium, SkinOptics, SkinRanges
 from splitknit_simulator.surface import SimulatedSurface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)
 LEDS = default_rig().leds
-OPAQUE = (ChannelOptics(scattering_per_mm=1e6, absorption_per_mm=1e5, relief_gain_per_um=0.0),)
-"""Light leaves where it entered: the pattern is ideal."""
+WELL, READ_NOISE = 4700.0, 2.5
+"""Electrons, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7 of full scale."""
 RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
@@ -49,21 +48,22 @@ def draw_patches(smoke: bool) -> dict[str, Patch]:
     return result
 
 
-def opaque(patch: Patch) -> Patch:
-    """The same patch, whose light leaves where it entered."""
-    surface, led, skin = patch
-    assert isinstance(skin, SkinOptics)
-    return surface, led, replace(skin.medium(led.band), optics=OPAQUE)
-
-
 def truth_of(patch: Patch, check_mm: float, **options: Any) -> Separated:
     """Direct and global light at this check size."""
     return separate_truth(*patch, check_mm=check_mm, **RENDER, **options)
 
 
-def photograph(patch: Patch, pattern: Checkerboard) -> np.ndarray:
+def photograph(patch: Patch, pattern: Any) -> np.ndarray:
     """Return the images (N, h, w, C) under all shifts of a pattern, without noise."""
-    return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER), 1, -1)
+    return np.stack([np.moveaxis(image, 0, -1) for image in checkerboard_images(*patch, pattern, **RENDER)])
+
+
+def noisy_images(clean: np.ndarray, truth: Separated, mask: np.ndarray) -> np.ndarray:
+    """The images with shot and read noise of the twin's sensor."""
+    scale = WELL * 0.7 / np.percentile(truth.white[0][mask], 99.9)
+    spread = np.sqrt(np.maximum(clean * scale, 0) + READ_NOISE**2)
+    drawn = np.random.default_rng(5).standard_normal(clean.shape)
+    return np.asarray((clean * scale + spread * drawn) / scale, dtype=np.float32)
 
 
 def inner(surface: SimulatedSurface, truth: Separated) -> np.ndarray:

@@ -3,8 +3,8 @@
     python validation/separation/unet.py [--smoke] [--network NAME]
     python validation/separation/unet.py --fingers 30     # equalised grey of so many fingers only: unet_fingers.json
 
-takes about three minutes on one free core (``--smoke`` seconds), writes ``unet.json`` and ``unet.md`` beside this file
-and prints the latter. Truth: direct light through 25 shifted checkerboards of 0.42 mm and the separation code, without
+takes about three minutes on one free core (``--smoke`` seconds), writes ``unet.md`` beside this file and
+prints it. Truth: direct light through 25 shifted checkerboards of 0.42 mm and the separation code, without
 noise; the network was trained on the twin's own direct light, so the two came about differently. Palms, fingers, light,
 optics of the skin, pixel size and noise are drawn anew.
 
@@ -15,8 +15,7 @@ colours.
 Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
 
 *Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
-checks; *pattern known*: given where the checks lie. It needs a projector. It is judged in a box that is all skin, and
-the network there too.
+checks. It needs a projector. It is judged in a box that is all skin, and the network there too.
 """
 
 from __future__ import annotations
@@ -30,14 +29,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from nayar import by_one_image as separated
 
 from splitknit.model import Led
 from splitknit.networks.unet import Network, load_network
-from splitknit.separation.binary import single_image
 from splitknit.separation.direct import direct_light, direct_of_enhanced
-from splitknit.separation.stacks import StackSettings
 from splitknit_simulator.camera.sensor import SensorSettings, record
-from splitknit_simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
+from splitknit_simulator.light.separation import Checkerboard, checkerboard_images, separate_truth
 from splitknit_simulator.training.separation import (
     Photograph,
     SeparationData,
@@ -88,7 +86,6 @@ def main() -> int:
     table = markdown(result)
     print(table)
     if not options.smoke:
-        (HERE / "unet.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         (HERE / "unet.md").write_text(table, encoding="utf-8")
     if options.card is not None:
         note(options.card, result)
@@ -225,24 +222,13 @@ def by_one_image(
     lit = stored.astype(np.float32) / np.float32(2**sensor.bits - 1)
     level = np.median(white.white[1][box] * exposure) / np.median(image[1][box])
     lit /= np.float32(level)
-    state = pattern_states(surface, led, pattern)[0][white.window][box]
     check_px = 1000.0 * data.check_mm / facts["pitch_um"]
     block = int(np.ceil(2.0 * check_px))
-    unbounded = StackSettings(clip_level=None)
-    ways = {
-        "single image": single_image(lit, block, check_px=check_px, settings=unbounded),
-        "single image, pattern known": single_image(lit, block, pattern=state, settings=unbounded),
-    }
-    size = lit.shape[1], lit.shape[0]
-    made = {}
-    for method, way in ways.items():
-        rows, columns = way.direct.shape[:2]
-        covered = columns * block, rows * block
-        large = cv2.resize(np.asarray(way.direct, dtype=np.float32), covered, interpolation=cv2.INTER_CUBIC)
-        right, below = size[0] - covered[0], size[1] - covered[1]
-        full = cv2.copyMakeBorder(large, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        made[method] = full.transpose(2, 0, 1)
-    return made
+    direct = separated(lit, block, check_px)
+    size, covered = lit.shape[1::-1], (direct.shape[1] * block, direct.shape[0] * block)
+    large = cv2.resize(np.asarray(direct, dtype=np.float32), covered, interpolation=cv2.INTER_CUBIC)
+    full = cv2.copyMakeBorder(large, 0, size[1] - covered[1], 0, size[0] - covered[0], cv2.BORDER_REPLICATE)
+    return {"single image": full.transpose(2, 0, 1)}
 
 
 def figures(

@@ -39,7 +39,7 @@ from tables import Row, write_csv
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
-FAMILY_CASES = ("kumar", "zheng", "lin", "xie")
+FAMILY_CASES = ("kumar", "zheng", "lin")
 FAMILY_MATCHERS = ("ridge", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
 ROLL_VARIANTS = (Variant("none", "single", "pairs"), Variant("gate", "averaged", "fingers"))
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))

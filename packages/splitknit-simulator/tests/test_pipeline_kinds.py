@@ -67,12 +67,12 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
     "no ambient": (
         lambda one: kinds.each_band(one, lambda band: replace(band, ambient=None)),
         1.05,
-        ("ea-split", "xie"),
+        ("ea-split", "zheng"),
     ),
     "several leds": (kinds.paired_lights, 1.05, ("kumar", "pr")),
     "distant leds": (kinds.distant, 1.6, ("zheng", "ea")),
     "perspective": (kinds.perspective, 1.05, ("lin", "pr-split")),
-    "no nir": (lambda one: replace(one, bands={"white": one.bands["white"]}), 1.3, ("xie", "ea-split")),
+    "no nir": (lambda one: replace(one, bands={"white": one.bands["white"]}), 1.3, ("kumar", "ea-split")),
 }
 """How a capture is made from the rig's, the factor by which the surface's rms may grow, and two presets: `metric` and
 `snk` see every kind, each of the others two kinds that differ."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,28 +75,12 @@ class Page:
         self.drawn()
 
     def drawn(self) -> None:
-        """Wait until all that is asked for is drawn."""
-        self.wait(
-            "return document.body.dataset.state === 'ready' && "
-            "[...document.querySelectorAll('.view:not([hidden])')].every((v) => v.dataset.complete === 'true')",
-            "the finger",
-        )
+        """Wait until the surface is drawn."""
+        self.wait("return document.body.dataset.state === 'ready'", "the finger")
 
     def find(self, selector: str) -> Any:
         """Return an element."""
         return self.driver.find_element("css selector", selector)
-
-    def click(self, selector: str) -> None:
-        """Click an element, as a person does."""
-        element = self.find(selector)
-        self.run("arguments[0].scrollIntoView({block: 'end'})", element)
-        element.click()
-
-    def choose(self, selector: str, value: str) -> None:
-        """Choose an entry of a list."""
-        from selenium.webdriver.support.ui import Select
-
-        Select(self.find(selector)).select_by_value(value)
 
     def slide(self, selector: str, value: float) -> None:
         """Move a slider."""
@@ -134,6 +117,3 @@ class Page:
     def close(self) -> None:
         """End the browser."""
         self.driver.quit()
-
-
-PageMaker = Callable[..., Page]

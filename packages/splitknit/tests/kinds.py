@@ -21,7 +21,6 @@ FIGURES = {
     "kumar": ((0.8364, 0.0001), (0.6380, 0.0001), (0.1341, 0.0001)),
     "zheng": ((0.8362, 0.0001), (0.6518, 0.0001), (0.1764, 0.0001)),
     "lin": ((0.8377, 0.0002), (0.6710, 0.0001), (0.2118, 0.0001)),
-    "xie": ((0.7514, 0.0001), (0.6443, 0.0001), (0.1657, 0.0001)),
 }
 """Rms of the surface (mm), correlation and gain of the relief of the finger of `twin_folder` (with networks: at scale
 0.17): mean and standard deviation over six photographs with other dust and noise."""

@@ -1,48 +1,35 @@
-"""Results to look at, and a server that shows them."""
+"""A result to look at, and a server that shows it."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.results import read_result
 from splitknit.report.result import write_results
-from splitknit.viewer.server import _ViewerServer, open_paths, start
-from viewer_server import Asking
+from splitknit.viewer.server import PageServer, pages_of, start
 
 
 @pytest.fixture(scope="session")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a capture and two results made from it, `metric` and `ea`."""
-    folder = tmp_path_factory.mktemp("shown")
-    for preset in ("metric", "ea"):
-        result, truth = finger(preset=preset)
-        if preset == "metric":
-            write_capture(capture_of(result, lights=7), folder / "capture", truth)
-        capture = read_capture(folder / "capture")
-        object.__setattr__(result, "hashes", dict(capture.hashes))
-        write_results(result, capture, folder / preset)
+    """Return the folder of a result."""
+    folder = tmp_path_factory.mktemp("shown") / "metric"
+    result, _ = finger()
+    write_results(result, capture_of(result), folder)
     return folder
 
 
-@pytest.fixture
-def asking() -> Iterator[Callable[..., Asking]]:
-    """Return a function that serves paths and gives what asks the server."""
-    servers: list[tuple[_ViewerServer, threading.Thread]] = []
-
-    def make(*paths: Path, capture: Path | None = None) -> Asking:
-        server = start(open_paths(paths, capture), 0)
-        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
-        thread.start()
-        servers.append((server, thread))
-        return Asking(server)
-
-    yield make
-    for server, thread in servers:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+@pytest.fixture(scope="module")
+def server(shown: Path) -> Iterator[PageServer]:
+    """Return a server that shows it."""
+    server = start(pages_of(read_result(shown), "metric"), 0)
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()

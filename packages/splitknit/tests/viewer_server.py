@@ -1,4 +1,4 @@
-"""A server in a thread or in a process of its own, and how to ask it."""
+"""``splitknit view`` in a process of its own, and how to ask a server."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import http.client
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
 from typing import Any
 
-from splitknit.viewer.server import _ViewerServer
+from splitknit.viewer.server import PageServer
 
 
 def started(*arguments: object) -> tuple[subprocess.Popen[str], dict[str, Any]]:
@@ -24,25 +23,15 @@ def started(*arguments: object) -> tuple[subprocess.Popen[str], dict[str, Any]]:
     return running, json.loads("".join(lines))
 
 
-@dataclass
-class Asking:
-    """A server in a thread, and how to ask it."""
-
-    server: _ViewerServer
-
-    def get(self, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
-        """Ask for a path below the token; names of headers have _ for -."""
-        return self.raw(f"/{self.server.token}/{path}", method, **headers)
-
-    def raw(self, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
-        """Ask for a whole path, as it is."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.server_port, timeout=30)
-        try:
-            connection.putrequest(method, path, skip_host="Host" in headers)
-            for name, value in headers.items():
-                connection.putheader(name.replace("_", "-"), value)
-            connection.endheaders()
-            answer = connection.getresponse()
-            return answer.status, dict(answer.getheaders()), answer.read()
-        finally:
-            connection.close()
+def ask(server: PageServer, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Ask for a whole path, as it is; names of headers have _ for -."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+    try:
+        connection.putrequest(method, path, skip_host="Host" in headers)
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        connection.close()

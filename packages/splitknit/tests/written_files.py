@@ -1,4 +1,4 @@
-"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY, GLB and STL, floats as TIFF."""
+"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY and STL, floats as TIFF."""
 
 from __future__ import annotations
 
@@ -20,15 +20,6 @@ class Ply(NamedTuple):
     quality: np.ndarray
     faces: np.ndarray
     comments: tuple[str, ...]
-
-
-class Glb(NamedTuple):
-    vertices_mm: np.ndarray
-    normals: np.ndarray
-    intensity: np.ndarray
-    faces: np.ndarray
-    metres_per_unit: float
-    extras: dict[str, Any]
 
 
 def read_ply(path: Path) -> Ply:
@@ -61,43 +52,6 @@ def read_stl(path: Path) -> np.ndarray:
     (count,) = struct.unpack_from("<I", data, 80)
     assert len(data) == 84 + count * triangle.itemsize
     return np.frombuffer(data, triangle, count, 84)["corners"].copy()
-
-
-def read_glb(path: Path) -> Glb:
-    """Places, normals, colours and triangles, in this order."""
-    data = path.read_bytes()
-    magic, version, total, length, _ = struct.unpack_from("<4s4I", data)
-    assert (magic, version, total) == (b"glTF", 2, len(data))
-    document = json.loads(data[20 : 20 + length])
-    blocks = []
-    for accessor, (dtype, columns) in zip(
-        document["accessors"], (("<f4", 3), ("<f4", 3), ("u1", 4), ("<u4", 1)), strict=True
-    ):
-        start = 28 + length + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
-        blocks.append(np.frombuffer(data, dtype, accessor["count"] * columns, start).reshape(-1, columns))
-    faces = blocks[3].reshape(-1, 3).astype(np.int32)
-    scale, extras = document["nodes"][0]["scale"][0], document["asset"]["extras"]
-    return Glb(blocks[0], blocks[1], blocks[2][:, 0], faces, scale, extras)
-
-
-def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Places, normals and triangles of a Wavefront OBJ file, each line as its grammar has it; and its comments."""
-    rows: dict[str, list[Any]] = {"v": [], "vn": [], "f": []}
-    comments = []
-    for line in path.read_bytes().decode("ascii").splitlines():
-        kind, _, rest = line.partition(" ")
-        if kind == "#":
-            comments.append(rest)
-        elif kind == "f":
-            corners = [corner.split("/") for corner in rest.split(" ")]
-            assert len(corners) == 3 and all(len(one) == 3 and one[1] == "" and one[0] == one[2] for one in corners)
-            rows["f"].append([int(one[0]) - 1 for one in corners])
-        else:
-            rows[kind].append([float(number) for number in rest.split(" ")])
-    places, normals, faces = (np.array(rows[kind]) for kind in ("v", "vn", "f"))
-    assert places.shape == normals.shape and places.shape[1] == 3
-    assert faces.min() >= 0 and faces.max() < len(places)
-    return places, normals, faces, tuple(comments)
 
 
 def read_light_tiff(path: Path) -> tuple[np.ndarray, dict[str, Any]]:

@@ -16,13 +16,13 @@ from perfect_results import write_impressions
 from spiral_prints import PLACES, spiral_print
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
-from splitknit.io.results import MESHES, read_result, write_mesh
+from splitknit.io.results import read_result, write_mesh
 from splitknit_match.gallery.export_job import PrintFormat
 from splitknit_match.gallery.records import SURFACES
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.print_formats import WRITTEN, read_prints
 from splitknit_simulator.finger.finger import FingerPose
-from written_files import read_glb, read_obj, read_ply, read_stl
+from written_files import read_ply, read_stl
 
 PICTURES = {
     "png": "png", "tiff": "tiff", "wsq": "wsq", "iso-19794-4": "fir", "iso-19794-4-2011": "fir", "iso-39794-4": "fim",
@@ -306,26 +306,29 @@ def test_every_format_that_is_written_is_tested() -> None:
     assert set(get_args(PrintFormat)) == {*WRITTEN, *SURFACES}
 
 
-def test_a_result_becomes_a_mesh_in_mm(tmp_path: Path, capsys) -> None:
-    """What phalange.ply holds, by strict readers of each format."""
+def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
+    """What phalange.ply holds, as others read it."""
+    trimesh = pytest.importorskip("trimesh")
     results = write_impressions(tmp_path, 0.06, 721, FingerPose())
     write_mesh(tmp_path / "a.ply", read_result(results / "a"), provenance({}, {}))
     ply = read_ply(tmp_path / "a.ply")
-    for to in MESHES:
+    for to in ("stl", "obj", "glb"):
         one = exported(capsys, tmp_path, to, results / "a", out=to)["files"][0]
         assert (one["file"], one["kind"], one["unit"]) == (f"a.{to}", "result", "mm")
         assert (one["vertices"], one["faces"]) == (len(ply.vertices_mm), len(ply.faces))
         assert (tmp_path / to / f"a.{to}").stat().st_mode & 0o777 == 0o600
-    glb, stl = read_glb(tmp_path / "glb" / "a.glb"), tmp_path / "stl" / "a.stl"
-    places, normals, faces, comments = read_obj(tmp_path / "obj" / "a.obj")
-    assert comments[0] == "unit mm" and stl.read_bytes().startswith(b"splitknit, unit mm")
-    assert (glb.metres_per_unit, glb.extras["buffer_unit"]) == (0.001, "mm")
+    stl = tmp_path / "stl" / "a.stl"
+    assert stl.read_bytes().startswith(b"splitknit, unit mm")
+    obj = (tmp_path / "obj" / "a.obj").read_text()
+    assert obj.startswith("# unit mm, splitknit")
+    normals = [line.split()[1:] for line in obj.splitlines() if line.startswith("vn ")]
+    np.testing.assert_allclose(np.array(normals, dtype=float), ply.normals, atol=1e-6)
     np.testing.assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
-    np.testing.assert_array_equal(glb.vertices_mm, ply.vertices_mm)
-    np.testing.assert_array_equal(glb.faces, ply.faces)
-    np.testing.assert_array_equal(faces, ply.faces)
-    np.testing.assert_allclose(places, ply.vertices_mm, atol=6e-6)
-    np.testing.assert_allclose(normals, ply.normals, atol=6e-5)
+    for to, scale in (("obj", 1.0), ("glb", 1000.0)):
+        mesh = trimesh.load(tmp_path / to / f"a.{to}", process=False, maintain_order=True, force="mesh")
+        np.testing.assert_allclose(scale * mesh.vertices, ply.vertices_mm, atol=1e-5)
+        np.testing.assert_array_equal(mesh.faces, ply.faces)
+        np.testing.assert_allclose(mesh.visual.vertex_colors[:, 0] / 255, ply.quality, atol=3e-3)
 
 
 def test_no_mesh_without_a_surface(prints: Path, tmp_path: Path, capsys) -> None:

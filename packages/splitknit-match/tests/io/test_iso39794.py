@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,7 @@ def test_bytes_are_those_of_the_encoding_rules() -> None:
 @pytest.mark.parametrize("compression", ["none", "png", "jp2"])
 def test_images_come_back(compression: str) -> None:
     given = [item(), item("left_thumb", "live_rolled", 1000.0), item("unknown", "contactless_moving")]
+    given = [replace(one, image=np.tile(SMALL, (20, 20))) for one in given]
     for a, b in zip(given, decode_finger_image_block(encode_finger_image_block(given, compression)), strict=True):
         np.testing.assert_array_equal(a.image, b.image)
         assert (a.finger, a.impression, a.resolution_ppi) == (b.finger, b.impression, b.resolution_ppi)

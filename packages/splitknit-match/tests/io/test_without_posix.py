@@ -11,9 +11,7 @@ from typing import Any
 
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.io import atomic
-from splitknit.viewer.catalogue import read_below
 from splitknit_match.batch.execution import peak_memory_mb
 
 
@@ -63,15 +61,3 @@ def test_a_batch_holds_nothing_and_measures_no_memory(tmp_path: Path) -> None:
         atomic.hold(one, "busy")
         atomic.hold(two, "busy")
     assert peak_memory_mb() == 0.0
-
-
-def test_the_viewer_reads_files_and_follows_no_links(tmp_path: Path) -> None:
-    (tmp_path / "result" / "sub").mkdir(parents=True)
-    (tmp_path / "secret").write_text("secret")
-    (tmp_path / "result" / "sub" / "a").write_text("a")
-    assert read_below(tmp_path / "result", "sub/a") == b"a"
-    (tmp_path / "result" / "link").symlink_to(tmp_path / "secret")
-    (tmp_path / "result" / "way").symlink_to(tmp_path / "result" / "sub")
-    for name in ("link", "way/a", "sub", "none", "../secret"):
-        with pytest.raises(BadInput):
-            read_below(tmp_path / "result", name)

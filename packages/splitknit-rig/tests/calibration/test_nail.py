@@ -10,7 +10,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit_rig.calibration.lights import Circle, Tip
-from splitknit_rig.calibration.nail import NailSettings, _radius_95, by_joint_fit
+from splitknit_rig.calibration.nail import Nail, by_joint_fit
 from splitknit_simulator.camera.lens import pixels_of_points
 
 ORTHOGRAPHIC = Camera(px_per_mm=75.7, image_size=(2200, 3200))
@@ -62,7 +62,7 @@ def errors_deg(fit, leds):
 @pytest.mark.parametrize("top", [True, False], ids=["tip", "base"])
 def test_exact_shadows_of_an_exact_rig(camera, top):
     leds = rig(0, sd=0.0)
-    fit = by_joint_fit(seen(leds, camera, top=top), camera, CIRCLE, NailSettings(nail_seen="tip" if top else "base"))
+    fit = by_joint_fit(seen(leds, camera, top=top), camera, CIRCLE, Nail(seen="tip" if top else "base"))
     assert np.array([one.position_mm for one in fit.leds]) == pytest.approx(in_order(leds), abs=1e-3)
     assert fit.nail_height_mm == pytest.approx(20.0, abs=1e-3)
     assert np.abs(fit.residual_px).max() < 0.01
@@ -72,7 +72,7 @@ def test_exact_shadows_of_an_exact_rig(camera, top):
 
 def test_what_of_the_nail_is_seen_matters_in_perspective():
     leds = rig(0, sd=0.0)
-    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, CIRCLE, NailSettings(nail_seen="base"))
+    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, CIRCLE, Nail(seen="base"))
     assert fit.rms_px > 1.0 or errors_deg(fit, leds).max() > 0.5
 
 
@@ -80,7 +80,7 @@ def test_a_known_nail_needs_no_circle():
     """The circle is wrong by a tenth in radius and by a twentieth in height, and the LEDs come out all the same."""
     leds = rig(1, sd=1.0)
     wrong = Circle(57.0, 147.0, (3.0, -2.0))
-    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, NailSettings(nail_height_mm=20.0))
+    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, Nail(20.0))
     found = np.array([one.position_mm for one in fit.leds])
     assert np.abs(found - in_order(leds)).max() < 0.3
     free = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong)
@@ -133,18 +133,3 @@ def test_the_nail_may_stand_elsewhere_under_the_other_band():
 def test_one_position_is_not_enough():
     with pytest.raises(BadInput, match="two nail positions"):
         by_joint_fit(seen(rig(0), ORTHOGRAPHIC, [(3, 3)]), ORTHOGRAPHIC, CIRCLE)
-
-
-@pytest.mark.parametrize("change", [{"nail_seen": "side"}, {"tip_sd_px": 0.0}, {"nail_height_mm": -1.0}])
-def test_settings_are_checked(change):
-    with pytest.raises(BadInput):
-        NailSettings(**change)
-
-
-def test_radius_of_95_percent():
-    """Against normal numbers drawn with the covariance."""
-    rng = np.random.default_rng(0)
-    for spreads in ((1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (1.0, 0.0, 0.0)):
-        drawn = np.linalg.norm(rng.standard_normal((40_000, 3)) * spreads, axis=1)
-        assert _radius_95(np.diag(np.square(spreads))) == pytest.approx(np.quantile(drawn, 0.95), rel=0.05)
-    assert _radius_95(np.zeros((2, 2))) == 0.0

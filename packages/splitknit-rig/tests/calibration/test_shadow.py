@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
-from splitknit_rig.calibration.shadow import _hull_distance, _Shape, find_nail
+from splitknit_rig.calibration.shadow import find_nail
 from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.solids import NailScene
 from splitknit_simulator.rigs import built_rig
@@ -92,21 +92,3 @@ def test_no_nail():
         find_nail(card, 8.0, NAMES)
     with pytest.raises(BadInput, match="black"):
         find_nail(np.zeros((7, 120, 160), np.float32), 8.0, NAMES)
-
-
-def test_distance_to_the_hull_of_two_circles():
-    """Against the distance to the nearest of many circles between the two."""
-    rng = np.random.default_rng(1)
-    places, other = rng.uniform(-4, 12, (500, 2)), np.array([6.0, 5.0])
-    t = np.linspace(0, 1, 4001)
-    middles, radii = t[:, None] * other, 2.5 + t * (0.4 - 2.5)
-    slow = (np.linalg.norm(places[:, None] - middles, axis=2) - radii).min(axis=1)
-    fast = _hull_distance(places, other, 2.5, 0.4)
-    assert fast[slow > 0] == pytest.approx(slow[slow > 0], abs=1e-3)
-    assert np.all(fast[slow < -0.01] < 0)
-
-
-def test_darkness_of_a_shape():
-    shape = _Shape(np.array([60.0, 20.0]), 2.0, 3.0, np.array([20.0, 20.0]), 10.0, 0.9)
-    dark = shape.darkness(np.array([[30.0, 20.0], [20.0, 40.0], [70.0, 20.0]]))
-    assert dark == pytest.approx([0.9, 0.0, 0.0], abs=1e-6)

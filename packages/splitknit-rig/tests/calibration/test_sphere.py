@@ -12,8 +12,8 @@ from splitknit.model import Rig, default_rig, nominal_rig
 from splitknit_rig.calibration.lights_job import _Lying
 from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions, rim_of
 from splitknit_rig.capture.pins import led_names
-from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.calibration_set.solids import SphereScene
+from splitknit_simulator.rigs import with_side_lights
 
 BALL = Ball(81.3, 58.6, 41.5)
 SIZE = (120, 160)

@@ -11,7 +11,6 @@ import gpiozero
 import numpy as np
 import pytest
 from test_contract_pi import PINS, mock_pins
-from test_streams import SimulatedStream
 
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.cli.main import main
@@ -81,35 +80,6 @@ def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
     assert facts["seconds"] < 7  # stale frames, late settings and settling LEDs included
     assert facts["notes"] == [f"the imx219 camera was {pi.UNTESTED}"]
     assert all(shot["discarded"] >= 1 for shot in facts["shots"])
-
-
-class SceneStream(SimulatedStream):
-    """A simulated camera of another maker before a finger."""
-
-    image_size = (220, 320)
-
-    def pixels_of(self, began, ended, exposure_s, gain):
-        pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
-        lit = [k for k, pin in enumerate(pins) if pin.function == "output" and pin.state]
-        rng = np.random.default_rng(began)
-        light = 255 * exposure_s * gain * 500 * SceneCamera.scene.light(lit)
-        return np.clip(np.rint(light + rng.normal(0, 0.7, light.shape)), 0, 255).astype(np.uint8)
-
-
-@pytest.mark.parametrize("camera", ["genicam", "uvc"])
-def test_a_session_with_a_camera_of_another_maker(rig_of_pi, tmp_path, capsys, monkeypatch, camera):
-    words, world = rig_of_pi
-    kind = {"genicam": "triggered", "uvc": "blind"}[camera]
-    stream = SceneStream(world, kind)
-    monkeypatch.setattr(pi, f"open_{camera}", lambda number: stream)
-    out = ["--out", str(tmp_path / "c"), "--set", f"pi.camera={camera}", "--json"]
-    assert main([*words[: -len(CAMERA)], *out]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["notes"] == [f"the {camera} camera was {pi.UNTESTED}"]
-    assert len(read_capture(tmp_path / "c").bands["nir"].pixels) == 7
-    least = {"triggered": 0, "blind": 5}[kind]
-    assert min(shot["discarded"] for shot in facts["shots"]) == least
-    assert stream.closed == 1
 
 
 def test_a_camera_of_another_size_than_the_rig_files(rig_of_pi, tmp_path, capsys):

@@ -14,8 +14,8 @@ from splitknit.model import default_rig
 from splitknit_rig.capture.exposure import ExposureSettings
 from splitknit_rig.capture.session import SessionSettings, _check_fit, run_session
 from splitknit_rig.capture.shots import CheckSettings
-from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.camera.device import TwinDeviceSettings
+from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.twin import FingerScene
 from twin_bench import twin_devices
 

@@ -18,10 +18,9 @@ from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror, default_rig, nominal_rig
-from splitknit_rig.rig.films import with_side_lights
 from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit_simulator.rigs import built_rig
+from splitknit_simulator.rigs import built_rig, with_side_lights
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
 RIG = (
@@ -187,7 +186,6 @@ def test_geometry(capsys, tmp_path):
         (("--table", THESIS, *RIG[:-3], "middle", *RIG[-2:]), "x,y in pixels"),
         (("--table", "absent.csv", *RIG), "absent.csv"),
         (("--table", THESIS, *RIG[:4], "--led-radius-cm", "0.5", *RIG[6:]), "circle"),
-        (("--table", THESIS, *RIG, "--set", "nail.tip_sd=2"), "tip_sd_px"),
         (("--sphere", "grey", *RIG), "--images"),
         (("--geometry", *RIG), "--out"),
     ],

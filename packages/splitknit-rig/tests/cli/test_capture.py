@@ -18,7 +18,7 @@ from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
 from splitknit.model import default_rig
-from splitknit_rig.rig import devices
+from splitknit_simulator import twin_devices
 from splitknit_simulator.twin import FingerScene
 
 SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
@@ -74,7 +74,7 @@ def faults(monkeypatch: pytest.MonkeyPatch):
             def frame_begins(self, number):
                 self._faulty.frame_begins(number)
 
-        monkeypatch.setattr(devices, "FingerScene", Spoilt)
+        monkeypatch.setattr(twin_devices, "FingerScene", Spoilt)
 
     return spoil
 
@@ -144,15 +144,6 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
     assert capture.truth is None
     means = capture.bands["white"].pixels.mean(axis=(1, 2, 3))
     assert (means > 2).all()
-
-
-@pytest.mark.parametrize("name", devices.TARGETS)
-def test_every_target_is_there(name):
-    scene, words = devices._target_scene(name, default_rig(0.05), 1)
-    assert words
-    assert scene.light([0]).mean() > scene.light([]).mean()
-    if name == "board":  # what 'rig target' draws and 'calibrate camera' expects
-        assert (scene.board.columns, scene.board.rows) == (9, 6) and "(board 9x6)" in words
 
 
 def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):

@@ -192,7 +192,7 @@ _PHALANX_MM = 30.0  # length of the last phalanx, tip to crease: in a large pict
 @dataclass(frozen=True, slots=True)
 class _MirrorParts(Checked):
     """The printed parts that carry the mirrors, mm: those of a rig whose mirrors show the whole side of most fingers,
-    larger than ``splitknit rig cad`` draws them by default (``docs/explain/simulator.md`` names its options).
+    larger than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
     """
 
     _group = "mirrors.parts"

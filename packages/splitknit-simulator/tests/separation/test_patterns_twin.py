@@ -8,7 +8,6 @@ import pytest
 from splitknit.model import Camera, default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import StackSettings
-from splitknit.separation.symmetry import by_symmetry
 from splitknit_simulator.finger.palm import PalmSettings, draw_palm, palm_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
@@ -42,15 +41,6 @@ def test_noise_free_skin_is_separated(skin):
     parts = checkerboard(stack, settings=UNBOUNDED)
     assert decibels(parts.direct, direct).min() > 46  # 49.5 to 50.8 measured on a larger patch
     assert decibels(parts.global_, global_).min() > 40
-
-
-def test_symmetry_comes_closer_with_the_white_image(skin):
-    stack, _, direct, global_ = skin
-    parts = by_symmetry(stack, white=direct + global_, settings=UNBOUNDED)
-    plain = checkerboard(stack, settings=UNBOUNDED)
-    assert decibels(parts.direct, direct).min() > decibels(plain.direct, direct).min() + 5
-    assert parts.direct.mean() / direct.mean() == pytest.approx(1, abs=0.01)
-    assert abs(parts.direct.mean() - direct.mean()) < 0.5 * abs(plain.direct.mean() - direct.mean())
 
 
 def test_light_that_spreads_needs_the_middle_of_the_checks(skin):

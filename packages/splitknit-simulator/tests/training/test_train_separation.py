@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from script_folder import scripts_of
 from splitknit.errors import BadInput
 from splitknit.model import BoolArray, FloatArray
 from splitknit.networks.unet import card_bytes, network_of, read_network, run_network
@@ -29,7 +27,6 @@ from splitknit_simulator.training.separation import (
 )
 from splitknit_simulator.training.trainer import TrainingRun
 
-SCRIPTS = Path(__file__).resolve().parents[4] / "validation" / "separation"
 SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
 
 
@@ -271,30 +268,3 @@ def test_photographs_by_two_processes_are_those_by_one(tmp_path: Path) -> None:
     one, two = (sorted((tmp_path / name / "data").iterdir()) for name in "12")
     assert [file.name for file in one] == [file.name for file in two]
     assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
-
-
-@pytest.mark.slow
-def test_learning_curve_over_width_and_patches_runs(torch: Any, tmp_path: Path) -> None:
-    with scripts_of(SCRIPTS) as named:
-        curve = named("curve")
-        assert curve.main(["--scratch", str(tmp_path), "--smoke"]) == 0
-        width, count = np.array([*curve.SIZES, curve.THESIS], dtype=float).T
-        gains = -10 * np.log10(0.5 + 0.4 * (width / 4) ** -0.7 + 0.2 * (count / 500) ** -0.4)
-        fitted = curve.continued(curve.SIZES, gains[:-1])
-    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))
-    assert result["kinds"]["finger"]["gain_db"]["2 x 80"][0] < 0  # after few steps it is worse than the constant
-    assert fitted == pytest.approx((gains[-1], 10 * np.log10(2)), abs=0.1)
-
-
-@pytest.mark.slow
-def test_networks_of_the_size_of_the_thesis_are_trained_and_judged(torch: Any, tmp_path: Path) -> None:
-    pytest.importorskip("onnx", reason="onnx (extra 'train') is not installed")
-    with scripts_of(SCRIPTS) as named:
-        assert named("curve").main(["--scratch", str(tmp_path), "--smoke", "--thesis"]) == 0
-    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))["thesis"]
-    for name in ("palms", "both"):
-        curve = json.loads((tmp_path / f"{name}-curve.json").read_text(encoding="utf-8"))["epochs"]
-        assert [entry["epoch"] for entry in curve] == [1, 2]
-        assert curve[1]["loss"] < curve[0]["loss"]
-        better = result["photographs"]["finger"][f"{name} - shipped"]["psnr_linear_db"]
-        assert better[0] < 0  # two channels, five steps

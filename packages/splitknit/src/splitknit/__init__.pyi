@@ -10,13 +10,14 @@ from splitknit.cli.verb import Verb as Verb
 from splitknit.cli.verb import count as count
 from splitknit.cli.verb import options_of as options_of
 from splitknit.cli.verb import wants_json as wants_json
-from splitknit.cli.view import ViewJob as ViewJob
 from splitknit.devices import CameraDevice as CameraDevice
 from splitknit.devices import Closing as Closing
 from splitknit.devices import ExposureRange as ExposureRange
 from splitknit.devices import Frame as Frame
 from splitknit.devices import GuardedLights as GuardedLights
 from splitknit.devices import LightBank as LightBank
+from splitknit.devices import Opened as Opened
+from splitknit.devices import Turn as Turn
 from splitknit.devices import relative_exposure as relative_exposure
 from splitknit.errors import UNFINISHED as UNFINISHED
 from splitknit.errors import BadExposure as BadExposure
@@ -51,7 +52,6 @@ from splitknit.finger.motion import MIN_RELIABILITY as MIN_RELIABILITY
 from splitknit.finger.motion import WORKING_PX_PER_MM as WORKING_PX_PER_MM
 from splitknit.finger.motion import shot_motion as shot_motion
 from splitknit.finger.orientation import Upright as Upright
-from splitknit.finger.orientation import as_it_lies as as_it_lies
 from splitknit.finger.orientation import find_upright as find_upright
 from splitknit.finger.phalange import find_crease as find_crease
 from splitknit.finger.phalange import phalange_mask as phalange_mask
@@ -71,15 +71,12 @@ from splitknit.imaging.band import GREY_WEIGHTS as GREY_WEIGHTS
 from splitknit.imaging.band import Window as Window
 from splitknit.imaging.band import bin_mean as bin_mean
 from splitknit.imaging.band import block_means as block_means
-from splitknit.imaging.band import decode_table as decode_table
 from splitknit.imaging.band import has_colour as has_colour
 from splitknit.imaging.band import linear_channels as linear_channels
 from splitknit.imaging.band import linear_image as linear_image
 from splitknit.imaging.band import linear_stack as linear_stack
 from splitknit.imaging.band import linear_survey as linear_survey
-from splitknit.imaging.band import over_flat as over_flat
 from splitknit.imaging.band import pick_channel as pick_channel
-from splitknit.imaging.band import srgb_code as srgb_code
 from splitknit.imaging.coloured import balanced as balanced
 from splitknit.imaging.geometry import bounding_box as bounding_box
 from splitknit.imaging.geometry import enlarged as enlarged
@@ -101,7 +98,6 @@ from splitknit.imaging.view import pixels_of as pixels_of
 from splitknit.imaging.view import plane_points as plane_points
 from splitknit.imaging.view import shading_at as shading_at
 from splitknit.imaging.view import view_of as view_of
-from splitknit.integration.poisson import trusted_height as trusted_height
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM as REFERENCE_PX_PER_MM
 from splitknit.integration.shapelets import ShapeletSettings as ShapeletSettings
 from splitknit.integration.shapelets import shapelets as shapelets
@@ -143,12 +139,10 @@ from splitknit.io.images import read_image as read_image
 from splitknit.io.images import write_image as write_image
 from splitknit.io.light_list import LIST_TITLE as LIST_TITLE
 from splitknit.io.light_list import write_light_list as write_light_list
-from splitknit.io.mesh import stl_chunks as stl_chunks
 from splitknit.io.mesh import surface_mesh as surface_mesh
 from splitknit.io.mesh import write_ply as write_ply
 from splitknit.io.npz import map_npy as map_npy
 from splitknit.io.npz import write_npz as write_npz
-from splitknit.io.photo_tree import read_tree as read_tree
 from splitknit.io.photographs import PxPerMm as PxPerMm
 from splitknit.io.photographs import RidgePeriod as RidgePeriod
 from splitknit.io.photographs import check_scale as check_scale
@@ -165,11 +159,8 @@ from splitknit.io.pictures import PAPER as PAPER
 from splitknit.io.pictures import SKY as SKY
 from splitknit.io.pictures import ColourArray as ColourArray
 from splitknit.io.pictures import colour as colour
-from splitknit.io.pictures import data_uri as data_uri
 from splitknit.io.pictures import on_paper as on_paper
 from splitknit.io.plain import natural_order as natural_order
-from splitknit.io.plain import photographs_in as photographs_in
-from splitknit.io.plain import read_flat as read_flat
 from splitknit.io.png import SIGNATURE as SIGNATURE
 from splitknit.io.png import decode_png as decode_png
 from splitknit.io.prints import PrintFile as PrintFile
@@ -193,8 +184,6 @@ from splitknit.io.provenance import settings_hash as settings_hash
 from splitknit.io.results import SURFACES as SURFACES
 from splitknit.io.results import read_fields as read_fields
 from splitknit.io.results import read_result as read_result
-from splitknit.io.results import surface_chunks as surface_chunks
-from splitknit.io.results import write_arrays as write_arrays
 from splitknit.io.results import write_picture as write_picture
 from splitknit.io.rig import read_rig as read_rig
 from splitknit.io.rig import write_rig as write_rig
@@ -204,7 +193,6 @@ from splitknit.io.targets import check_picture as check_picture
 from splitknit.io.targets import check_rig_file as check_rig_file
 from splitknit.io.targets import check_target as check_target
 from splitknit.io.tiff import SIGNATURES as SIGNATURES
-from splitknit.jobs import Photographs as Photographs
 from splitknit.jobs import read_photographs as read_photographs
 from splitknit.methods.metric import metric_skin as metric_skin
 from splitknit.mirrors.body import Body as Body
@@ -223,6 +211,7 @@ from splitknit.mirrors.views import views_in as views_in
 from splitknit.model import COLOURS as COLOURS
 from splitknit.model import CROSSTALK as CROSSTALK
 from splitknit.model import HALF_ANGLE_DEG as HALF_ANGLE_DEG
+from splitknit.model import Array as Array
 from splitknit.model import Band as Band
 from splitknit.model import BoolArray as BoolArray
 from splitknit.model import Camera as Camera
@@ -242,6 +231,7 @@ from splitknit.model import no_progress as no_progress
 from splitknit.model import nominal_rig as nominal_rig
 from splitknit.model import require_scale as require_scale
 from splitknit.model import shared_exposures as shared_exposures
+from splitknit.model import side_lights as side_lights
 from splitknit.model import spectral_band as spectral_band
 from splitknit.model import surface_of as surface_of
 from splitknit.networks.augmentation import Symmetry as Symmetry
@@ -259,20 +249,6 @@ from splitknit.pad import pad_features as pad_features
 from splitknit.pad import pad_images as pad_images
 from splitknit.photometric.lambertian import left_out as left_out
 from splitknit.photometric.near_light import pseudo_normals as pseudo_normals
-from splitknit.photometric.shading import BETWEEN as BETWEEN
-from splitknit.photometric.shading import FLAT_TERMS as FLAT_TERMS
-from splitknit.photometric.shading import Array as Array
-from splitknit.photometric.shading import Shading as Shading
-from splitknit.photometric.shading import bridge as bridge
-from splitknit.photometric.shading import facing_level as facing_level
-from splitknit.photometric.shading import find_markers as find_markers
-from splitknit.photometric.shading import flat_of_fall_off as flat_of_fall_off
-from splitknit.photometric.shading import place_terms as place_terms
-from splitknit.photometric.shading import read_shading as read_shading
-from splitknit.photometric.shading import shading_slopes as shading_slopes
-from splitknit.photometric.shading import shading_terms as shading_terms
-from splitknit.photometric.shading import term_count as term_count
-from splitknit.photometric.shading import write_shading as write_shading
 from splitknit.pipeline import reconstruct as reconstruct
 from splitknit.pipeline import reconstruct_images as reconstruct_images
 from splitknit.pipeline import with_scale as with_scale
@@ -280,6 +256,9 @@ from splitknit.plausible import CAMERA_HEIGHT as CAMERA_HEIGHT
 from splitknit.plausible import FINGER_WIDTH as FINGER_WIDTH
 from splitknit.presets import PipelineSettings as PipelineSettings
 from splitknit.presets import preset_settings as preset_settings
+from splitknit.registry import DEVICES as DEVICES
+from splitknit.registry import SIMULATOR as SIMULATOR
+from splitknit.registry import extension as extension
 from splitknit.report import template as template
 from splitknit.report.charts import Axis as Axis
 from splitknit.report.charts import Curve as Curve
@@ -359,18 +338,6 @@ from splitknit.verbs import check as check
 from splitknit.verbs import function_of as function_of
 from splitknit.verbs import path as path
 from splitknit.verbs import refuse_given as refuse_given
-from splitknit.viewer.catalogue import CatalogueEntry as CatalogueEntry
-from splitknit.viewer.catalogue import Reply as Reply
-from splitknit.viewer.catalogue import print_of as print_of
-from splitknit.viewer.catalogue import read_below as read_below
-from splitknit.viewer.service import Query as Query
-from splitknit.viewer.service import json_reply as json_reply
-from splitknit.viewer.service import static_file as static_file
-from splitknit.viewer.service import static_files as static_files
-from splitknit.viewer.surface import Reading as Reading
-from splitknit.viewer.surface import ResultSurface as ResultSurface
-from splitknit.viewer.surface import fields_of as fields_of
-from splitknit.viewer.surface import sample as sample
 from splitknit.workers import run_jobs as run_jobs
 
 __version__: str

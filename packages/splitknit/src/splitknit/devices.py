@@ -11,16 +11,16 @@ import os
 import signal
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import PixelArray
+from splitknit.model import PixelArray, Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +113,24 @@ class LightBank(AbstractContextManager["LightBank"], Protocol):
 
     def close(self) -> None:
         """Switch all off and give the hardware back; may be called twice."""
+
+
+Turn = Callable[[str], None]
+"""Turns the film before the camera: to ``parallel`` or ``crossed``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opened:
+    """Devices that are ready, and what is known about them."""
+
+    name: str  # ``pi`` or ``twin``
+    camera: CameraDevice
+    lights: LightBank
+    rig: Rig
+    settings: Mapping[str, Any]  # of the devices, by their names, for ``session.json``
+    truth: Mapping[str, Any] | None = None  # what the twin knows of the finger
+    notes: tuple[str, ...] = ()
+    turn: Turn | None = None  # turns the analyser, where the devices can
 
 
 def relative_exposure(frame: Frame) -> float:

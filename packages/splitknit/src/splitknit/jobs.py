@@ -89,16 +89,7 @@ class ReadPhotographsJob(PhotographOptions):
         from splitknit.photometric.uncalibrated import with_estimated_lights
         from splitknit.pipeline import with_scale
 
-        lights, px_per_mm = self.lights, self.px_per_mm
-        if self.shading is not None:
-            from splitknit.photometric.shading import read_shading
-
-            others = (px_per_mm, self.ridge_period_mm, self.max_megapixels, lights)
-            alone = all(one is None for one in others)
-            require(alone, "`shading` gives lights and scale: leave out the options that give others.")
-            shading = read_shading(self.shading)
-            lights, px_per_mm = shading.direction, 1.0 / shading.pitch_mm
-        found = capture_from_photographs(self.folder, lights, px_per_mm, self, _LOG.warning)
+        found = capture_from_photographs(self.folder, self.lights, self.px_per_mm, self, _LOG.warning)
         taken = naming(self.folder, lambda: with_estimated_lights(found.capture))
         if self.light_frame is not None:
             taken = replace(taken, rig=rig_of_frame(taken.rig, self.light_frame))
@@ -144,19 +135,13 @@ class ReconstructJob(Job):
     out: Annotated[AnyPath, Help("folder to write the results into", "DIR")]
     preset: Annotated[Preset, Help(
         "metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), these two "
-        "split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin, xie")] = "metric"
+        "split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin")] = "metric"
     rig: Annotated[AnyPath | None, Help(
         "rig file instead of the capture's, such as a calibration; with `folder` its white LEDs and camera",
         "RIG")] = None
     shape: Annotated[Literal["nir", "white", "mirror"] | None, Help(
         "where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
         "mirrors beside it (mirror)")] = None
-    level: Annotated[int | None, Help(
-        "with `shading`: order of the polynomial of the place that is removed as the field's own bend, fitted to what "
-        "is flat (default: 4; 0: none)", "ORDER")] = None
-    frames: Annotated[bool, Help(
-        "each colour photograph of `folder` is one surface, under three coloured lights at once; DIR gets a folder for "
-        "each, of its name")] = False
     device: Device = "cpu"
     keep: Annotated[bool, Help("go on where photographs that contradict each other spoil the surface of skin")] = False
     strict: Annotated[bool, Help("write nothing where a note says that something spoils the surface")] = False
@@ -166,8 +151,6 @@ class ReconstructJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Read a capture or photographs, reconstruct, write all results."""
-        if self.frames:
-            return self._run_frames(progress)
         from splitknit.accuracy import read_truth
         from splitknit.io.atomic import atomic_folder
         from splitknit.io.targets import check_target
@@ -181,8 +164,6 @@ class ReconstructJob(Job):
         changes = dict(self.settings or {}) | ({"keep": True} if self.keep else {})
         if self.shape is not None:
             changes["shape.source"] = self.shape
-        if self.level is not None:
-            changes["height.level"] = self.level
         both = "; both were given." if self.capture is not None else "."
         one = (self.capture is None) != (self.photographs.folder is None)
         require(one, f"name a capture folder, or photographs with `folder` DIR `lights` FILE{both}")
@@ -219,27 +200,6 @@ class ReconstructJob(Job):
         total_s = time.perf_counter() - started
         return {**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
 
-    def _run_frames(self, progress: Progress) -> dict[str, Any]:
-        """Reconstruct each photograph of the folder by itself; all of them are written, or none."""
-        from splitknit.io.atomic import atomic_folder
-        from splitknit.io.plain import photographs_in
-
-        started, folder = time.perf_counter(), path(self.photographs.folder)
-        require(folder is not None and folder.is_dir(), "`frames` needs `folder`, the folder of the frames.")
-        assert folder is not None
-        files, masks, _ = photographs_in(folder, folder, find_mask=self.photographs.mask is None)
-        names = [file.stem for file in files]
-        require(bool(files), f"{folder} holds no photographs.")
-        require(len({name.lower() for name in names}) == len(names), f"{folder} holds two photographs of one name.")
-        results: dict[str, Any] = {}
-        with atomic_folder(path(self.out)) as target:
-            for k, file in enumerate(files):
-                one = replace(self.photographs, folder=file, mask=masks[0] if masks else self.photographs.mask)
-                job = replace(self, frames=False, out=target / file.stem, photographs=one)
-                facts = job.run(lambda stage, part, k=k: progress(stage, (k + part) / len(files)))  # type: ignore[misc]
-                results[file.stem] = {name: facts[name] for name in ("warnings", "area_mm2", "total_s")}
-        return {"out": str(self.out), "frames": results, "total_s": time.perf_counter() - started}
-
     def _read(self) -> tuple[Capture, list[str]]:
         """The capture, with what was given in place of its own, and notes on it."""
         from splitknit.io.capture import read_capture, with_rig
@@ -255,8 +215,6 @@ class ReconstructJob(Job):
         capture = read_capture(self.capture)
         if rig is not None:
             capture = with_rig(capture, rig)
-        if given.shading is not None:
-            capture = replace(capture, shading=path(given.shading))
         if given.tip_direction_deg is not None:
             capture = replace(capture, tip_direction_deg=given.tip_direction_deg)
         if given.light_frame is not None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
+Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
@@ -454,8 +455,6 @@ class Capture:
     captured_at: str | None = None
     truth: Path | None = None
     """A simulator's ``truth.npz``."""
-    shading: Path | None = None
-    """Calibration of ``splitknit calibrate shading``: slopes follow from it, not from the rig's lights."""
     hashes: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of every file that was read, by its name in the folder."""
 
@@ -612,8 +611,6 @@ class Reconstruction:
     def show(self, *, block: bool | None = None) -> str:
         """Open the result in the viewer, a page in the browser on this machine only.
 
-        What is shown is a copy in a private temporary folder, which is removed when the page or the program ends.
-
         Parameters
         ----------
         block : bool, optional
@@ -628,7 +625,7 @@ class Reconstruction:
         Raises
         ------
         BadInput
-            If nothing was reconstructed, or the temporary folder cannot be written.
+            If nothing was reconstructed.
 
         Examples
         --------
@@ -637,7 +634,7 @@ class Reconstruction:
         >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
         >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
         """
-        return str(resolve_name(_SHOW)(self.save, block))
+        return str(resolve_name(_SHOW)(self, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -724,6 +721,12 @@ def nominal_rig(scale: float = 1.0) -> Rig:
     camera = replace(drawn.camera, model="perspective", matrix=matrix)
     leds = tuple(replace(led, lobe_exponent=lobe_exponent(HALF_ANGLE_DEG[led.band])) for led in drawn.leds)
     return Rig(camera=camera, leds=leds, provenance={"source": "digital twin", "rig": "as drawn"})
+
+
+def side_lights(leds: Sequence[Led]) -> tuple[int, ...]:
+    """Numbers of the near LEDs that stand more than 60 deg off the camera's axis."""
+    places = [(k, led.position_mm) for k, led in enumerate(leds) if led.position_mm is not None]
+    return tuple(k for k, (x, y, z) in places if np.hypot(x, y) > z * np.tan(np.deg2rad(60.0)))
 
 
 def lobe_exponent(half_angle_deg: float) -> float:

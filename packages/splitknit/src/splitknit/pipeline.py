@@ -16,7 +16,6 @@ from splitknit.errors import require
 from splitknit.methods import METHODS, method_for
 from splitknit.methods.photographs import FingerPhotographs, finger_photographs, mirror_views, on_mirror_shape, placed
 from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
-from splitknit.methods.shaded import everything_in_view
 from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
 from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP
@@ -76,8 +75,7 @@ def reconstruct(
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, doubts = with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
-        find = finger_photographs if capture.shading is None else everything_in_view
-        photographs = find(capture, chosen)
+        photographs = finger_photographs(capture, chosen)
         seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
         del capture  # `photographs` alone holds the images now, and can release them
         surface = METHODS[method_for(photographs, chosen)](photographs, chosen)

@@ -13,7 +13,6 @@ from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration.knit import KnitSettings
 from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
 from splitknit.settings import Checked, Limits, check_fields, differing, override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.images import MetricSettings
@@ -44,10 +43,8 @@ class DirectSettings(Checked):
 class NormalsSettings(Checked):
     """Photometric stereo of opaque surfaces and of the thesis's cases."""
 
-    method: Literal["lambertian", "robust", "near_light", "hanrahan_krueger"] = "near_light"
-    """``lambertian``, ``robust``, ``near_light``, or ``hanrahan_krueger`` (two-layer skin under distant lights)."""
-    hanrahan_krueger: HanrahanKruegerSettings = field(default_factory=HanrahanKruegerSettings)
-    """Optics and iterations of ``hanrahan_krueger``."""
+    method: Literal["lambertian", "robust", "near_light"] = "near_light"
+    """``lambertian``, ``robust`` or ``near_light``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +53,6 @@ class HeightSettings(Checked):
 
     method: Literal["poisson", "frankot_chellappa"] = "poisson"
     """``poisson`` (masked least squares) or ``frankot_chellappa``."""
-    level: Annotated[int, Limits(0, 8)] = 4
-    """Of a calibrated shading: order of the polynomial of the place that is removed as the field's own bend, fitted to
-    what is flat; 0: none. On an empty gel 4 leaves 0.4 um rms of 4.3, 5 leaves 0.3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,13 +171,6 @@ PRESETS: dict[str, PipelineSettings] = {
     # A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE Trans. PAMI
     # 40(12), 2018.
     "lin": replace(_thesis(), lights=LightsSettings(compose=2, balance=True)),
-    # A two-layer model of skin in place of Lambert's; all lights count equally. W. Xie, Z. Song and R. C. Chung,
-    # "Real-time three-dimensional fingerprint acquisition via a new photometric stereo means", Optical Engineering 52
-    # (2013); the thesis, (2.1) to (2.3).
-    "xie": replace(
-        _thesis(),
-        normals=NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=HanrahanKruegerSettings(weights="equal")),
-    ),
 }
 
 
@@ -206,7 +193,7 @@ def preset_settings(preset: str) -> PipelineSettings:
 
     Parameters
     ----------
-    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng``, ``lin`` or ``xie``
+    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng`` or ``lin``
 
     Returns
     -------

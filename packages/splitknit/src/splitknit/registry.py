@@ -1,7 +1,8 @@
 """Which verbs there are, and which distribution brings each: members register theirs by entry points.
 
 An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate camera``) and names a
-:class:`splitknit.cli.verb.Verb`. The groups ``splitknit.imports`` and ``splitknit.views`` extend two verbs of the core.
+:class:`splitknit.cli.verb.Verb`. The group ``splitknit.imports`` extends a verb of the core,
+``splitknit.devices`` names what ``capture`` photographs with.
 The module imports next to nothing, so that ``splitknit --help`` is quick.
 """
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 GROUP = "splitknit.verbs"
-IMPORTS, VIEWS = "splitknit.imports", "splitknit.views"
+IMPORTS, DEVICES = "splitknit.imports", "splitknit.devices"
 CORE, SIMULATOR, RIG, MATCH = "splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match"
 VERBS = {
     "demo": (SIMULATOR, "simulate a finger, reconstruct it, compare it with the truth"),
@@ -30,7 +31,7 @@ VERBS = {
     "train": (SIMULATOR, "train a network on simulated skin (needs torch)"),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
-    "rig": (RIG, "plan and build a rig: parts, circuit, dimensions"),
+    "rig": (RIG, "draw the targets that calibrate a rig"),
     "evaluate": (MATCH, "error rates of anybody's scores, with confidence intervals"),
     "compare": (MATCH, "how two measurements of one finger differ, laid on each other"),
     "match": (MATCH, "report how similar two fingers are"),
@@ -42,15 +43,29 @@ VERBS = {
     "records": (MATCH, "what a file of another system is, and what it holds"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
     "batch": (MATCH, "reconstruct and compare a whole population, or what of it is missing"),
-    "view": (CORE, "look at results and photographs in the browser, on this machine only"),
+    "view": (CORE, "look at a result's surface in the browser, on this machine only"),
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
     "pad": (MATCH, "detect presentation attacks: was live skin photographed, or a copy, or is that unknown"),
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-GONE: dict[str, str] = {}
-"""Verbs that left (``rig cad``, ``forget``), each with what to use instead, as one sentence."""
+GONE: dict[str, str] = {
+    "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
+    "reconstruct --frames": "reconstruct each colour photograph by itself.",
+    "reconstruct --level": "it was for gel sensors.",
+    "reconstruct --shading": "give the lights of an opaque thing by '--lights' and '--flat'.",
+    "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
+    "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
+    "view --live": "photograph and reconstruct, then view the result.",
+    "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
+    "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
+    "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",
+    "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
+    "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
+    "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
+}
+"""Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
@@ -72,9 +87,11 @@ def load(value: str) -> Any:
     """Import the object of an entry point."""
     from importlib import import_module
 
-    module, _, name = value.partition(":")
+    module, _, names = value.partition(":")
     found = import_module(module)
-    return getattr(found, name) if name else found
+    for name in names.split(".") if names else ():
+        found = getattr(found, name)
+    return found
 
 
 def objects_of(verb: str) -> dict[str, str]:
@@ -98,7 +115,5 @@ def extension(group: str, name: str, what: str, distribution: str) -> Any:
 
 def not_installed(what: str, distribution: str) -> str:
     """One sentence on what is missing, and the command that adds it."""
-    missing = [one for one in dict.fromkeys((SIMULATOR, distribution)) if not registered(GROUP, one)]
-    folders = " ".join(f"./packages/{one}" for one in missing or [distribution])
-    how = f"add it, in splitknit's folder, with 'pip install {folders}'."
+    how = f"add it, in splitknit's folder, with 'pip install ./packages/{distribution}'."
     return f"{what} comes with {distribution}, which is not installed; {how}"

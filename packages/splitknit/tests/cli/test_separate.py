@@ -108,27 +108,6 @@ def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> No
         assert metadata["settings"]["separate"]["patterns"] == ("estimate" if choice == "estimate" else "given")
 
 
-def test_checkerboards_by_symmetry(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The white image takes part: without it the pattern's fifth harmonics stay in the result."""
-    document(boards, method="symmetry", shifts=SHIFTS, period=10)
-    assert run(boards, "--check-px", 5, "--out", tmp_path / "out") == 0
-    direct, metadata = read_light_tiff(tmp_path / "out" / "direct.tiff")
-    assert metadata["settings"]["separate"]["method"] == "symmetry"
-    assert np.abs(direct - DIRECT).max() < 4 * STEP
-    (boards / "white.png").unlink()
-    (boards / "separation.json").unlink()
-    assert run(boards, "--method", "symmetry", "--out", tmp_path / "without") == 0
-    without = np.abs(read_light_tiff(tmp_path / "without" / "direct.tiff")[0] - DIRECT)
-    assert 100 * STEP < without.max() < 0.1 * DIRECT.max()
-    out = tmp_path / "x"
-    capsys.readouterr()
-    assert "checks of 5 pixels" in refusal(capsys, out, boards, "--method", "symmetry", "--check-px", 4)
-    assert "needs alpha 0.5" in refusal(capsys, out, boards, "--method", "symmetry", "--alpha", 0.25)
-    assert "takes no patterns" in refusal(capsys, out, boards, "--method", "symmetry", "--patterns", "estimate")
-    (boards / "board_4_2.png").unlink()
-    assert "the shift (4, 2) is missing" in refusal(capsys, out, boards, "--method", "symmetry")
-
-
 def test_known_states_ask_for_the_size_of_checks(
     boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,38 +123,6 @@ def test_known_states_ask_for_the_size_of_checks(
         assert np.abs(written[number] - DIRECT).max() < 4 * STEP
     assert not np.array_equal(written[0], written[1])
     assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
-
-
-def test_sinusoids_by_their_shifts(tmp_path: Path) -> None:
-    shifts = [0, 7, 14]  # pixels of the projector, period 21
-    phase = 2 * np.pi * COLUMNS / 9.1
-    tint = np.array([1.0, 0.7, 0.4])
-    images = {}
-    for k, shift in enumerate(shifts):
-        wave = 0.5 + 0.5 * np.sin(phase + 2 * np.pi * shift / 21)
-        images[f"{'cab'[k]}.tiff"] = (wave * DIRECT + 0.5 * GLOBAL)[..., None] * tint
-    folder = write(tmp_path / "waves", images)
-    document(folder, method="sinusoid", images=["c.tiff", "a.tiff", "b.tiff"], shifts=shifts, period=21)
-    assert run(folder, "--out", tmp_path / "out") == 0
-    direct, _ = read_light_tiff(tmp_path / "out" / "direct.tiff")
-    found, metadata = read_light_tiff(tmp_path / "out" / "phase.tiff")
-    assert np.abs(direct - DIRECT[..., None] * tint).max() < 5 * STEP
-    assert np.abs(np.angle(np.exp(1j * (found - phase)))).max() < 1e-3
-    assert metadata["unit"] == "rad, wrapped"
-    assert read_image(tmp_path / "out" / "phase.png").shape == (*SIZE, 3)
-
-
-def test_a_film_and_a_single_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    film = {f"f{k}.png": (abs(COLUMNS - 4 * k) > 3) * DIRECT + GLOBAL for k in range(14)}
-    folder = write(tmp_path / "film", film)
-    assert run(folder, "--method", "occluder", "--out", tmp_path / "line") == 0
-    assert np.abs(read_light_tiff(tmp_path / "line" / "direct.tiff")[0] - DIRECT).max() < 3 * STEP
-    one = write(tmp_path / "one", {"a.png": checkerboard_patterns(SIZE, 3, [(0, 0)])[0] * 0.3 + 0.2})
-    assert run(one, "--method", "single", "--check-px", 3, "--block", 10, "--out", tmp_path / "small", "--json") == 0
-    assert json.loads(capsys.readouterr().out.split("\n", 2)[2])["result_size"] == [4, 5]
-    assert np.abs(read_light_tiff(tmp_path / "small" / "direct.tiff")[0] - 0.3).max() < 3 * STEP
-    message = refusal(capsys, tmp_path / "x", one, "--method", "single")
-    assert "needs block" in message
 
 
 def test_a_leaking_pattern_is_noticed(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -215,7 +162,7 @@ def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.C
     [
         ({"version": 2}, "version must be 1"),
         ({"colour": 1}, "'colour' is not known"),
-        ({"method": "laser"}, "method must be one of"),
+        ({"method": "sinusoid"}, "method must be 'checkerboard'"),
         ({"encoding": "gamma"}, "encoding must be"),
         ({"alpha": "half"}, "alpha must be a number"),
         ({"images": ["../a.png"]}, "leaves the capture folder"),
@@ -224,8 +171,6 @@ def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.C
         ({"shifts": [[0, 0], [0, "x"]]}, "shifts must be a list of numbers"),
         ({"shifts": SHIFTS[1:]}, "24 shifts for 25 images"),
         ({"shifts": [*SHIFTS[:24], SHIFTS[3]]}, "images 3 (board_0_6.png) and 24 (board_8_8.png) have the same shift"),
-        ({"block": 2.5}, "block must be a whole number"),
-        ({"method": "sinusoid", "shifts": list(range(25))}, "need its period"),
     ],
 )
 def test_bad_documents(

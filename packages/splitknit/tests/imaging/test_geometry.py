@@ -11,13 +11,19 @@ from splitknit.imaging.geometry import (
     rotation_about,
     warp,
 )
-from splitknit.imaging.view import _pixel_axes_mm
+from splitknit.imaging.view import view_of
 from splitknit.model import Camera
+
+
+def axes_mm(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """x of the columns and y of the rows under parallel rays."""
+    view = view_of(camera)
+    return view.x_mm, view.y_mm
 
 
 @pytest.mark.parametrize("size", [(4, 6), (5, 7)])
 def test_pixels_lie_around_the_middle_with_y_up(size: tuple[int, int]) -> None:
-    x, y = _pixel_axes_mm(Camera(px_per_mm=4.0, image_size=size))
+    x, y = axes_mm(Camera(px_per_mm=4.0, image_size=size))
     assert (x.size, y.size) == (size[1], size[0])
     assert x[-1] == -x[0] == pytest.approx((size[1] - 1) / 8)
     assert y[0] == -y[-1] == pytest.approx((size[0] - 1) / 8)
@@ -27,7 +33,7 @@ def test_pixels_lie_around_the_middle_with_y_up(size: tuple[int, int]) -> None:
 
 def test_a_plane_that_rises_to_the_right_and_upwards() -> None:
     camera = Camera(px_per_mm=10.0, image_size=(8, 9))
-    x, y = _pixel_axes_mm(camera)
+    x, y = axes_mm(camera)
     height = (0.3 * x[None, :] + 0.7 * y[:, None]).astype(np.float32)
     gradient_x, gradient_y = height_gradients(height, camera.pitch_mm)
     np.testing.assert_allclose(gradient_x, 0.3, atol=1e-5)

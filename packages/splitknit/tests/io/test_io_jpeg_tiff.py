@@ -43,20 +43,6 @@ def test_jpeg(shape: tuple[int, ...], progressive: int, capfd: pytest.CaptureFix
     assert capfd.readouterr().err == ""
 
 
-def damaged_jpeg() -> bytes:
-    data = cv2.imencode(".jpg", smooth((40, 56, 3)))[1].tobytes()
-    end = data.rindex(b"\xff\xd9")
-    return data[: end - 40] + data[end:]
-
-
-def test_a_damaged_jpeg_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    """JPEG has no checksums: what the decoder makes of changed image data is a picture, or a refusal."""
-    with contextlib.suppress(BadInput):
-        assert decode_image(damaged_jpeg(), "shot.jpg").shape == (40, 56, 3)
-    said = capfd.readouterr()
-    assert said.out == said.err == ""
-
-
 def test_jpeg_orientation_is_ignored() -> None:
     data = cv2.imencode(".jpg", smooth((40, 56)))[1].tobytes()
     entry = b"\x01\x12\0\3\0\0\0\1\0\6\0\0"  # orientation 6: turn by 90 degrees
@@ -104,11 +90,14 @@ def test_tiff(shape: tuple[int, ...], options: dict[str, Any], dtype: type, capf
 def test_tiff_layouts() -> None:
     image = smooth((20, 30, 4))
     planes = tiff_bytes(np.moveaxis(image[..., :3], -1, 0), photometric="rgb", planarconfig="separate")
-    np.testing.assert_array_equal(decode_image(planes, "x"), image[..., :3])
+    with pytest.raises(BadInput, match="unsupported storage"):
+        decode_image(planes, "x")
     alpha = tiff_bytes(image, photometric="rgb", extrasamples=["unassalpha"])
     np.testing.assert_array_equal(decode_image(alpha, "x"), image[..., :3])
-    inverted = tiff_bytes(image[..., 0], photometric="miniswhite")
-    np.testing.assert_array_equal(decode_image(inverted, "x")[..., 0], 255 - image[..., 0])
+    for compression in (None, "zlib"):
+        for grey in (image[..., 0], image[..., 0].astype(np.uint16) * 257):
+            inverted = tiff_bytes(grey, photometric="miniswhite", compression=compression)
+            np.testing.assert_array_equal(decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey)
 
 
 def test_tiff_with_lzw(capfd: pytest.CaptureFixture[str]) -> None:
@@ -173,28 +162,27 @@ def test_jpeg_of_many_scans_or_impossible_sampling_is_refused() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("compression", [None, "zlib", "lzw", "packbits"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize(
     "options",
-    [{"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}, {"planarconfig": "separate"}],
+    [{"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}],
 )
 def test_tiff_against_tifffile(options: dict[str, Any], compression: str | None, dtype: type) -> None:
     image = smooth((41, 57, 3), dtype)
     image[5:30, 8:40] = 77  # runs
-    stored = np.moveaxis(image, -1, 0) if "planarconfig" in options else image
-    data = tiff_bytes(stored, photometric="rgb", compression=compression, **options)
+    data = tiff_bytes(image, photometric="rgb", compression=compression, **options)
     np.testing.assert_array_equal(decode_image(data, "x"), image)
 
 
 @pytest.mark.parametrize("predictor", [1, 2])
-@pytest.mark.parametrize("compression", [8, 32946])
+@pytest.mark.parametrize("compression", [8, 32946, 5, 32773])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_deflated_tiff_of_libtiff(dtype: type, compression: int, predictor: int) -> None:
+def test_packed_tiff_of_libtiff(dtype: type, compression: int, predictor: int) -> None:
     image = smooth((41, 57, 3), dtype)
     options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
     data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
     with tifffile.TiffFile(io.BytesIO(data)) as file:
-        assert file.pages[0].predictor == predictor
+        assert file.pages[0].predictor == (1 if compression == 32773 else predictor)
     np.testing.assert_array_equal(decode_image(data, "x"), image)
 
 

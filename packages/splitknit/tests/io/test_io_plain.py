@@ -15,7 +15,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
-from splitknit.io.light_list import read_light_list, read_named_lights
+from splitknit.io.light_list import read_light_list, read_named_lights, write_light_list
 from splitknit.io.photos import encoding_of
 from splitknit.io.plain import PhotographOptions, _assembled, _distant_rig, capture_from_photographs
 from splitknit.io.rig import write_rig
@@ -441,3 +441,15 @@ def test_cut_out_photographs_have_their_mask(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.capture.mask, inside)
     result = splitknit.reconstruct(found.capture)
     assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)
+
+
+def test_lp_file_names_photographs(tmp_path: Path) -> None:
+    leds = [Led("white", direction=(1.0, 2.0, 2.0)), Led("white", direction=(0.0, 0.0, 5.0))]
+    write_light_list(leds, tmp_path / "a.lp", ["one.jpg", "two.jpg"])
+    assert (tmp_path / "a.lp").read_text().splitlines()[0] == "2"
+    lights, names = read_named_lights(tmp_path / "a.lp")
+    assert names == ("one.jpg", "two.jpg")
+    np.testing.assert_allclose(lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
+    with pytest.raises(BadInput, match="holds directions"):
+        write_light_list([Led("white", position_mm=(1.0, 2.0, 3.0))], tmp_path / "b.lp", ["one.jpg"])
+    assert not (tmp_path / "b.lp").exists()

@@ -61,7 +61,7 @@ def test_bmp_and_floats(tmp_path: Path) -> None:
     values = (picture() / 7.0).astype(np.float32)
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
-    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", compression="zlib", predictor=True, tile=(16, 16))
+    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", compression="zlib", tile=(16, 16))
     np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")

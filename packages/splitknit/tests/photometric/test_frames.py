@@ -13,14 +13,11 @@ from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.photometric.frames import (
     FRAMES,
     SPOILT_DEG,
-    _fit_turn,
-    _frame_of,
     doubts_of_lights,
     fit_lights,
     rig_of_frame,
     spoils,
 )
-from splitknit.photometric.lambertian import lambertian
 from splitknit.pipeline import reconstruct
 
 SHAPE = (120, 100)
@@ -50,9 +47,9 @@ def in_frame(vectors: np.ndarray, frame: str) -> np.ndarray:
 @pytest.mark.parametrize("frame", FRAMES)
 def test_every_frame_is_found(egg, frame):
     normals, inside = egg
-    rng = np.random.default_rng(1)
-    noisy = in_frame(normals, frame) + 0.02 * rng.standard_normal(normals.shape)
-    assert _frame_of(_fit_turn(noisy.astype(np.float32), inside)) == frame
+    lights = around(8, uneven=True)
+    noisy = normals + 0.02 * np.random.default_rng(1).standard_normal(normals.shape)
+    assert fit_lights(photographs(noisy, lights), in_frame(lights, frame), inside).frame == frame
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -71,11 +68,11 @@ def test_an_unknown_frame_is_refused():
 
 
 def test_a_flat_plate_is_no_alarm():
-    normals = np.zeros((*SHAPE, 3), dtype=np.float32)
+    normals, lights = np.zeros((*SHAPE, 3)), around(8, uneven=True)
     normals[..., 2] = 1.0
-    assert _frame_of(_fit_turn(normals, np.ones(SHAPE, dtype=bool))) == "right-up"
+    assert fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame == "right-up"
     normals[..., :2] = 0.05 * np.random.default_rng(0).standard_normal((*SHAPE, 2))
-    assert _frame_of(_fit_turn(normals, np.ones(SHAPE, dtype=bool))) == "right-up"
+    assert fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame == "right-up"
 
 
 def test_a_reconstruction_warns_and_names_the_frame(egg):
@@ -181,8 +178,8 @@ def test_a_field_of_balls_is_no_wrong_frame(frame):
     normals = np.dstack([x * ball, y * ball, np.sqrt(np.where(ball, 1.0 - x**2 - y**2, 1.0))])
     normals += 0.02 * np.random.default_rng(2).standard_normal(normals.shape)
     lights = around(6, uneven=True)
-    measured, _ = lambertian(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
-    assert _frame_of(_fit_turn(measured, np.ones((200, 200), bool))) == "right-up"
+    fit = fit_lights(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
+    assert fit.frame == "right-up"
 
 
 def relief() -> np.ndarray:

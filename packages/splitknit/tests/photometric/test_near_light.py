@@ -7,12 +7,18 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.light_field import light_vectors_at
-from splitknit.imaging.view import View, _pixel_axes_mm, view_of
+from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import near_light, pseudo_normals
 
 SHAPE = (60, 80)
+
+
+def axes_mm(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """x of the columns and y of the rows under parallel rays."""
+    view = view_of(camera)
+    return view.x_mm, view.y_mm
 
 
 def make_rig(camera=None, lobe=0.0, count=7):
@@ -48,7 +54,7 @@ def point_light(led, points):
 
 def scene(rig, x=None, y=None, albedo=0.7):
     if x is None:
-        x, y = _pixel_axes_mm(rig.camera)
+        x, y = axes_mm(rig.camera)
     gx, gy = np.meshgrid(x, y)
     z, normals = dome(gx, gy)
     points = np.stack([gx, gy, z], axis=-1)
@@ -98,7 +104,7 @@ def test_distant_leds_give_the_distant_result():
     lights = np.array([[0.5, 0, 1], [-0.5, 0.1, 1], [0, 0.6, 1], [0, -0.5, 1.2]])
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     rig = Rig(Camera(2.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
-    _, normals = dome(*np.meshgrid(*_pixel_axes_mm(rig.camera)))
+    _, normals = dome(*np.meshgrid(*axes_mm(rig.camera)))
     stack = np.einsum("hwi,li->lhw", normals, lights).astype(np.float32)
     got, _ = near_light(stack, rig, 0.0)
     expected, _ = lambertian(stack, lights)
@@ -108,7 +114,7 @@ def test_distant_leds_give_the_distant_result():
 def test_window_with_its_own_axes_gives_the_same_pixels():
     rig = make_rig()
     stack, z, _ = scene(rig)
-    x, y = _pixel_axes_mm(rig.camera)
+    x, y = axes_mm(rig.camera)
     whole, _ = near_light(stack, rig, z)
     window = (slice(10, 31), slice(20, 66))
     part, _ = near_light(stack[:, *window], rig, z[window], view=View(x[window[1]], y[window[0]]))
@@ -124,7 +130,7 @@ def test_perspective_rays_pass_through_the_apex(distortion):
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
     rig = make_rig(Camera(2.0, SHAPE, model="perspective", matrix=matrix, distortion=distortion))
     field = light_vectors_at(rig, *view_of(rig.camera).points(np.full(SHAPE, 10, dtype=np.float32)))
-    x, y = _pixel_axes_mm(Camera(2.0, SHAPE))
+    x, y = axes_mm(Camera(2.0, SHAPE))
     gx, gy = np.meshgrid(x, y)
     if distortion is not None:  # find where the distorted ray comes from, by iterating its model
         k1, k2, p1, p2, _ = distortion

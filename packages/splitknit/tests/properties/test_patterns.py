@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from checkerboards import checkerboard_patterns
-from splitknit.separation.binary import checkerboard, occluder
-from splitknit.separation.sinusoid import sinusoid
+from splitknit.separation.binary import checkerboard
 
 quick = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -25,17 +24,10 @@ def scene(seed):
 def methods(seed, dark):
     """All methods that work on a stack, each with an ideal stack of the same scene."""
     direct, global_ = scene(seed)
-    columns = np.mgrid[: SIZE[0], : SIZE[1]][1]
     board = (dark + (1 - dark) * PATTERNS) * direct + (1 + dark) / 2 * global_
-    shift = 2 * np.pi * np.arange(4) / 4
-    states = 0.5 + 0.5 * np.sin(columns / 1.7 + shift[:, None, None])
-    waves = (dark + (1 - dark) * states) * direct + (1 + dark) / 2 * global_
-    line = np.stack([(columns - k) % 5 > 0 for k in range(5)]) * direct + global_
     return [
         (board, lambda stack, order: checkerboard(stack, dark=dark)),
         (board, lambda stack, order: checkerboard(stack, dark=dark, patterns=PATTERNS[order])),
-        (waves, lambda stack, order: sinusoid(stack, shift[order], dark=dark)),
-        (line, lambda stack, order: occluder(stack)),
     ], direct + global_
 
 

@@ -9,7 +9,7 @@ import pytest
 from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import StackSettings, check_shifts, estimate_patterns
+from splitknit.separation.stacks import check_shifts, estimate_patterns
 
 SIZE = (60, 72)
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
@@ -195,7 +195,6 @@ def test_a_region_without_pattern_is_named(patterns):
     stack[:, 40:] = 0.3
     message = refused("33.3 % of the bright pixels were never lit", stack)
     assert "row 40, column 0" in message
-    checkerboard(stack, settings=StackSettings(constant_share=0.5))
 
 
 def test_shift_tables():

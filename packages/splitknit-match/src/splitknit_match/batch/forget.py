@@ -44,9 +44,8 @@ from splitknit_match.gallery.manage import FACTS_FILE as ABOUT_FILE
 from splitknit_match.gallery.manage import TABLE_FILE, index_gallery
 from splitknit_match.gallery.records import FACTS_FILE
 from splitknit_match.gallery.shards import files_of_shards
-from splitknit_simulator import POPULATION_FILE
-from splitknit_simulator import TABLE_FILE as POPULATION_TABLE
 
+POPULATION_FILE, POPULATION_TABLE = "population.json", "population.csv"  # as the simulator names them
 _WHO = ("person", "subject", "subject_a", "subject_b")  # columns of our tables
 _MAX_TABLE, _MAX_TEXT = 1_000_000_000, 20_000_000
 _UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")

@@ -103,7 +103,7 @@ def compare_results(
     Parameters
     ----------
     a, b : Reconstruction, or path of a result folder or its ``height.npz``
-        A is tested, B is the reference (or a phantom's known heights, ``splitknit rig phantom``).
+        A is tested, B is the reference (or a phantom's known heights, ``python -m hardware.phantom``).
     fit : ``rigid`` (six degrees of freedom) or ``elastic`` (skin that was pressed or has shifted)
 
     Returns

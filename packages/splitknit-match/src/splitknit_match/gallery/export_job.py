@@ -10,7 +10,7 @@ from splitknit import AnyPath, Help, HowReconstructed, InputPpi, Job, KeyFile, P
 
 PrintFormat = Literal[
     "iso-19794-2", "iso-19794-2-2011", "ansi-378", "ansi-378-2009", "iso-19794-4", "iso-19794-4-2011", "iso-39794-4",
-    "ansi-nist-itl", "wsq", "png", "tiff", "stl", "obj", "glb", "x3p", "tmd", "ptm", "lp",
+    "ansi-nist-itl", "wsq", "png", "tiff", "stl", "obj", "glb", "lp",
 ]  # fmt: skip
 
 
@@ -51,8 +51,8 @@ class ExportJob(Job):
     to: Annotated[PrintFormat | None, Help(
         "minutiae: iso-19794-2 (of 2005), iso-19794-2-2011, ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 "
         "(of 2005), iso-19794-4-2011 (with the print's quality), iso-39794-4 (of 2019), ansi-nist-itl (Type-14), wsq, "
-        "png, tiff; surfaces of captures and results, in mm: stl, obj, glb, x3p (extra x3p), tmd, and ptm, a "
-        "relightable picture of them; the lights of captures, for RTI: lp")]
+        "png, tiff; surfaces of captures and results: stl, obj (mm; obj and glb need the extra mesh), glb "
+        "(metres); the lights of captures, for RTI: lp")]
     out: Annotated[AnyPath, Help("folder to write, one file a finger", "DIR")]
     finger: Annotated[str | None, Help(
         "such as right_index, for all sources (default: as they state)", "FINGER")] = None
@@ -63,7 +63,7 @@ class ExportJob(Job):
         "of iso-19794-4, iso-39794-4 and ansi-nist-itl (default: none; jp2: JPEG 2000 without loss; wsq loses a "
         "little)")] = "none"
     date: Annotated[datetime.date | None, Help(
-        "of the capture, which ansi-nist-itl and x3p state", "YYYY-MM-DD", read=_date)] = None
+        "of the capture, which ansi-nist-itl states", "YYYY-MM-DD", read=_date)] = None
     device: Annotated[str | None, Help(
         "make, model and serial number of the capture device, for ansi-nist-itl (0: not known)",
         "MAKE,MODEL,SERIAL")] = None

@@ -42,7 +42,7 @@ from splitknit import (
     read_result,
     reconstruct,
     require,
-    surface_chunks,
+    surface_bytes,
     write_light_list,
 )
 from splitknit_match.gallery.entry import Entry
@@ -255,10 +255,9 @@ def _surface(
         kind, result = "result", read_result(source)
     assert settings.to is not None
     title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or settings.preset}"
-    facts, chunks = naming(source, lambda: surface_chunks(result, cast(str, settings.to), title, settings.date))
+    facts, content = naming(source, lambda: surface_bytes(result, cast(str, settings.to), title))
     file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{settings.to}", taken)
-    with (folder / file).open("wb") as stream:
-        stream.writelines(chunks)
+    (folder / file).write_bytes(content)
     return {"file": file, "source": str(source), "kind": kind, **facts}
 
 

@@ -1,10 +1,9 @@
-"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read and written; ANSI/INCITS 381-2004 read.
+"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read and written.
 
-The layout of 2005 stands in ``docs/reference/records.md``. ANSI/INCITS 381-2004 has the same version and four bytes
-more, the product's, behind the length. The record of 2011 ("020") has 16 bytes of header, and resolution, depth and
-compression in each representation.
+The layout of 2005 stands in ``docs/reference/records.md``. The record of 2011 ("020") has 16 bytes of header, and
+resolution, depth and compression in each representation.
 
-Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
+Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _CODES_2011 = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 5, "lossy jp2": 4, "png": 
 _LEVELS = {500: 30, 1000: 40}
 """Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41: certified)."""
 _NO_QUALITY = 254
-"""The only value that ISO/IEC 19794-4:2005 and ANSI/INCITS 381-2004 have for the quality: not defined."""
+"""The only value that ISO/IEC 19794-4:2005 has for the quality: not defined."""
 _CM_PER_INCH = 2.54
 _MAX_VIEWS = 1000
 _IMPRESSIONS = {**ANSI_2004_IMPRESSIONS, "unknown": 29}
@@ -116,7 +115,7 @@ def encode_finger_images(
 
 
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
-    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
+    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011.
 
     Raises BadInput, with `name`, if `data` is another file, truncated or damaged, claims more than 64 million pixels,
     or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
@@ -135,21 +134,21 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")
     check_length(data, length, name)
-    start = next((start for start in (_HEADER_BYTES, _HEADER_BYTES + 4) if _fits(data, start)), 0)
-    require(start > 0, f"{name} is damaged: the lengths of its images do not add up to that of the record.")
-    cursor.place = start - _PARAMETERS.size
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
     ppi = _resolution(unit, x, y, name)
     compression = _compression(code, _CODES, bits, name)
     found: list[PrintFile] = []
     pixels = 0
-    while cursor.place < len(data):
+    while cursor.place < len(data) and len(found) < _MAX_VIEWS:
         what = f"image {len(found) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
+        require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
         found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+    more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
+    require(len(found) > 0 and cursor.place == len(data), more)
     return tuple(found)
 
 
@@ -189,17 +188,6 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
     return tuple(found)
-
-
-def _fits(data: bytes, place: int) -> bool:
-    """Whether the lengths of the views, from `place` on, lead to the end."""
-    count = 0
-    while place + _VIEW.size <= len(data) and count < _MAX_VIEWS:
-        length = int.from_bytes(data[place : place + 4], "big")
-        if length < _VIEW.size:
-            return False
-        place, count = place + length, count + 1
-    return count > 0 and place == len(data)
 
 
 def _resolution(unit: int, x: int, y: int, name: str) -> float:

@@ -64,7 +64,7 @@ MAGIC_035 = b"FMR\x00035\0"
 """First bytes of amendment 1 to ANSI/INCITS 378-2009."""
 
 _OTHERS = (
-    (b"FIR\0", "a finger image record (ISO/IEC 19794-4 or ANSI/INCITS 381)"),
+    (b"FIR\0", "a finger image record (ISO/IEC 19794-4)"),
     (b"FAC\0", "a face record (ISO/IEC 19794-5)"),
     (b"IIR\0", "an iris record (ISO/IEC 19794-6)"),
     (b"\xff\xa0", "a WSQ image"),

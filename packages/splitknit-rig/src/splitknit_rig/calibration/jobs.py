@@ -1,19 +1,17 @@
-"""Photographs in, a rig file or a sensor's calibration out: what the verbs ``calibrate ...`` and their functions do."""
+"""Photographs in, a rig file out: what the verbs ``calibrate ...`` and their functions do."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, Settings, function_of, path
+from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, function_of
 
 if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
     from splitknit_rig.calibration.lights_found import CalibratedLights
     from splitknit_rig.calibration.radiometry import RadiometricCalibration
-    from splitknit_rig.calibration.shading import ShadingFit
 
 _TARGET, _LENS = "the printed target ('splitknit rig target' makes it)", "depth of field"
 _SOURCE, _RIG, _NAIL, _PICTURES = "from what (one of them)", "the rig", "the nail", "photographs"
@@ -117,15 +115,15 @@ class LightsJob(Job):
     led_centre_px: Annotated[str | None, Help(
         "pixel of the circle's centre (default: the rig's origin)", "X,Y", group=_RIG)] = None
     first_azimuth_deg: Annotated[float, Help("of white LED 0, for `geometry` (default: 0)", group=_RIG)] = 0.0
-    nail_height_mm: Annotated[Positive | None, Help(
+    nail_height_mm: Annotated[float | None, Limits(0.5, 500), Help(
         "where it is known (default: it is found)", "N", group=_NAIL)] = None
-    nail_seen: Annotated[Literal["tip", "base"] | None, Help(
-        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = None
+    nail_seen: Annotated[Literal["tip", "base"], Help(
+        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = "tip"
     method: Annotated[Literal["circle", "joint"] | None, Help(
         "circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail "
         "positions or more, and with `rig`)", group=_NAIL)] = None
-    limit_deg: Annotated[Positive | None, Help(
-        "directions further apart are refused (default: 5)", "N", group=_NAIL)] = None
+    limit_deg: Annotated[float, Limits(0, 90, above=True), Help(
+        "directions further apart are refused", "N", group=_NAIL)] = 5.0
     keep: Annotated[bool, Help("keep LEDs that would be refused", group=_NAIL)] = False
     encoding: Annotated[Encoding | None, Help(
         "of the photographs (default: as for 'splitknit reconstruct')", group=_PICTURES)] = None
@@ -134,7 +132,6 @@ class LightsJob(Job):
         "picture of what was found (default: beside `out`)", "PNG", group=_PICTURES)] = None
     tips_out: Annotated[AnyPath | None, Help(
         "table of what was found, to correct and give to `table`", "CSV", group=_PICTURES)] = None
-    settings: Settings = None
     # fmt: on
 
     def run(self, progress: Progress) -> CalibratedLights:
@@ -219,49 +216,6 @@ class PolarisersJob(Job):
         from splitknit_rig.calibration.polarisers import films_to_file
 
         return films_to_file(self, progress)
-
-
-@dataclass(frozen=True, slots=True)
-class ShadingJob(Job):
-    """Measure how slopes shade a gel sensor's images, from balls of known radius; or the fall-off of its light,
-    from a card.
-
-    Returns
-    -------
-    ShadingFit
-        ``shading`` as it is in the file, and the errors on balls that were left out.
-    """
-
-    # fmt: off
-    images: Annotated[tuple[AnyPath, ...], Help(
-        "photographs of balls, one for each light, or one of three colours; several folders of one ball pressed in "
-        "many places; without `flat` of one ball lying free before a dark background, or, with `spacing_mm` and "
-        "`centres`, of balls in a gel that is flat between them", "DIR", nargs="+")] = ()
-    _: KW_ONLY
-    out: Annotated[AnyPath, Help("calibration to write (.npz)", "FILE")]
-    flat: Annotated[AnyPath | None, Help("the same of the sensor pressed on nothing, or of a card", "DIR")] = None
-    radius_mm: Annotated[Positive | None, Help("radius of the balls", "MM", "--ball-radius")] = None
-    spacing_mm: Annotated[Positive | None, Help(
-        "distance of neighbouring balls (default: scale of their outlines)", "MM", "--pitch")] = None
-    centres: Annotated[AnyPath | None, Help(
-        "the balls' 'column row [radius]' in pixels, where they are not found", "FILE")] = None
-    encoding: Annotated[Encoding | None, Help("of the photographs (default: as their files state, else linear)")] = None
-    report: Annotated[AnyPath | None, Help("page to write (default: beside `out`)", "HTML")] = None
-    # fmt: on
-
-    @property
-    def page(self) -> Path:
-        """The page that is written."""
-        return path(self.report) or path(self.out).with_suffix(".html")
-
-    def run(self, progress: Progress) -> ShadingFit:
-        """Calibrate, and write file and page."""
-        from splitknit_rig.calibration.shading_folder import check_page, shading_to_file, write_page
-
-        check_page(self.page)
-        fit = shading_to_file(self, progress)
-        write_page(self.page, fit)
-        return fit
 
 
 calibrate_camera = function_of(CameraJob, "calibrate_camera")

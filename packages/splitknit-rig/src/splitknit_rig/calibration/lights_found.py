@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from splitknit import Array, BadInput, Camera, Checked, Led, Limits, Rig, override, plane_points, require
+from splitknit import Array, BadInput, Camera, Led, Rig, plane_points, require
 from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import (
     BANDS,
@@ -22,7 +22,7 @@ from splitknit_rig.calibration.lights import (
     name_of_led,
     pixels,
 )
-from splitknit_rig.calibration.nail import STRAY_MM, JointFit, NailSettings, by_joint_fit
+from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
 
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
@@ -32,36 +32,10 @@ LedName = tuple[str, int]
 """Band, and number in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class LightLimits(Checked):
-    """What is refused."""
-
-    _group = "limits"
-
-    limit_deg: Annotated[float, Limits(0, 90, above=True)] = 5.0
-    """Two directions of one LED that differ by more than this disagree."""
-
-
 _COPY_MM = 0.4
 """Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
 _MOVE_MM = 1.0  # nail positions that are nearer than this are one position
 _SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
-
-
-@dataclass(frozen=True, slots=True)
-class LightSettings:
-    """All settings of the calibration of lights."""
-
-    limits: LightLimits = field(default_factory=LightLimits)
-    nail: NailSettings = field(default_factory=NailSettings)
-
-
-def light_settings(job: LightsJob) -> LightSettings:
-    """The settings of a job; its own arguments go before `settings`. Raises BadInput naming the setting at fault."""
-    settings = override(LightSettings(), job.settings or {})
-    own = {"limits": ("limit_deg",), "nail": ("nail_height_mm", "nail_seen")}
-    given = {f"{part}.{name}": getattr(job, name) for part, names in own.items() for name in names}
-    return override(settings, {name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +73,20 @@ class CalibratedLights:
 
 
 def find_leds(
-    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob
+    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob, nail: Nail
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
     """Find and judge every LED of a table: LEDs, facts, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, keep, settings = str(job.table or job.images), job.keep, light_settings(job)
-    limit_deg = settings.limits.limit_deg
+    name, keep, limit_deg = str(job.table or job.images), job.keep, job.limit_deg
     _check_tips(tips, camera.image_size, name)
     try:
         _check_nails(tips, camera)
-        known, seen = settings.nail.nail_height_mm, settings.nail.nail_seen
-        plain, height = by_circle(tips, camera, circle, known_height_mm=known, seen=seen)
+        plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm, seen=nail.seen)
         copied = _copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
-        joint = by_joint_fit(sound, camera, circle, settings.nail) if positions > 1 and sound else None
+        joint = by_joint_fit(sound, camera, circle, nail) if positions > 1 and sound else None
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(

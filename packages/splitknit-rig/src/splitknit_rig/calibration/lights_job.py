@@ -28,7 +28,6 @@ from splitknit import (
     check_rig_file,
     encoding_of,
     file_hash,
-    flatten,
     natural_order,
     no_progress,
     path,
@@ -41,12 +40,14 @@ from splitknit import (
     refusing,
     require,
     shading_is_srgb,
+    side_lights,
     write_light_list,
     write_rig,
 )
 from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Circle, Tip, combine, listed, read_tips
-from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, find_leds, light_settings, rig_of
+from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, find_leds, rig_of
+from splitknit_rig.calibration.nail import Nail
 from splitknit_rig.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit_rig.calibration.radiometry import led_name
 from splitknit_rig.calibration.sphere import (
@@ -58,7 +59,6 @@ from splitknit_rig.calibration.sphere import (
     grey_directions,
     rim_of,
 )
-from splitknit_simulator import side_lights
 
 _UNCOMPARED = {"disagreement_deg": None, "kept": True}  # what is stated of an LED that only one nail position shows
 
@@ -77,7 +77,6 @@ _NO_RIM = (
 
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
     """Find the LEDs, and write the rig file where one is named; see :class:`LightsJob`."""
-    light_settings(job)  # a wrong one is refused before anything is read
     source = _checked_source(job)
     if source == "sphere":
         return _of_sphere(job)
@@ -215,12 +214,9 @@ def _of_table(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> C
 
 def _of_images(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> CalibratedLights:
     """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
-    folder, out, nail = path(job.images), path(job.out), light_settings(job).nail
+    folder, out = path(job.images), path(job.out)
     assert folder is not None
-    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
-    # what is found in photographs is better than what is clicked
-    better = {"nail.nail_sd_mm": min(nail.nail_sd_mm, FOUND_SD_MM)}
-    job = replace(job, settings={**flatten(job.settings or {}), **better})
+    require(job.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
     show, table = _beside(path(job.show), out, "_tips.png"), _beside(path(job.tips_out), out, "_tips.csv")
     tips, hashes, lost = tips_of_photos(
         folder, rig.camera, encoding=job.encoding, show=show, table=table, progress=progress
@@ -231,7 +227,8 @@ def _of_images(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> 
         "shadows_out_of_the_picture": lost,
     }
     try:
-        found = _of_tips(job, rig, circle, tips, hashes)
+        # what is found in photographs is better than what is clicked
+        found = _of_tips(job, rig, circle, tips, hashes, FOUND_SD_MM)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
         raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
@@ -242,15 +239,16 @@ def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
     return given if given is not None or out is None else out.with_name(out.stem + ending)
 
 
-def _of_tips(
-    job: LightsJob, rig: Rig, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
+def _of_tips(  # noqa: PLR0917
+    job: LightsJob, rig: Rig, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str], nail_sd_mm: float = 0.1
 ) -> CalibratedLights:
-    chosen, found, sentence = find_leds(tips, rig.camera, circle, job)
+    nail = Nail(job.nail_height_mm, job.nail_seen, nail_sd_mm)
+    chosen, found, sentence = find_leds(tips, rig.camera, circle, job, nail)
     facts = {**found, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
     if sentence is not None:
         plain: Any = plain_json({**facts, "written": False, "out": None})
         raise Refused(f"{job.table or job.images}: {sentence}", plain)
-    origin = provenance({"method": found["method"], "circle": circle, "lights": light_settings(job)}, hashes)
+    origin = provenance({"method": found["method"], "circle": circle, "limit_deg": job.limit_deg, "nail": nail}, hashes)
     kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
     words = [{key: one[key] for key in kept} for one in found["leds"]]
     rig = rig_of(chosen, rig, {"leds": plain_json(words), "provenance": plain_json(origin)})

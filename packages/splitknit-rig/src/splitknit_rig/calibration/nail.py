@@ -21,14 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2
 
-from splitknit import Array, Camera, Checked, Limits, pixels_of, plane_points, require
+from splitknit import Array, Camera, pixels_of, plane_points, require
 from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
 
 _NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
@@ -38,27 +38,27 @@ _OUTLIER = 4.0  # a tip this many standard deviations from its place is named, a
 STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
 
 
-@dataclass(frozen=True, slots=True)
-class NailSettings(Checked):
-    """How well everything is known beforehand: standard deviations, and what counts as astray."""
+_TIP_SD_PX = 1.0  # standard deviation of a shadow tip in the image, along each axis
+_LED_SD_MM = 1.0  # standard deviation of each LED's distance from the circle, radially and in height
 
-    tip_sd_px: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """Standard deviation of a shadow tip in the image, along each axis."""
-    nail_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 0.1
-    """Standard deviation of the nail's position on the finger plane, along each axis, shared by one position's rows."""
-    led_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """Standard deviation of each LED's distance from the circle, radially and in height."""
-    nail_height_mm: Annotated[float | None, Limits(0.5, 500)] = None
-    """Height of the nail, if known: the LED positions then follow from it, and the circle is only a check."""
-    nail_seen: Literal["tip", "base"] = "tip"
+
+@dataclass(frozen=True, slots=True)
+class Nail:
+    """What is known of the nail beforehand."""
+
+    height_mm: float | None = None
+    """If known: the LED positions then follow from it, and the circle is only a check."""
+    seen: Literal["tip", "base"] = "tip"
     """Which point was marked: the nail's ``tip``, which a perspective camera sees further out, or its ``base``."""
+    sd_mm: float = 0.1
+    """Standard deviation of its position on the finger plane, along each axis, shared by one position's rows."""
 
 
 class _NailModel:
     """The rows of a table as equations."""
 
-    def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings) -> None:
-        self.tips, self.camera, self.circle, self.settings = tuple(tips), camera, circle, settings
+    def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail) -> None:
+        self.tips, self.camera, self.circle, self.nail = tuple(tips), camera, circle, nail
         nail_px, self.tip_px = pixels(tips)
         self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
         """Band and number of the L LEDs."""
@@ -66,12 +66,12 @@ class _NailModel:
         """(N,) which of them a row is of."""
         self.place_of, self.places_px = _places(tips, camera, nail_px)
         """(N,) which place of the nail a row is of, and the places' mean pixels (P, 2)."""
-        self.known = settings.nail_height_mm is not None
+        self.known = nail.height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
-        self.led_sd = _FREE_SD_MM if self.known else settings.led_sd_mm
+        self.led_sd = _FREE_SD_MM if self.known else _LED_SD_MM
         self.offset_sd = _FREE_SD_MM if self.known else _CIRCLE_SD_MM
-        self.nail_sd_px = settings.nail_sd_mm * camera.px_per_mm
+        self.nail_sd_px = nail.sd_mm * camera.px_per_mm
         self.top = HIGHEST * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Array) -> tuple[Array, Array, float, Array]:
@@ -91,15 +91,15 @@ class _NailModel:
 
     def residuals(self, x: Array, weights: Array) -> Array:
         """All residuals in standard deviations; `weights` (N,) are the tips'."""
-        settings, circle = self.settings, self.circle
+        circle = self.circle
         leds, places, height, offsets = self.parts(x)
-        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / settings.tip_sd_px
-        seen = height if settings.nail_seen == "tip" else 0.0  # height of what the nail's pixel is of
+        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
+        seen = height if self.nail.seen == "tip" else 0.0  # height of what the nail's pixel is of
         nail = (self._pixels(places, seen) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
         out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
-        known = [(height - (settings.nail_height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
+        known = [(height - (self.nail.height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
         return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
 
     def _pixels(self, places: Array, height: float) -> Array:
@@ -140,27 +140,26 @@ class JointFit:
     rms_px: float  # residual of the tips that are not outliers, each way
 
 
-def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:
+def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail | None = None) -> JointFit:
     """Every LED from all rows together; BadInput for one position, a row without shadow, a nail outside the circle."""
-    model = _NailModel(tips, camera, circle, settings or NailSettings())
+    model = _NailModel(tips, camera, circle, nail or Nail())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
     return _result(model, _solve(model))
 
 
 def _solve(model: _NailModel) -> OptimizeResult:
-    settings = model.settings
     first, height = by_circle(
-        model.tips, model.camera, model.circle, known_height_mm=settings.nail_height_mm, seen=settings.nail_seen
+        model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm, seen=model.nail.seen
     )
     height = float(np.clip(height, 0.6, model.top))
-    places = nail_points(model.camera, model.places_px, height, settings.nail_seen)
+    places = nail_points(model.camera, model.places_px, height, model.nail.seen)
     x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
         fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
         before, x = x, fit.x
-        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / settings.tip_sd_px
+        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / _TIP_SD_PX
         weights = 1.0 / (1.0 + (distance / (_OUTLIER * sharpness)) ** 2) ** 2
         if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
             break
@@ -168,10 +167,10 @@ def _solve(model: _NailModel) -> OptimizeResult:
 
 
 def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
-    settings, circle = model.settings, model.circle
+    circle = model.circle
     leds, places, height, offsets = model.parts(fit.x)
     found = model.tip_residuals(fit.x)
-    astray = np.linalg.norm(found, axis=1) > _OUTLIER * settings.tip_sd_px
+    astray = np.linalg.norm(found, axis=1) > _OUTLIER * _TIP_SD_PX
     freedom = max(fit.fun.size - fit.x.size, 1)
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)  # where the residuals exceed their stated deviation
     covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,8 @@ from splitknit import (
     Array,
     Band,
     Capture,
-    Checked,
     FloatArray,
     Led,
-    Limits,
     Rig,
     linear_image,
     linear_stack,
@@ -186,18 +184,10 @@ def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
 _GLOSS_PERCENT = 2.0  # a card whose mirror spot is brighter than this (and five of its errors) shines
 _AMBIENT_PERCENT = 5.0  # light from elsewhere above which there is a warning, relative to the LEDs'
+LIMIT_PERCENT = 1.0  # largest rms of an LED's residuals
+DRIFT_PERCENT = 3.0  # departure of an LED from the calibration above which there is a warning
 _PATTERN_PERCENT = 1.0
 """Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
-
-
-@dataclass(frozen=True, slots=True)
-class RadiometrySettings(Checked):
-    """Limits of a radiometric calibration."""
-
-    limit_percent: Annotated[float, Limits(0, above=True)] = 1.0
-    """Largest rms of an LED's residuals."""
-    drift_percent: Annotated[float, Limits(0, above=True)] = 3.0
-    """Departure of an LED from the calibration above which there is a warning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,16 +208,16 @@ def fit_radiometry(
     rig: Rig,
     card: CardPlane | None = None,
     black_level: float | None = None,
-    settings: RadiometrySettings | None = None,
+    limit_percent: float = LIMIT_PERCENT,
 ) -> RadiometricCalibration:
     """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on the finger plane by
     default) under each LED. Raises BadInput, naming what and where, if the images show no even, matt card.
     """
-    chosen, plane = settings or RadiometrySettings(), card or CardPlane()
+    plane = card or CardPlane()
     images = card_images(capture, rig, black_level)
     flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane)
-    _check(flat, rig, chosen)
-    leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
+    _check(flat, rig, limit_percent)
+    leds = [_led_facts(rig, flat, images, k, limit_percent) for k in range(len(rig.leds))]
     facts: dict[str, Any] = {
         "captured_at": capture.captured_at,
         "card": {
@@ -253,11 +243,11 @@ def fit_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(rig, images, flat, black_level, chosen),
+        warnings=_warnings(rig, images, flat, black_level, limit_percent),
     )
 
 
-def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
+def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
     dust = float(flat.dust.mean())
     require(
         dust <= MAX_DUST,
@@ -266,14 +256,14 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     )
     worst, rms = int(np.argmax(flat.rms_percent)), float(flat.rms_percent.max())
     require(
-        rms <= settings.limit_percent or flat.common_percent < 0.7 * rms,
+        rms <= limit_percent or flat.common_percent < 0.7 * rms,
         f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs; "
         f"use a clean matt white card.",
     )
     require(
-        rms <= settings.limit_percent,
+        rms <= limit_percent,
         f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
-        f"rms is {rms:.1f} % (at most {settings.limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
+        f"rms is {rms:.1f} % (at most {limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
         f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
         f"is).",
     )
@@ -284,7 +274,7 @@ def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     )
 
 
-def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: RadiometrySettings) -> dict[str, Any]:
+def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, limit_percent: float) -> dict[str, Any]:
     led = flat.leds[k]
     origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
     rms, error = float(flat.rms_percent[k]), float(flat.exponent_error[k])
@@ -299,12 +289,12 @@ def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, settings: 
         "level": _round(float(level)),
         "rms_percent": _round(rms),
         "largest_percent": _round(float(flat.largest_percent[k])),
-        "verdict": "good" if rms <= 0.5 * settings.limit_percent else "fair",
+        "verdict": "good" if rms <= 0.5 * limit_percent else "fair",
     }
 
 
 def _warnings(
-    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, settings: RadiometrySettings
+    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, limit_percent: float
 ) -> tuple[str, ...]:
     words = []
     for band, fraction in images.ambient_percent.items():
@@ -319,7 +309,7 @@ def _warnings(
                 f"close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
-        if largest > 3 * settings.limit_percent:
+        if largest > 3 * limit_percent:
             words.append(
                 f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
                 f"or something shadows it."
@@ -337,7 +327,7 @@ def _round(value: float) -> float:
 
 
 def check_card(
-    capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
+    capture: Capture, rig: Rig, black_level: float | None = None, limit_percent: float = DRIFT_PERCENT
 ) -> dict[str, Any]:
     """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
     :func:`fit_radiometry`.
@@ -346,7 +336,6 @@ def check_card(
     median of its band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band,
     None where exposures are not known; ``ambient_percent``; ``warnings``: what departs.
     """
-    chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)
     images = card_images(capture, rig, black_level)
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
@@ -363,7 +352,7 @@ def check_card(
     sentences: list[str] = []
     for k, value in enumerate(own):
         name = f"LED {led_name(rig.leds, k)}"
-        if abs(value - 1) > 0.01 * chosen.drift_percent:
+        if abs(value - 1) > 0.01 * limit_percent:
             sentences.append(f"{name} is {_change(float(value))} than at the calibration.")
         if pattern[k] > _PATTERN_PERCENT:
             sentences.append(
@@ -371,7 +360,7 @@ def check_card(
                 f"the picture): it moved or turned."
             )
     for band, value in common.items():
-        if value is not None and abs(value - 1) > 0.01 * chosen.drift_percent:
+        if value is not None and abs(value - 1) > 0.01 * limit_percent:
             sentences.append(
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."

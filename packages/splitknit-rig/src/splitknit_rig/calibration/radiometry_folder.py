@@ -39,9 +39,10 @@ from splitknit import (
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.jobs import RadiometryJob
 from splitknit_rig.calibration.radiometry import (
+    DRIFT_PERCENT,
+    LIMIT_PERCENT,
     PROVENANCE,
     RadiometricCalibration,
-    RadiometrySettings,
     check_card,
     fit_radiometry,
 )
@@ -74,15 +75,15 @@ def calibrate_to_file(job: RadiometryJob, progress: Progress = no_progress) -> R
     progress("camera", 0.3)
     camera = _measure_camera(plan, capture)
     black = _black_level_of(camera, capture)
-    settings = RadiometrySettings() if job.limit_percent is None else RadiometrySettings(job.limit_percent)
+    limit_percent = LIMIT_PERCENT if job.limit_percent is None else job.limit_percent
     progress("flat field", 0.6)
-    found = naming(folder, lambda: fit_radiometry(capture, rig, plane, black, settings))
+    found = naming(folder, lambda: fit_radiometry(capture, rig, plane, black, limit_percent))
     warnings = [*found.warnings, *_black_level_warning(black, capture)]
     facts = {
         **found.facts,
         "camera": _camera_json(camera),
         "warnings": warnings,
-        **provenance({"radiometry": settings}, {**capture.hashes, **camera.hashes}),
+        **provenance({"radiometry": {"limit_percent": limit_percent}}, {**capture.hashes, **camera.hashes}),
     }
     progress("writing", 0.9)
     rig = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
@@ -111,11 +112,11 @@ def check_folder(
     progress("reading", 0.0)
     rig, plan, capture = read_rig(rig_file), _read_radiometry_plan(folder), read_capture(folder)
     black = _black_level_of(_measure_camera(plan, capture), capture)
-    settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
+    limit_percent = DRIFT_PERCENT if limit_percent is None else limit_percent
     progress("comparing", 0.7)
-    found = naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, black, settings))
+    found = naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, black, limit_percent))
     progress("done", 1.0)
-    return {**found, "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
+    return {**found, "limit_percent": limit_percent, "inputs": dict(capture.hashes)}
 
 
 def _residual_picture(found: RadiometricCalibration) -> ColourArray:

@@ -13,13 +13,12 @@ from typing import Any
 
 from splitknit import (
     BadInput,
-    CameraDevice,
     Enrolment,
-    LightBank,
+    Opened,
     PlannedCapture,
     Progress,
     Refused,
-    Rig,
+    Turn,
     atomic_folder,
     check_capture,
     json_text,
@@ -27,24 +26,11 @@ from splitknit import (
     provenance,
     write_capture,
 )
-from splitknit_rig.capture.session import Session, SessionSettings, Turn, WatchFocus, run_session
+from splitknit_rig.capture.session import Session, SessionSettings, WatchFocus, run_session
 
 MARKER = "session.json"
 Ask = Callable[[PlannedCapture, str | None], str]
 """Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Opened:
-    """Devices that are ready, and what is known about them."""
-
-    name: str  # ``pi`` or ``twin``
-    camera: CameraDevice
-    lights: LightBank
-    rig: Rig
-    truth: Mapping[str, Any] | None = None  # what the twin knows of the finger
-    notes: tuple[str, ...] = ()
-    turn: Turn | None = None  # turns the analyser, where the devices can
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +38,6 @@ class CaptureOptions:
     """How captures are taken and kept."""
 
     settings: SessionSettings
-    devices: Mapping[str, Any]  # settings of the devices, by their names, for ``session.json``
     material: str = "skin"
     keep: bool = False  # write a capture although it must be taken again
     overwrite: bool = False  # replace an earlier capture
@@ -90,7 +75,7 @@ def capture_to_folder(
 
 
 def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[str, Any]:
-    used = {"device": devices.name, "capture": options.settings, **options.devices}
+    used = {"device": devices.name, "capture": options.settings, **devices.settings}
     times = [shot.at_s for shot in session.shots]
     lit = sum(shot.led is not None for shot in session.shots)
     return {

@@ -13,27 +13,28 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
     BadInput,
-    CameraDevice,
     Checked,
     Closing,
     ExposureRange,
     Frame,
     GuardedLights,
-    Limits,
+    Opened,
+    PixelArray,
     Rig,
     check_fields,
     importing,
+    nominal_rig,
     require,
 )
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
-from splitknit_rig.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc, preview_pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +157,9 @@ class PiAnalyser(Closing):
 _WHITE_GAINS = (1.11, 2.13)  # gains of red and blue that make a white card white under the white LEDs (5000 K)
 _NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are transparent
 _LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
+_PREVIEW_COLUMNS = 800  # width of a preview, about
 _MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
+NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by `rig`"
 UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 
@@ -167,14 +170,11 @@ class PiCameraSettings(Checked):
 
     _group = "pi"
 
-    camera: Literal["imx219", "imx477", "imx708", "ov9281", "imx296", "uvc", "genicam"] = "imx219"
-    """A camera module by its sensor, ``uvc`` (any webcam or frame grabber that the system knows) or ``genicam`` (an
-    industrial camera by its maker's GenTL producer)."""
-    number: Annotated[int, Limits(0, 64)] = 0
-    """Number of the camera of `uvc` or `genicam`, if there are several."""
+    camera: Literal["imx219", "imx477", "imx708", "ov9281", "imx296"] = "imx219"
+    """A camera module by its sensor."""
     image_size: tuple[int, int] | None = None
     """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32. None: 2200 x 3200 of
-    the imx219, as good as all of the others; `uvc` and `genicam` give what they are set to."""
+    the imx219, as good as all of the others."""
     raw: bool = False
     """Raw images of a module's own bits, demosaiced here to 16 bits, instead of the processor's 8-bit ones."""
 
@@ -182,11 +182,6 @@ class PiCameraSettings(Checked):
         check_fields(self)
         if self.image_size is None:
             return
-        require(
-            self.camera in SENSORS,
-            f"pi.image_size is of the Raspberry Pi's camera modules; set the size of a {self.camera} camera in its own "
-            "program.",
-        )
         rows, columns = self.image_size
         most = self.sensor.size
         require(
@@ -260,7 +255,7 @@ class PiCamera(Closing):
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
         frame = self.capture()
-        return replace(frame, pixels=preview_pixels(frame.pixels))
+        return replace(frame, pixels=_preview_pixels(frame.pixels))
 
     def close(self) -> None:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -355,7 +350,7 @@ class PiCamera(Closing):
         name = str(self._camera.camera_configuration()["raw"]["format"])
         order, bits = name.lstrip("S").rstrip("0123456789"), name.lstrip("SRGBrgb")
         require(
-            bits.isdigit() and order in (*BAYER, "R"),
+            bits.isdigit() and order in (*_BAYER, "R"),
             f"the camera gives raw images as {name}, which cannot be read; set pi.raw to false.",
         )
         values = np.ascontiguousarray(request.make_array("raw")).view(np.uint16)
@@ -363,7 +358,45 @@ class PiCamera(Closing):
         return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
 
 
+def _preview_pixels(pixels: PixelArray) -> PixelArray:
+    """(h, w, C) an image of about 800 columns: the means of whole blocks of (H, W, C)."""
+    rows, columns, channels = pixels.shape
+    factor = max(1, round(columns / _PREVIEW_COLUMNS))
+    size = (columns // factor, rows // factor)
+    small: Any = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small.reshape(*size[::-1], channels))
+
+
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
+
+# OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
+_BAYER: Mapping[str, int] = {
+    "BGGR": cv2.COLOR_BayerRG2RGB,
+    "GBRG": cv2.COLOR_BayerGR2RGB,
+    "GRBG": cv2.COLOR_BayerGB2RGB,
+    "RGGB": cv2.COLOR_BayerBG2RGB,
+}
+"""By the colours of the first two pixels of the first two rows."""
+
+
+def developed(
+    raw: NDArray[np.uint16], bits: int, black: int, order: str, gains: tuple[float, float] = (1.0, 1.0)
+) -> NDArray[np.uint16]:
+    """White-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), of `raw` values (H, W) of `bits`. `black`:
+    value of no light, of 16 bits, which stays; `order`: one of :data:`_BAYER`, else grey; `gains`: of red, blue.
+    """
+    shift = 16 - bits
+    if order not in _BAYER:
+        grey = np.left_shift(raw, shift, dtype=np.uint16)
+        return np.asarray(np.where(raw >= (1 << bits) - 1, 65535, grey), dtype=np.uint16)[..., None]
+    colours = np.asarray(cv2.cvtColor(np.ascontiguousarray(raw), _BAYER[order]), dtype=np.uint16)
+    levels = (np.arange(1 << bits, dtype=np.float64) * (1 << shift)) - black
+    result = np.empty_like(colours)
+    for c, gain in enumerate((gains[0], 1.0, gains[1])):
+        table = np.clip(np.rint(levels * gain + black), 0, 65535)
+        table[-1] = 65535  # what the sensor clips is clipped in every channel
+        result[..., c] = table.astype(np.uint16)[np.minimum(colours[..., c], (1 << bits) - 1)]
+    return result
 
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
@@ -430,7 +463,7 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
     return PiCamera(maker, settings)
 
 
-def open_analyser(rig: Rig) -> PiAnalyser | None:
+def _open_analyser(rig: Rig) -> PiAnalyser | None:
     """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo."""
     films = rig_films(rig)
     if films is None or films.kind != "servo":
@@ -439,11 +472,16 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
         return PiAnalyser(films, gpiozero.Servo)
 
 
-def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[CameraDevice, PiLightBank]:
-    """Open LEDs, which go dark, and the camera of the settings; `stack` closes both, the LEDs last."""
-    lights = stack.enter_context(_open_lights(rig))
-    settings = settings or PiCameraSettings()
-    if settings.camera in SENSORS:
-        return stack.enter_context(_open_camera(settings)), lights
-    stream = open_uvc(settings.number) if settings.camera == "uvc" else open_genicam(settings.number)
-    return stack.enter_context(StreamCamera(stream)), lights
+@contextmanager
+def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
+    """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there is none."""
+    chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
+    with ExitStack() as stack:
+        lights = stack.enter_context(_open_lights(chosen))  # closed last
+        camera = stack.enter_context(_open_camera(settings))
+        analyser = _open_analyser(chosen)
+        if analyser is not None:
+            stack.enter_context(analyser)
+        notes = (f"the {settings.camera} camera was {UNTESTED}",)
+        notes = notes if rig is not None else (NOMINAL, *notes)
+        yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)

@@ -51,7 +51,7 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
             and not isinstance(lines, str)
             and all(type(line) is int and line in USABLE for line in lines),
             f"provenance.pins.{band} of the rig file must be a list of GPIO numbers (BCM, 2 to 27); "
-            "'splitknit rig circuit' writes it.",
+            "hardware/files/board/rig.json has it.",
         )
         assert lines is not None
         words = f"provenance.pins.{band} of the rig file has {len(lines)} lines"
@@ -81,7 +81,7 @@ def rig_films(rig: Rig) -> RigFilms | None:
     require(
         kind in ("servo", "hand", "neighbours"),
         'provenance.films of the rig file must have the kind "servo", "hand" or "neighbours"; '
-        "'splitknit rig circuit' with films writes it.",
+        "'python -m hardware.circuit' writes it.",
     )
     white = tuple(k for k, led in enumerate(rig.leds) if led.band == "white")
     if kind == "neighbours":

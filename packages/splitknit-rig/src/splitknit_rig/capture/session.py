@@ -26,6 +26,7 @@ from splitknit import (
     LightBank,
     Progress,
     Rig,
+    Turn,
     bounding_box,
     finger_mask,
     no_progress,
@@ -54,8 +55,6 @@ from splitknit_rig.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings
 
 WatchFocus = Callable[[Focus, FocusWatch], bool]
 """Shown every measurement; true ends the live measurement."""
-Turn = Callable[[str], None]
-"""Turns the analyser to ``parallel`` or ``crossed``; returns when it is there."""
 BANDS = ("white", "nir")
 _FOCUS_FIELD_MM = 10.0
 

@@ -29,11 +29,11 @@ from splitknit import (
     reduce_image,
     relative_exposure,
     shot_motion,
+    side_lights,
     spectral_band,
 )
 from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit_rig.capture.pins import led_names
-from splitknit_simulator import side_lights, unit
 
 _MAX_SATURATED = 0.05  # a shot is overexposed if more of the finger is at full scale (in two channels)
 _DRIFTED_MM = 0.12
@@ -178,7 +178,8 @@ class Shooting:
         self.shots: list[Shot] = []
         self.verdict: list[str] = []
         self.taken = 0
-        self._towards = [unit(np.array(led.position_mm or led.direction)) for led in devices.rig.leds]
+        places = [np.array(led.position_mm or led.direction) for led in devices.rig.leds]
+        self._towards = [place / np.linalg.norm(place) for place in places]
         self._before: list[tuple[int, str, Look]] = []
         self._steady = True
         self._looks: dict[str, tuple[Sequence[int], list[Look], Look]] = {}

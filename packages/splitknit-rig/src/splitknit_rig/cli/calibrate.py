@@ -7,12 +7,11 @@ from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from splitknit import AnyPath, Help, Outcome, Progress, Verb, path, refuse_given
-from splitknit_rig.calibration.jobs import CameraJob, LightsJob, PolarisersJob, RadiometryJob, ShadingJob
+from splitknit_rig.calibration.jobs import CameraJob, LightsJob, PolarisersJob, RadiometryJob
 
 if TYPE_CHECKING:
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
     from splitknit_rig.calibration.radiometry import RadiometricCalibration
-    from splitknit_rig.calibration.shading import ShadingFit
 
 
 def _show_camera(found: MeasuredCamera, job: CameraJob) -> Outcome:
@@ -243,28 +242,7 @@ def _film_lines(facts: Mapping[str, Any]) -> list[str]:
     return [*lines, f"Written: {', '.join(facts['files'])}."]
 
 
-def _show_shading(fit: ShadingFit, job: ShadingJob) -> Outcome:
-    facts = {**fit.shading.facts, "pitch_mm": fit.shading.pitch_mm, "out": str(job.out), "report": str(job.page)}
-    lines, by_outlines = [], any(note.startswith("the scale is that of the balls' outlines") for note in fit.notes)
-    if facts["balls"]:
-        lines.append(
-            f"{facts['balls_used']} of {facts['balls']} balls calibrate {len(fit.shading.direction)} lights, "
-            f"{1000 * fit.shading.pitch_mm:.4f} um a pixel"
-            + (", of the balls' outlines: lengths may be some per cent off." if by_outlines else ".")
-        )
-        if facts["cap_rms_um"] is not None:
-            low, middle, high = facts["cap_gain"]
-            lines.append(
-                f"Caps within 0.6 of the radius, {facts['left_out']} left out: {facts['cap_rms_um']:.2f} um rms, gain "
-                f"{middle:.3f} ({low:.3f} to {high:.3f})."
-            )
-        lines.append(f"Slopes up to {facts['max_slope']:.2f} were seen; steeper ones are extrapolated.")
-    lines += [f"Please note: {note}" for note in fit.notes]
-    lines.append(f"Written: {job.out}, {job.page}.")
-    return facts, lines
-
-
-CAMERA, SHADING = Verb(CameraJob, _show_camera), Verb(ShadingJob, _show_shading)
+CAMERA = Verb(CameraJob, _show_camera)
 LIGHTS = Verb(LightsJob, lambda found, job: (dict(found.facts), _light_lines(found.facts)))
 RADIOMETRY = Verb(_CalibrateOrCheck, _show_radiometry)
 POLARISERS = Verb(PolarisersJob, lambda facts, job: (facts, _film_lines(facts)))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import select
 import sys
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from splitknit import (
@@ -19,6 +21,7 @@ from splitknit import (
     Scale,
     Settings,
     Verb,
+    flatten,
     path,
     refuse_given,
     require,
@@ -26,11 +29,12 @@ from splitknit import (
 )
 
 if TYPE_CHECKING:
-    from splitknit import PlannedCapture, Rig
+    from splitknit import Opened, PlannedCapture
     from splitknit_rig.capture.exposure import Focus, FocusWatch
-    from splitknit_rig.capture.folder import CaptureOptions, Opened
-    from splitknit_rig.rig.devices import DeviceSettings
+    from splitknit_rig.capture.folder import CaptureOptions
 
+Opener = Callable[[int, int], AbstractContextManager["Opened"]]
+"""Opens the devices, by the twin's seed and impression."""
 _BAR = 30
 _WHO, _MANY = "who (ids only, never names)", "many fingers"
 
@@ -76,20 +80,19 @@ class CaptureJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Capture one finger, or those that an enrolment waits for."""
-        from splitknit import read_rig
+        from splitknit import override
         from splitknit_rig.capture.folder import CaptureOptions  # so that --help is quick
-        from splitknit_rig.rig.devices import read_settings
+        from splitknit_rig.capture.session import SessionSettings
 
         self._check()
-        rig = None if self.rig is None else read_rig(self.rig)
-        changes = dict(self.settings or {})
+        changes = flatten(self.settings or {})
         if self.target is not None:
             changes["capture.find_finger"] = False
-        settings = read_settings(self.device, changes, rig, self.scale)
+        own = {name: value for name, value in changes.items() if name.startswith("capture.")}
+        others = {name: value for name, value in changes.items() if name not in own}
         asks = self.device == "pi" and sys.stdin.isatty()
         how = CaptureOptions(
-            settings.capture,
-            settings.used(self.device),
+            override(SessionSettings(), {name.removeprefix("capture."): value for name, value in own.items()}),
             material="opaque" if self.target is not None else "skin",
             keep=self.keep,
             overwrite=self.overwrite,
@@ -97,9 +100,31 @@ class CaptureJob(Job):
             turn=_turn if asks else None,
             ask=_ask if asks else None,
         )
-        capture = self._one if self.enrolment is None else self._enrolled
-        with ExitStack() as stack:
-            return capture(how, settings, rig, stack, progress)
+        opener = self._pi(others) if self.device == "pi" else self._twin(others)
+        return (self._one if self.enrolment is None else self._enrolled)(how, opener, progress)
+
+    def _pi(self, changes: dict[str, Any]) -> Opener:
+        """What opens the Raspberry Pi's devices."""
+        from splitknit import override, read_rig
+        from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
+
+        strays = [name for name in changes if not name.startswith("pi.")]
+        require(
+            not strays and self.scale is None,
+            f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it out, or use "
+            "names that begin with capture. or pi.",
+        )
+        rig = None if self.rig is None else read_rig(self.rig)
+        settings = override(PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()})
+        return lambda seed, impression: opened_pi(rig, settings)
+
+    def _twin(self, changes: dict[str, Any]) -> Opener:
+        """What opens the twin's devices, which the simulator's member brings."""
+        from splitknit import DEVICES, SIMULATOR, extension, read_rig
+
+        rig = None if self.rig is None else read_rig(self.rig)
+        twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, self.scale)
+        return partial(twin.opened, pattern=self.pattern, target=self.target)
 
     def _check(self) -> None:
         from splitknit import FINGERS, check_subject_id
@@ -123,12 +148,9 @@ class CaptureJob(Job):
             "`target`, `overwrite` and `pattern` are for one capture; an enrolment draws fingers and replaces nothing.",
         )
 
-    def _one(
-        self, how: CaptureOptions, settings: DeviceSettings, rig: Rig | None, stack: ExitStack, progress: Progress
-    ) -> dict[str, Any]:
+    def _one(self, how: CaptureOptions, opener: Opener, progress: Progress) -> dict[str, Any]:
         from splitknit import check_capture
         from splitknit_rig.capture.folder import capture_to_folder
-        from splitknit_rig.rig.devices import opened_pi, opened_twin
 
         assert self.out is not None
         out = path(self.out)
@@ -140,19 +162,12 @@ class CaptureJob(Job):
         elif self.finger is not None or self.device == "twin":
             subject["finger"] = self.finger or "simulated"
         progress("opening the devices", 0.0)
-        devices = stack.enter_context(
-            opened_pi(rig, settings)
-            if self.device == "pi"
-            else opened_twin(settings, self.seed or 0, session - 1, pattern=self.pattern, target=self.target)
-        )
-        return capture_to_folder(devices, out, how, subject=subject, progress=progress)
+        with opener(self.seed or 0, session - 1) as devices:
+            return capture_to_folder(devices, out, how, subject=subject, progress=progress)
 
-    def _enrolled(
-        self, how: CaptureOptions, settings: DeviceSettings, rig: Rig | None, stack: ExitStack, progress: Progress
-    ) -> dict[str, Any]:
+    def _enrolled(self, how: CaptureOptions, opener: Opener, progress: Progress) -> dict[str, Any]:
         from splitknit import FINGERS, open_enrolment
         from splitknit_rig.capture.folder import capture_enrolment
-        from splitknit_rig.rig.devices import opened_pi, opened_twin
 
         assert self.enrolment is not None
         fingers = None
@@ -161,16 +176,13 @@ class CaptureJob(Job):
         folder = path(self.enrolment)
         enrolment = open_enrolment(folder, subjects=self.subjects, sessions=self.sessions, fingers=fingers)
         places = enrolment.waiting(subject=self.subject, session=self.session, finger=self.finger)[: self.next]
-        if self.device == "pi" and places:
-            devices = stack.enter_context(opened_pi(rig, settings))
+        with ExitStack() as stack:
+            kept = stack.enter_context(opener(0, 0)) if self.device == "pi" and places else None
 
-        def open_devices(place: PlannedCapture) -> AbstractContextManager[Opened]:
-            if self.device == "pi":
-                return nullcontext(devices)
-            seed, impression = enrolment.seeds(place, self.seed or 0)
-            return opened_twin(settings, seed, impression)
+            def open_devices(place: PlannedCapture) -> AbstractContextManager[Opened]:
+                return nullcontext(kept) if kept is not None else opener(*enrolment.seeds(place, self.seed or 0))
 
-        return capture_enrolment(enrolment, places, open_devices, how, progress)
+            return capture_enrolment(enrolment, places, open_devices, how, progress)
 
 
 def _show(facts: dict[str, Any], job: CaptureJob) -> Outcome:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, Checked, FloatArray, Led, Limits, Rig
+from splitknit import BadInput, Checked, FloatArray, Led, Limits, Rig, side_lights
 from splitknit_simulator.light.lighting import Patch, arriving
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
 from splitknit_simulator.surface import Array
@@ -24,14 +24,6 @@ Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 
 SERIES = ("parallel", "crossed")
-SIDE_DEG = 60.0
-"""A light that stands farther off the camera's axis, seen from the middle of the finger plane, is a side light."""
-
-
-def side_lights(leds: Sequence[Led]) -> tuple[int, ...]:
-    """Numbers of the near LEDs that stand more than 60 deg off the camera's axis."""
-    places = [(k, led.position_mm) for k, led in enumerate(leds) if led.position_mm is not None]
-    return tuple(k for k, (x, y, z) in places if np.hypot(x, y) > z * np.tan(np.deg2rad(SIDE_DEG)))
 
 
 def turned_film_rad(place: Sequence[float], analyser_rad: float = 0.0) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit import Checked, FloatArray, Led, Limits, check_fields, require
+from splitknit import Checked, FloatArray, Led, Limits, require
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
@@ -36,23 +36,6 @@ class Checkerboard(Checked):
     steps: Annotated[int, Limits(2, 32)] = 5
     """Shifts along each axis; 5 gives the thesis's 25 patterns. With an even number every checkerboard occurs twice,
     since a shift by one check along both axes changes nothing."""
-    alpha: Annotated[float, Limits(0.05, 0.95)] = 0.5
-    """Fraction of the plane that is lit: 0.5 is the checkerboard; below it lit squares on dark, above it dark squares
-    on light, one a period of two checks."""
-    dark: Annotated[float, Limits(0.0, 0.9)] = 0.0
-    """Light of the projector's dark checks, relative to its lit ones (b)."""
-    edge_mm: Annotated[float, Limits(0.0)] = 0.0
-    """Width over which an edge goes from dark to lit, on top of one pixel: the projector's blur."""
-    angle_rad: Annotated[float, Limits()] = 0.0
-    """Angle of the pattern's axes against the camera's, counter-clockwise."""
-    phase_mm: Annotated[tuple[float, float], Limits()] = (0.0, 0.0)
-    """Where the pattern starts: displacement of the first of its shifts along its own axes."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(
-            self.edge_mm <= self.check_mm, f"checkerboard.edge_mm must be at most one check, but it is {self.edge_mm}."
-        )
 
     @property
     def period_mm(self) -> float:
@@ -63,41 +46,23 @@ class Checkerboard(Checked):
         """(N, 2) displacement of every pattern along its two axes; the first axis changes fastest."""
         step = self.period_mm / self.steps * np.arange(self.steps)
         second, first = np.meshgrid(step, step, indexing="ij")
-        return np.asarray(np.stack([first.ravel(), second.ravel()], axis=1) + np.asarray(self.phase_mm))
+        return np.stack([first.ravel(), second.ravel()], axis=1)
 
     def state(self, x: Array, y: Array, shift_mm: tuple[float, float] | Array, pitch_mm: float) -> FloatArray:
-        """Light of the projector, in [dark, 1], at points of the finger plane; edges are averaged over a pixel of
+        """Light of the projector, in [0, 1], at points of the finger plane; edges are averaged over a pixel of
         `pitch_mm`.
 
-        `x`, `y`: mm, any shape; `shift_mm`: of the pattern along its own axes.
+        `x`, `y`: mm, any shape; `shift_mm`: of the pattern.
         """
-        u, v = _turn(x, y, self.angle_rad)
-        u, v = u - shift_mm[0], v - shift_mm[1]
-        width = float(np.hypot(pitch_mm, self.edge_mm))
-        if self.alpha == 0.5:
-            signs = _wave(u, self.check_mm, width) * _wave(v, self.check_mm, width)
-            lit = 0.5 + 0.5 * signs
-        else:
-            side = self.period_mm * float(np.sqrt(min(self.alpha, 1.0 - self.alpha)))
-            waves = (_wave(u, side, width, self.period_mm), _wave(v, side, width, self.period_mm))
-            square = (0.5 + 0.5 * waves[0]) * (0.5 + 0.5 * waves[1])
-            lit = square if self.alpha < 0.5 else 1.0 - square
-        return np.asarray(self.dark + (1.0 - self.dark) * lit, dtype=np.float32)
+        across = _wave(x - shift_mm[0], self.check_mm, pitch_mm)
+        along = _wave(y - shift_mm[1], self.check_mm, pitch_mm)
+        return np.asarray(0.5 + 0.5 * across * along, dtype=np.float32)
 
 
-def _turn(x: Array, y: Array, angle_rad: float) -> tuple[Array, Array]:
-    """Coordinates along axes that are turned counter-clockwise by `angle_rad`."""
-    if angle_rad == 0.0:
-        return x, y
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    return cosine * x + sine * y, cosine * y - sine * x
-
-
-def _wave(u: Array, lit: float, width: float, period: float | None = None) -> Array:
-    """+1 over `lit` of each `period` (twice that) from u = 0 on, else -1, linear over `width` at the edges."""
-    period = 2.0 * lit if period is None else period
-    middle = np.abs((u - 0.5 * lit + 0.5 * period) % period - 0.5 * period)
-    return np.asarray(np.clip((0.5 * lit - middle) * (2.0 / width), -1.0, 1.0))
+def _wave(u: Array, check_mm: float, width: float) -> Array:
+    """+1 over every second check from u = 0 on, else -1, linear over `width` at the edges."""
+    middle = np.abs((u + 0.5 * check_mm) % (2.0 * check_mm) - check_mm)
+    return np.asarray(np.clip((0.5 * check_mm - middle) * (2.0 / width), -1.0, 1.0))
 
 
 def _check_camera(surface: SimulatedSurface) -> None:
@@ -127,7 +92,7 @@ def _projected(patch: Patch, led: Led) -> tuple[Array, Array]:
 
 
 def pattern_states(surface: SimulatedSurface, led: Led, pattern: Checkerboard) -> FloatArray:
-    """(N, H, W) the projector's light on every pixel of an orthographic camera in each shift, in [dark, 1]; zero beside
+    """(N, H, W) the projector's light on every pixel of an orthographic camera in each shift, in [0, 1]; zero beside
     the surface. A pixel's state is that of the surface point it sees.
     """
     _check_camera(surface)

@@ -201,7 +201,7 @@ def _photograph(
 
 def _through_patterns(surface: SimulatedSurface, led: Led, skin: SkinOptics, light: Separated) -> FloatArray:
     """Direct light (3, h, w) from 25 shifted checkerboards, L_max - L_min of the noise-free images."""
-    pattern = Checkerboard(light.check_mm, steps=5, alpha=0.5, dark=0.0)
+    pattern = Checkerboard(light.check_mm, steps=5)
     stack = checkerboard_stack(surface, led, skin, pattern).transpose(0, 2, 3, 1)
     mask = surface.mask[light.window]
     # radiance in the rig's units knows no clipping; the black outside the mask is not a fault

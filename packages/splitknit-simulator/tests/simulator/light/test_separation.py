@@ -130,19 +130,6 @@ def test_a_pattern_and_its_complement_make_the_white_image(palm):
     np.testing.assert_allclose(stack[0], stack[3], atol=2e-6 * float(white.max()))
 
 
-def test_the_dark_level_and_the_share_follow_the_model(palm):
-    """L = (1 - b) L(b = 0) + b white, whatever the pattern."""
-    options = {"settings": SHORT}
-    white = _truth(palm, LED, phases="centred").white
-    for alpha in (0.25, 0.5):
-        plain, lifted = (
-            next(checkerboard_images(palm, LED, SKIN, Checkerboard(0.4, alpha=alpha, dark=dark), **options))
-            for dark in (0.0, 0.2)
-        )
-        np.testing.assert_allclose(lifted, 0.8 * plain + 0.2 * white, atol=2e-6 * float(white.max()))
-        assert plain.mean() / white.mean() == pytest.approx(alpha, abs=0.03)
-
-
 def test_near_infrared_has_one_channel_and_the_same_arguments_give_the_same_bytes(palm):
     led = default_rig().leds[9]
     first, second = (_truth(palm, led, phases="centred") for _ in range(2))
@@ -177,9 +164,8 @@ def test_checks_of_a_pixel_and_unknown_phases_are_refused(palm):
         next(checkerboard_images(palm, LED, SKIN, Checkerboard(0.08)))
 
 
-@pytest.mark.parametrize("angle_rad", [0.0, 0.4])
-def test_opaque_skin_shows_the_pattern_where_the_projector_throws_it(palm, angle_rad):
-    pattern = Checkerboard(0.5, steps=3, angle_rad=angle_rad, phase_mm=(0.07, 0.19))
+def test_opaque_skin_shows_the_pattern_where_the_projector_throws_it(palm):
+    pattern = Checkerboard(0.5, steps=3)
     stack = checkerboard_stack(palm, LED, OPAQUE, pattern, settings=SHORT)
     white = _truth(palm, LED, OPAQUE, phases="centred").white
     states = pattern_states(palm, LED, pattern)

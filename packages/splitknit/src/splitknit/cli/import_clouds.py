@@ -1,4 +1,4 @@
-"""What ``splitknit import`` does with a point cloud, a mesh or a height map: a result folder comes out."""
+"""What ``splitknit import`` does with a point cloud or a mesh: a result folder comes out."""
 
 from __future__ import annotations
 

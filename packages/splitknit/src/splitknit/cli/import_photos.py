@@ -1,5 +1,5 @@
 """``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
-folder of each. Other kinds of input (people, point clouds, prints) are read by what is registered for them.
+folder of each. Other kinds of input (point clouds, prints) are read by what is registered for them.
 """
 
 from __future__ import annotations
@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.jobs import OF_PHOTOGRAPHS, Photographs
-from splitknit.registry import IMPORTS, MATCH, RIG, SIMULATOR, extension
+from splitknit.registry import IMPORTS, MATCH, SIMULATOR, extension
 from splitknit.verbs import AnyPath, Help, InputPpi, Job, Overwrite, Progress, path, refuse_given
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-CLOUDS = (".ply", ".pcd", ".xyz", ".asc", ".obj", ".stl", ".x3p", ".tmd")
 _OF_CLOUDS = ("unit", "up", "pitch_mm")
-_CIRCLE = ("led_height_cm", "led_radius_cm", "led_centre_px")
-_OF_RIGS = "white and near-infrared photographs of a rig, of one finger or of many people"
+_OF_RIGS = "white and near-infrared photographs of a rig"
 _PRINTS = "prints of other systems"
-_SURFACES = "point clouds, meshes and height maps"
+_SURFACES = "point clouds and meshes"
 _ABOUT_SURFACES = (
-    "one FILE (.ply, .pcd, .xyz, .obj, .stl, .x3p, .tmd) becomes a result folder; `material` is skin, a finger, "
+    "one FILE (.ply, .xyz, .obj, .stl; needs trimesh) becomes a result folder; `material` is skin, a finger, "
     "unless given, and `tip_direction_deg` counts from the top of the view"
 )
 
@@ -39,27 +37,15 @@ class ImportJob(Job):
     files: Annotated[tuple[AnyPath, ...], Help(
         "WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; ISO "
         "19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take all "
-        "of them as they are; PLY, PCD, XYZ, OBJ, STL, X3P, TMD: see point clouds",
+        "of them as they are; PLY, XYZ, OBJ, STL: see point clouds",
         "FILE", positional=True, group=_PRINTS)] = ()
     _: KW_ONLY
     photographs: Annotated[Photographs, Help("photographs")] = field(default_factory=Photographs)
     nir: Annotated[AnyPath | None, Help(
-        "near-infrared photographs: a folder, or a pattern as for `folder`; their lights are the NIR LEDs of `table` "
-        "or a rig file, else lights.txt in that folder", "DIR", group=_OF_RIGS)] = None
-    table: Annotated[AnyPath | None, Help(
-        "lights by nail and shadow tips, as 'calibrate lights --table' reads it", "CSV", group=_OF_RIGS)] = None
-    led_height_cm: Annotated[float | None, Help("of `table`: LEDs above the finger plane", "N", group=_OF_RIGS)] = None
-    led_radius_cm: Annotated[float | None, Help("of `table`: radius of the LEDs' circle", "N", group=_OF_RIGS)] = None
-    led_centre_px: Annotated[str | None, Help(
-        "of `table`: pixel of the circle's centre (default: the middle)", "X,Y", group=_OF_RIGS)] = None
-    people: Annotated[AnyPath | None, Help(
-        "folder of many people's photographs: `folder` and `nir` are patterns of paths below it, such as "
-        "'{subject}/{session}/{finger}/white_{light}.jpg', `out` a population for 'batch'",
-        "TREE", group=_OF_RIGS)] = None
+        "near-infrared photographs: a folder, or a pattern as for `folder`; their lights are the NIR LEDs of a rig "
+        "file, else lights.txt in that folder", "DIR", group=_OF_RIGS)] = None
     keep: Annotated[bool, Help(
-        "keep LEDs of `table` that its check refuses, and a hand of `fingers` that the tips contradict",
-        also=("--force",), group=_OF_RIGS)] = False
-    dry_run: Annotated[bool, Help("of `people`: say what goes where, write nothing", group=_OF_RIGS)] = False
+        "keep a hand of `fingers` that the tips contradict", also=("--force",), group=_OF_RIGS)] = False
     out: Annotated[AnyPath, Help("folder to write", "DIR")]
     fingers: Annotated[str | None, Help(
         "`folder`, or the capture folder FILE, show several fingers side by side: each becomes a capture in DIR; left,"
@@ -68,7 +54,7 @@ class ImportJob(Job):
     overwrite: Overwrite = False
     input_ppi: Annotated[InputPpi, Help(InputPpi.__metadata__[0].text, "N", group=_PRINTS)] = None
     unit: Annotated[Literal["um", "mm", "cm", "in", "m"] | None, Help(
-        "of the coordinates (default: mm; X3P and TMD state theirs)", group=_SURFACES, about=_ABOUT_SURFACES)] = None
+        "of the coordinates (default: mm)", group=_SURFACES, about=_ABOUT_SURFACES)] = None
     up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Help(
         "axis that points to the viewer: x, y, z, or -x as --up=-x (default: found by normals or by the shape)",
         "AXIS", group=_SURFACES)] = None
@@ -79,13 +65,15 @@ class ImportJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Find what kind of input it is, and import it."""
+        from splitknit.io.clouds import CLOUDS  # verbs import what they need
+
         images = self.photographs.folder
         both = images is not None and bool(self.files)
         require(not both, "photographs (`folder` DIR) and prints (FILE ...) are imported one after the other.")
         fault = "name photographs (`folder` DIR `lights` FILE)"
         require(images is not None or bool(self.files), f"{fault} or files of prints to import.")
         if self.fingers is not None:
-            require(self.people is None and len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
+            require(len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
             self._check_rig_captures()
             return _import_fingers(self, progress)
         if any(path(file).suffix.lower() in CLOUDS for file in self.files):
@@ -95,8 +83,6 @@ class ImportJob(Job):
         if images is None:
             return self._extended("prints", "the import of prints", MATCH, progress)
         self._check_rig_captures()
-        if self.people is not None:
-            return self._extended("people", "the import of many people's photographs", RIG, progress)
         return _import_photos(self, progress)
 
     def _extended(self, name: str, what: str, distribution: str, progress: Progress) -> Outcome:
@@ -105,27 +91,14 @@ class ImportJob(Job):
 
     def _check_rig_captures(self) -> None:
         """Refuse options that lack their partner."""
-        given = self.photographs
-        refuse_given(self, () if self.table else _CIRCLE, "goes with `table`.")
-        good = self.table is not None or self.fingers is not None or not self.keep
-        require(good, "`keep` goes with `table` and `fingers`.")
-        require(self.table is None or given.lights is None, "`table` and `lights` both give the lights; choose one.")
-        require(self.table is None or given.px_per_mm is not None, "`table` needs the scale; give `px_per_mm`.")
-        require(self.people is not None or not self.dry_run, "`dry_run` goes with `people`.")
-        given.check_alone()
+        require(self.fingers is not None or not self.keep, "`keep` goes with `fingers`.")
+        self.photographs.check_alone()
 
     def of_finger(self) -> Photographs:
         """The photographs, with what the other options say of them: a finger is skin."""
-        skin = (self.nir, self.people, self.fingers) != (None, None, None)
+        skin = (self.nir, self.fingers) != (None, None)
         material = self.photographs.material or ("skin" if skin else None)
         return replace(self.photographs, nir=self.nir, material=material)
-
-    def with_table(self, taken: Photographs) -> Photographs:
-        """The photographs with the rig that the table of tips gives them in place of the scale."""
-        if self.table is None:
-            return taken
-        rig_of_table = extension(IMPORTS, "table", "a table of nail and shadow tips", RIG)
-        return replace(taken, lights=rig_of_table(self, taken), px_per_mm=None)
 
     def refuse_photographs(self, kept: tuple[str, ...], why: str) -> None:
         """Refuse what is known of photographs, but for `kept`."""
@@ -146,7 +119,7 @@ def _import_fingers(job: ImportJob, progress: Progress) -> Outcome:
     if taken.folder is None:
         capture, notes = read_capture(job.files[0]), list[str]()
     else:
-        capture, notes = job.with_table(taken).read()
+        capture, notes = taken.read()
     progress("fingers", 0.5)
     found = {out / name: one for name, one in fingers_apart(capture, names, keep=job.keep).items()}
     for place in found:
@@ -168,7 +141,7 @@ def _import_photos(job: ImportJob, progress: Progress) -> Outcome:
         keep = folder.parent if "{light}" in folder.name else folder
         check_capture(out, overwrite=job.overwrite, keep=keep)
     progress("reading", 0.1)
-    capture, notes = job.with_table(taken).read()
+    capture, notes = taken.read()
     progress("writing", 0.7)
     write_capture(capture, out, overwrite=job.overwrite)
     return _told(capture, notes, out)

@@ -39,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     from splitknit.registry import GONE
 
-    gone = next((name for name in (" ".join(words[:2]), " ".join(words[:1])) if name in GONE), "")
+    named = [" ".join(words[:1]), *(f"{words[0]} {word}" for word in words[1:])]
+    gone = next((name for name in named if name in GONE), "")
     if gone:
         print(f"splitknit: error: '{gone}' left the program: {GONE[gone]}", file=sys.stderr)
         return BAD_INPUT

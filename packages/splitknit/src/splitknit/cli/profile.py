@@ -45,9 +45,10 @@ class ProfileJob(Job):
         from splitknit.imaging.roughness import profile_roughness
         from splitknit.io.atomic import atomic_folder, write_file
         from splitknit.io.csv_table import csv_text
-        from splitknit.viewer.surface import read_surface, section
+        from splitknit.io.results import read_result
+        from splitknit.viewer.surface import section, surface_in
 
-        surface = read_surface(path(self.result))
+        surface = surface_in(read_result(path(self.result)))
         require(surface.unit.known, f"{self.result} has heights in pixels; reconstruct it with `px_per_mm`.")
         cut = section(surface, self.start, self.end)
         step_mm = float(cut.along_mm[1])
@@ -59,8 +60,7 @@ class ProfileJob(Job):
         with atomic_folder(path(self.out)) as folder:
             write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
             write_file(folder / "profile.png", _drawn(columns))
-        figures = {key: value for key, value in cut.figures.items() if key.endswith("_mm")}
-        return {"out": str(self.out), "cutoff_mm": self.cutoff, "step_mm": step_mm, **found, **figures}
+        return {"out": str(self.out), "cutoff_mm": self.cutoff, "step_mm": step_mm, **found, **cut.figures}
 
 
 def _drawn(columns: Columns) -> bytes:

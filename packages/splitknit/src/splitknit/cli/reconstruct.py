@@ -10,11 +10,6 @@ from splitknit.jobs import ReconstructJob
 
 
 def _show(facts: dict[str, Any], job: ReconstructJob) -> Outcome:
-    if job.frames:
-        said = dict.fromkeys(f"Please note: {words}" for one in facts["frames"].values() for words in one["warnings"])
-        count = len(facts["frames"])
-        each = f"{count} frames reconstructed, {facts['total_s'] / count:.2f} s each."
-        return facts, [each, f"Written to {job.out}: a folder of each frame's name.", *said]
     area = facts["result"]["area_px"]
     measured = f"{facts['area_mm2']:.0f} mm²" if facts["result"]["scale_known"] else f"{area} px (scale unknown)"
     spoilt = facts["facts"].get("spoilt", 0)

@@ -31,9 +31,10 @@ plasters: the patch so grown had 0.78 to 1.02 of their area)."""
 
 _FEWEST = 6
 """Lights of which each is judged by the others."""
-_UNLIKE = 1.6
+_UNLIKE = 1.8
 """Error of an image's ridges, as the others predict them, over the images' median: 1.01 to 1.44 on 196 sound simulated
-fingers, 2.1 and more with an image of another finger, 1.4 to 3.6 with one that shows everything twice."""
+fingers and 1.61, 1.74 on two of 190 others (glossy, wet); 2.1 and more with an image of another finger, 1.4 to 3.6
+with one that shows everything twice."""
 
 
 def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float, float]:

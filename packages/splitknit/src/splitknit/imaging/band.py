@@ -258,13 +258,6 @@ def coarse_flat(image: FloatArray) -> FloatArray:
     return _lit(np.asarray(coarse_grid(image), dtype=np.float32))
 
 
-def over_flat(images: FloatArray, flat: FloatArray) -> FloatArray:
-    """Images (L, H, W) over those of a flat surface (L, h, w) on the coarse grid; BadInput if they differ in number."""
-    count, shape = len(images), images.shape[1:]
-    require(len(flat) == count, f"there are {len(flat)} flat photographs for {count} of the object; give one a light.")
-    return np.stack([image / flat_at(one, shape, (0, 0), 1, shape) for image, one in zip(images, flat, strict=True)])
-
-
 def flat_at(
     flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
 ) -> FloatArray:

@@ -19,11 +19,9 @@ def cropped(capture: Capture, window: Window) -> Capture:
 
     Under parallel rays the origin moves to the window's middle, and near LEDs move against it; a perspective camera
     keeps its axis, and its principal point moves. The lens's fall-off, which has its middle in the whole picture,
-    becomes a flat image. `rig.provenance` gets ``cut_from``; the truth stays behind. Raises BadInput beside mirrors,
-    and where a calibration of shading belongs to the whole picture.
+    becomes a flat image. `rig.provenance` gets ``cut_from``; the truth stays behind. Raises BadInput beside mirrors.
     """
-    whole = not capture.rig.mirrors and capture.shading is None
-    require(whole, "captures between mirrors, or with a calibration of shading, cannot be cut.")
+    require(not capture.rig.mirrors, "captures between mirrors cannot be cut.")
     bands = {}
     for name, band in capture.bands.items():
         ambient = None if band.ambient is None else band.ambient[window]

@@ -379,34 +379,6 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     return result
 
 
-_BLOCK = 4
-"""Pixels a side of a block that weights act on."""
-
-
-def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray) -> FloatArray:
-    """Height (H, W) of a whole rectangle in pixels, its mean about zero, by weighted least squares.
-
-    :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights (in [0, 1]) are even nearly
-    everywhere, the unweighted height differs from the weighted one by what is smooth: the weighted height of the slopes
-    that it leaves, in means over blocks of pixels.
-    """
-    height = poisson(gradient_x, gradient_y)
-    if min(height.shape) < 8 * _BLOCK:
-        return poisson(gradient_x, gradient_y, weights=weights)
-    size = tuple(-(-side // _BLOCK) for side in height.shape[::-1])
-    trust = np.minimum(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32(1.0))
-    least = np.maximum(trust, np.float32(_WEIGHT_FLOOR))
-    left = []
-    for axis, gradient in ((1, gradient_x), (0, gradient_y)):
-        own = np.gradient(height, axis=axis)
-        own = (gradient - own if axis else gradient + own) * weights  # y is up
-        block = np.float32(height.shape[axis] / size[1 - axis])
-        left.append(cv2.resize(own, size, interpolation=cv2.INTER_AREA) * (block / least))
-    rest = poisson(left[0], left[1], weights=trust)
-    height += cv2.resize(rest, height.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return height
-
-
 def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     array = np.asarray(weights)
     require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")

@@ -79,8 +79,6 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
             scale = 65535.0 / float(np.iinfo(kind).max)
             bands[key] = replace(bands[key], flat=np.rint(scale * np.stack(flat)).astype(np.uint16))
             hashes |= {str(file): file_hash(file) for file in band.flat}
-    if (shading := plan.capture.shading) is not None:
-        hashes[str(shading)] = file_hash(shading)
     hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
     mask = None if mask_pixels is None else mask_from_image(mask_pixels, str(plan.mask))
     hashes = {Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)}
@@ -155,10 +153,6 @@ def write_capture(
             "encoding": capture.encoding,
             "material": capture.material,
         }
-        if capture.shading is not None:
-            require(capture.shading.is_file(), f"{capture.shading}, the shading of the capture, does not exist.")
-            shutil.copyfile(capture.shading, target / "shading.npz")
-            document["shading"] = "shading.npz"
         if capture.tip_direction_deg is not None:
             document["tip_direction_deg"] = float(capture.tip_direction_deg)
         if capture.mask is not None:

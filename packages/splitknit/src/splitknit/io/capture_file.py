@@ -60,6 +60,8 @@ def read_plan(document_file: Path) -> CapturePlan:
     document, data = read_json(document_file)
     fields = Fields(document, name)
     fields.format(CAPTURE_FORMAT, CAPTURE_VERSION)
+    gel = "names a calibrated shading, by which this version reads no heights."
+    fields.require(not fields.has("shading"), "shading", gel)
     rig_file = inside(folder, fields.get("rig"), name, "rig")
     rig_document, rig_data = read_json(rig_file)
     rig = rig_from_json(rig_document, str(rig_file))
@@ -77,7 +79,6 @@ def read_plan(document_file: Path) -> CapturePlan:
         subject=fields.mapping("subject"),
         captured_at=fields.text("captured_at") if fields.has("captured_at") else None,
         truth=truth,
-        shading=fields.file("shading", folder),
     )
     documents = {document_file: data, rig_file: rig_data}
     return CapturePlan(capture, rig_file, bands, fields.file("mask", folder), documents)

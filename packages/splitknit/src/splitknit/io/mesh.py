@@ -1,10 +1,8 @@
-"""Triangles from a grid of pixels, and files of them: STL, OBJ, glTF, PLY."""
+"""Triangles from a grid of pixels, and files of them: STL and PLY, in pieces."""
 
 from __future__ import annotations
 
-import json
 import os
-import struct
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -78,8 +76,10 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
 #
 # STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])  # one triangle of a binary file
-HEADER_BYTES = 80
+_RECORD = np.dtype(
+    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")]
+)  # one triangle of a binary file
+_HEADER_BYTES = 80
 _CHUNK = 1 << 16
 
 
@@ -96,11 +96,6 @@ def check_mesh(
     require(fits, f"faces refer to vertices that are not there (0 to {count - 1}).")
 
 
-def stl_size(faces: int) -> int:
-    """Bytes of a file of so many triangles."""
-    return HEADER_BYTES + 4 + faces * RECORD.itemsize
-
-
 def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
     """The bytes of a file, in order, of `vertices_mm` (N, 3) and `faces` (M, 3), counter-clockwise seen from outside;
     `title`: in the header behind ``splitknit, unit mm``. Raises BadInput if shapes or faces do not fit.
@@ -108,107 +103,15 @@ def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "
     check_mesh(vertices_mm, faces)
     vertices = np.asarray(vertices_mm, dtype=np.float32)
     header = f"splitknit, unit mm {title}".encode("ascii", "replace")
-    yield header[:HEADER_BYTES].ljust(HEADER_BYTES, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
+    yield header[:_HEADER_BYTES].ljust(_HEADER_BYTES, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
     for start in range(0, len(faces), _CHUNK):
         corners = vertices[faces[start : start + _CHUNK]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(across, axis=1, keepdims=True)
-        records = np.zeros(len(corners), dtype=RECORD)
+        records = np.zeros(len(corners), dtype=_RECORD)
         records["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
         records["corners"] = corners
         yield records.tobytes()
-
-
-def obj_chunks(
-    vertices_mm: FloatArray, normals: FloatArray, faces: NDArray[np.int32], comments: Sequence[str] = ()
-) -> Iterator[bytes]:
-    """Yield the bytes of a Wavefront OBJ file: vertices with normals, then triangles.
-
-    `vertices_mm`: (N, 3), mm, written to 10 nm (OBJ knows no unit, so the first comment states it); `normals`: (N, 3),
-    unit length; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside; `comments`: single lines.
-    Source: Wavefront Technologies, "Advanced Visualizer", appendix B1: Object Files.
-    """
-    yield "".join(f"# {text}\n" for text in ("unit mm", *comments)).encode("ascii", "replace")
-    for pattern, rows in (("v %.5f %.5f %.5f\n", vertices_mm), ("vn %.4f %.4f %.4f\n", normals)):
-        for start in range(0, len(rows), _CHUNK):
-            part = rows[start : start + _CHUNK]
-            yield (pattern * len(part) % tuple(part.ravel().tolist())).encode("ascii")
-    for start in range(0, len(faces), _CHUNK):
-        corners = np.repeat(faces[start : start + _CHUNK] + 1, 2, axis=1)
-        yield ("f %d//%d %d//%d %d//%d\n" * len(corners) % tuple(corners.ravel().tolist())).encode("ascii")
-
-
-# Binary glTF 2.0 (``.glb``) of a surface.
-#
-# glTF's unit is the metre. The buffer holds millimetres, exactly as the result does, and the node that places the mesh
-# scales it by 0.001, so that every program shows the finger at its true size.
-#
-# Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4
-# (GLB).
-
-_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
-_FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
-_VERTICES, _INDICES = 34962, 34963
-_METRES_PER_MM = 0.001
-
-
-def glb_chunks(
-    vertices_mm: FloatArray,
-    normals: FloatArray,
-    intensity: NDArray[np.uint8],
-    faces: NDArray[np.int32],
-    extras: dict[str, Any] | None = None,
-) -> tuple[int, Iterator[bytes]]:
-    """Return the size of a file and its bytes, in order.
-
-    `vertices_mm`: (N, 3), mm, y to the fingertip is glTF's "up"; `normals`: (N, 3), unit length; `intensity`: (N,) grey
-    value of each vertex, linear; `faces`: (M, 3), counter-clockwise seen from outside; `extras`: facts for
-    ``asset.extras`` (provenance), what JSON can hold. Raises BadInput if the shapes do not fit, there is nothing to
-    write, or a face refers to a vertex that is not there.
-    """
-    count = len(vertices_mm)
-    require(count > 0 and len(faces) > 0, "a glTF mesh needs vertices and faces.")
-    check_mesh(vertices_mm, faces, normals, intensity)
-    colours = np.full((count, 4), 255, dtype=np.uint8)
-    colours[:, :3] = np.asarray(intensity, dtype=np.uint8)[:, None]
-    places, directions = (np.ascontiguousarray(one, dtype="<f4") for one in (vertices_mm, normals))
-    blocks = [places, directions, colours, np.ascontiguousarray(faces.reshape(-1), dtype="<u4")]
-    text = json.dumps(_document(blocks, extras or {}), separators=(",", ":"), sort_keys=True).encode("utf-8")
-    text += b" " * (-len(text) % 4)
-    body = sum(block.nbytes for block in blocks)
-    total = 12 + 8 + len(text) + 8 + body
-    require(total < 1 << 32, "the mesh does not fit into a file of 4 GB.")
-    head = struct.pack("<III", _MAGIC, 2, total) + struct.pack("<II", len(text), _JSON) + text
-    head += struct.pack("<II", body, _BIN)
-    return total, iter([head, *(block.tobytes() for block in blocks)])
-
-
-def _document(blocks: list[Any], extras: dict[str, Any]) -> dict[str, Any]:
-    places, normals, colours, indices = blocks
-    views, offset = [], 0
-    for block, target in zip(blocks, (_VERTICES, _VERTICES, _VERTICES, _INDICES), strict=True):
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": block.nbytes, "target": target})
-        offset += block.nbytes
-    low, high = (getattr(places, name)(axis=0).astype(np.float64).tolist() for name in ("min", "max"))
-    accessors = [
-        {"bufferView": 0, "componentType": _FLOAT, "count": len(places), "type": "VEC3", "min": low, "max": high},
-        {"bufferView": 1, "componentType": _FLOAT, "count": len(normals), "type": "VEC3"},
-        {"bufferView": 2, "componentType": _UBYTE, "count": len(colours), "type": "VEC4", "normalized": True},
-        {"bufferView": 3, "componentType": _UINT, "count": indices.size, "type": "SCALAR"},
-    ]
-    matte = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
-    primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0}
-    return {
-        "asset": {"version": "2.0", "generator": "splitknit", "extras": {**extras, "buffer_unit": "mm"}},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "phalange", "scale": [_METRES_PER_MM] * 3}],
-        "meshes": [{"name": "phalange", "primitives": [primitive]}],
-        "materials": [{"pbrMetallicRoughness": matte, "doubleSided": True}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
-    }
 
 
 # Binary PLY: vertices in mm with normals, quality as intensity.

@@ -1,7 +1,7 @@
 """Deterministic ``.npz`` archives, compressed on all cores.
 
-:func:`numpy.savez_compressed` uses one core and a slow engine, and :mod:`zipfile` takes nothing that is packed already.
-So libdeflate packs the arrays side by side, and the archive around them is written here.
+:func:`numpy.savez_compressed` uses one core, and :mod:`zipfile` takes nothing that is packed already.
+So the arrays are packed side by side, and the archive around them is written here.
 
 Source: APPNOTE.TXT, .ZIP File Format Specification 6.3, sections 4.3.7, 4.3.12 and 4.3.16; RFC 1951 (deflate), section
 3.2.4: a stored block ends on a byte, so that another stream can follow.
@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.png import codecs
 
 _LIMIT = (1 << 32) - 1
 _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP archive knows
@@ -76,7 +75,7 @@ def _packed(array: np.ndarray[Any, Any]) -> tuple[bytes, list[bytes | memoryview
     body = (array if array.flags.c_contiguous else array.T).reshape(-1).view(np.uint8)
     content = [_stored_block(0, len(first)), first, *_deflated(body, array.dtype)]
     sizes = sum(map(len, content)), len(first) + len(body)
-    crc = codecs().deflate_crc32(body, zlib.crc32(first))
+    crc = zlib.crc32(body, zlib.crc32(first))
     return struct.pack("<HHHHHIII", 20, 0, _DEFLATE, *_DATE, crc, *sizes), content
 
 
@@ -87,9 +86,9 @@ def _deflated(body: NDArray[np.uint8], dtype: np.dtype[Any]) -> list[bytes | mem
     words = body[: len(body) // _PIECE * _PIECE].view(np.uint32).reshape(-1, _PIECE // 4)
     same = (words[:, 1:] == words[:, :1]).all(axis=1)
     sample = words[~same][::16].reshape(-1).view(np.uint8)
-    shrunk = len(codecs().deflate_encode(sample, level=1, raw=True)) - 1000  # small arrays do not matter
+    shrunk = len(_compressed(sample)) - 1000  # small arrays do not matter
     if dtype != np.float32 or shrunk <= 0.8 * len(sample):
-        return [codecs().deflate_encode(body, level=1, raw=True)]
+        return [_compressed(body)]
     number = np.where(same, words[:, 0].astype(np.int64), -1)
     ends = [*(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
     pieces: list[bytes | memoryview] = []
@@ -103,6 +102,11 @@ def _deflated(body: NDArray[np.uint8], dtype: np.dtype[Any]) -> list[bytes | mem
             pieces += [_stored_block(0, len(part)), part.data]
     rest = body[_PIECE * len(number) :]
     return [*pieces, _stored_block(1, len(rest)), rest.data]
+
+
+def _compressed(body: NDArray[np.uint8]) -> bytes:
+    packer = zlib.compressobj(1, zlib.DEFLATED, -15)
+    return packer.compress(body) + packer.flush()
 
 
 def _stored_block(last: int, length: int) -> bytes:
@@ -179,9 +183,8 @@ def _unpacked(stored: bytes, info: zipfile.ZipInfo, damaged: str) -> np.ndarray[
     """The array of a file of an archive; its header must fit the size that the archive gives."""
     content = np.frombuffer(bytearray(stored), np.uint8)
     if info.compress_type == _DEFLATE:
-        content = np.empty(info.file_size, np.uint8)
-        require(len(codecs().deflate_decode(stored, raw=True, out=content)) == len(content), damaged)
-    require(len(content) == info.file_size and codecs().deflate_crc32(content) == info.CRC, damaged)
+        content = np.frombuffer(bytearray(zlib.decompressobj(-15).decompress(stored, info.file_size)), np.uint8)
+    require(len(content) == info.file_size and zlib.crc32(content) == info.CRC, damaged)
     dtype, shape, order, start = _header(io.BytesIO(content[: _LONGEST_HEADER + 12].tobytes()), damaged)
     require(len(content) - start == dtype.itemsize * math.prod(shape), damaged)
     return content[start:].view(dtype).reshape(shape, order=order)

@@ -74,8 +74,6 @@ class PhotographOptions(Job):
     flat: Annotated[AnyPath | None, Help(
         "photographs of a flat matt surface, one for each light in the same order and exposure: those of the object "
         "are divided by them", "DIR")] = None
-    shading: Annotated[AnyPath | None, Help(
-        "calibration of 'calibrate shading': slopes and scale follow from it; no `lights` are needed", "FILE")] = None
     nir: Annotated[AnyPath | None, Help(
         "near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR LEDs of the rig,"
         " or those of a list in their own folder", python_only=True)] = None
@@ -92,8 +90,7 @@ class PhotographOptions(Job):
         frames = "a mosaic of films is linear and holds both series in each frame"
         left_out = "leave out `encoding` srgb, `max_megapixels`, `crossed` and a `background` that is a photograph."
         require(self.mosaic is None or not any(others), f"{frames}: {left_out}")
-        alone = self.nir is None or (self.mosaic is None and self.shading is None)
-        require(alone, "`nir` goes with neither `mosaic` nor `shading`.")
+        require(self.nir is None or self.mosaic is None, "`nir` does not go with `mosaic`.")
 
     @property
     def background_image(self) -> AnyPath | None:

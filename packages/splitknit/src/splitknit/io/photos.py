@@ -77,28 +77,17 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     elif data.startswith(tiff.SIGNATURES):
         pixels, orientation = _tiff(data, name, room)
     elif data.startswith((png.SIGNATURE[:4], JPEG_SIGNATURE)):
-        pixels = decode_image(data, name)
+        pixels = png.png_pixels(data, name) if data.startswith(png.SIGNATURE[:4]) else decode_image(data, name)
         _check_room(pixels.nbytes, name, room)
         orientation = tiff.exif_orientation(exif_data(data), name)
     else:
         what = "is empty" if not data else f"is none of {FORMATS}"
         raise BadInput(f"{name} {what}; export it as PNG or TIFF.")
-    opaque = _opaque(data, name)
-    if opaque is not None:
-        opaque = None if opaque.all() else _upright(opaque, orientation)
-    return Photo(_upright(pixels, orientation), orientation, hashlib.sha256(data).hexdigest(), opaque)
-
-
-def _opaque(data: bytes, name: str) -> BoolArray | None:
-    """Where a PNG, TIFF or WEBP file that was decoded is opaque, as it is stored; None for others."""
-    if data.startswith(png.SIGNATURE):
-        return png.png_opaque(data, name)
-    if data.startswith(tiff.SIGNATURES) and Path(name).suffix.lower() not in RAW_SUFFIXES:
-        return tiff.tiff_opaque(data, name)
-    place = {b"WEBPVP8X": 20, b"WEBPVP8L": 24}.get(data[8:16])
-    if place is not None and data[place] & 16:  # the header states alpha
-        return np.asarray(png.codecs().webp_decode(data)[..., 3] > 127)
-    return None
+    pixels, opaque = _upright(pixels, orientation), None
+    if pixels.shape[2] in (2, 4):  # with alpha
+        clear = pixels[..., -1] > (0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2)
+        opaque = None if clear.all() else np.asarray(clear)
+    return Photo(_plain(pixels), orientation, hashlib.sha256(data).hexdigest(), opaque)
 
 
 def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
@@ -195,9 +184,9 @@ def _tiff(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     orientation = tiff.exif_orientation(data, name)
     _check_room(page.rows * page.columns * page.channels * page.dtype.itemsize, name, room)
     if page.dtype.kind != "f":
-        return tiff.decode_tiff(data, name), orientation
-    values = np.empty((page.rows, page.columns, page.channels), page.dtype.newbyteorder("="))
-    tiff.decode_page(data, page, name, values)
+        tiff.tiff_header(data, name)
+        return tiff.page_pixels(data, page, name), orientation
+    values = tiff.page_pixels(data, page, name)
     finite = bool(np.isfinite(values).all() and np.abs(values).max() < 1e30)
     require(finite, f"{name} holds values that are not finite; export it again without them.")
     return values.astype(np.float32), orientation
@@ -212,10 +201,9 @@ def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     columns, rows = int(words[1]), abs(int(words[2]))
     _checked(rows, columns, 3, name, room)
     require(rows * columns * bits // 8 <= len(data), f"{name} is truncated: the BMP file ends within the image.")
-    with refusing(_UNREADABLE.format(name)):
-        image = np.asarray(png.codecs().bmp_decode(data))
-        require(image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
-        return _plain(image)
+    image = png.decoded(data, name)
+    require(image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
+    return _plain(image)
 
 
 def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
@@ -223,9 +211,8 @@ def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     _checked(rows, columns, 4, name, room)
     empty = f"{name} claims {rows} x {columns} pixels in {len(data)} bytes, which is not a photograph; save it as PNG."
     require(rows * columns <= _PIXELS_PER_BYTE * len(data), empty)
-    with refusing(_UNREADABLE.format(name)):
-        pixels = _plain(np.asarray(png.codecs().webp_decode(data)))
-        require(pixels.shape[:2] == (rows, columns), _UNREADABLE.format(name))
+    pixels = png.decoded(data, name)
+    require(pixels.shape[:2] == (rows, columns), _UNREADABLE.format(name))
     place, exif = 12, b""
     while place + 8 <= len(data) and not exif:
         length = int.from_bytes(data[place + 4 : place + 8], "little")

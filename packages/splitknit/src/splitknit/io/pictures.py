@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.io.png import codecs
+from splitknit.io.images import png_bytes
 from splitknit.model import BoolArray, FloatArray, Reconstruction
 
 ColourArray = NDArray[np.uint8]
@@ -163,9 +163,8 @@ def grey(values: FloatArray, low: float, high: float) -> ColourArray:
 
 def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -> str:
     """Encode a picture as a ``data:`` address: PNG, or JPEG for photographs and shaded views."""
-    imagecodecs, image = codecs(), np.ascontiguousarray(picture)
     if photo:
-        kind, data = "jpeg", imagecodecs.jpeg8_encode(image, level=88)
+        kind, data = "jpeg", cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
     else:  # maps repeat few colours: without row filters they are smaller than at level 6, in a fifth of the time
-        kind, data = "png", imagecodecs.png_encode(image, level=1, filter=imagecodecs.PNG.FILTER.NONE)
+        kind, data = "png", png_bytes(picture, cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_FILTER_NONE)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

@@ -449,7 +449,6 @@ def _assembled(  # noqa: PLR0917
         tip_direction_deg=options.tip_direction_deg,
         mask=inside,
         hashes=hashes,
-        shading=None if options.shading is None else Path(options.shading),
     )
     return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
 
@@ -588,7 +587,7 @@ def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tu
     if options.encoding is None:
         encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
         return encoding, [note]
-    if options.material == "skin" or options.flat is not None or options.shading is not None:
+    if options.material == "skin" or options.flat is not None:
         return options.encoding, []
     curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
     right = curved is None or curved == (options.encoding == "srgb")
@@ -599,8 +598,8 @@ def _shading_is_srgb(
     files: Sequence[Path], rig: Rig, options: PhotographOptions, *kinds: type[np.unsignedinteger]
 ) -> bool | None:
     """Whether the shading in photographs of 8 bits (or `kinds`) is that of sRGB values, None where it decides nothing;
-    some of many photographs decide. What is calibrated by `flat` or `shading` is an industrial camera's, and linear."""
-    if options.flat is not None or options.shading is not None:
+    some of many photographs decide. What is calibrated by `flat` is an industrial camera's, and linear."""
+    if options.flat is not None:
         return False
     if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
         return None

@@ -1,30 +1,27 @@
-"""PNG files: their chunks are checked here, libpng (by imagecodecs) decodes what makes the image and nothing else.
+"""PNG files, whose chunks are checked here; and OpenCV, which decodes all formats behind such checks.
 
 A decoder of C takes memory by what the header claims, passes over chunks that it does not know, and stops reading
 with the last row. So sizes are checked first, all chunks are walked to the end (lengths, CRC-32), and texts, colour
-profiles and transparency never reach it. What libpng only warns of, such as more image data than rows, is damage.
+profiles and transparency of grey or RGB never reach it.
 
 Source: Portable Network Graphics (PNG) Specification, second edition, W3C 2003; chunk layout section 5.3, colour types
-section 11.2.2, interlace section 8.2.
+section 11.2.2.
 """
 
 from __future__ import annotations
 
-import logging
 import struct
-import sys
-import threading
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import refusing, require
-from splitknit.model import BoolArray, PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -32,33 +29,20 @@ _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 
 DECODED_BYTES = 400_000_000
 """Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
 DEFLATE_RATIO = 1032  # deflate makes no more of a byte (zlib, technical details): a longer image cannot be in the file
-_PLAIN = frozenset((0, 2))  # row filters none and up, section 9.2
 
 
 @dataclass(frozen=True, slots=True)
-class _PngHeader:
+class PngHeader:
+    """What the header says of the image once decoded, alpha dropped."""
+
     rows: int
     columns: int
-    depth: int  # bits per sample
-    colour: int  # 0 grey, 2 RGB, 3 palette, 4 grey and alpha, 6 RGB and alpha
-    interlaced: bool
-
-    @property
-    def channels(self) -> int:
-        """Channels after decoding, alpha dropped: 1 or 3."""
-        return 1 if self.colour in (0, 4) else 3
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Stored integer type after decoding."""
-        return np.dtype(np.uint16 if self.depth == 16 else np.uint8)
-
-    def packed(self) -> bytes:
-        """The content of the IHDR chunk."""
-        return struct.pack(">IIBBBBB", self.columns, self.rows, self.depth, self.colour, 0, 0, self.interlaced)
+    channels: int  # 1 or 3
+    dtype: np.dtype[Any]
+    palette: bool
 
 
-def png_header(data: bytes, name: str) -> _PngHeader:
+def png_header(data: bytes, name: str) -> PngHeader:
     """The IHDR chunk of `data`; BadInput, with `name`, if unsound, too large to decode or to be in the file."""
     damaged = f"{name} is not a sound PNG file (its header is damaged); capture or export it again."
     require(len(data) >= 33 and data[:8] == SIGNATURE and data[8:16] == b"\0\0\0\rIHDR", damaged)
@@ -66,8 +50,9 @@ def png_header(data: bytes, name: str) -> _PngHeader:
     columns, rows, depth, colour, compression, filters, interlace = struct.unpack(">IIBBBBB", data[16:29])
     require(0 < rows < 1 << 31 and 0 < columns < 1 << 31, damaged)
     require(depth in _DEPTHS.get(colour, ()) and (compression, filters) == (0, 0) and interlace in (0, 1), damaged)
-    header = _PngHeader(rows, columns, depth, colour, bool(interlace))
-    check_size(rows, columns, header.channels * header.dtype.itemsize, name)
+    dtype: np.dtype[Any] = np.dtype(np.uint16 if depth == 16 else np.uint8)
+    header = PngHeader(rows, columns, 1 if colour in (0, 4) else 3, dtype, colour == 3)
+    check_size(rows, columns, header.channels * dtype.itemsize, name)
     check_held(rows, columns, _CHANNELS[colour] * depth / 8 / DEFLATE_RATIO, len(data), name)
     return header
 
@@ -85,60 +70,63 @@ def check_held(rows: int, columns: int, least_each: float, stored: int, name: st
     require(rows * columns * least_each <= stored, f"{name} is damaged: {impossible}")
 
 
-def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
-    """PNG as (H, W, C) uint8 or uint16, C = 1 or 3, no alpha or palette, in `out` if given; BadInput if damaged."""
-    header = png_header(data, name)
-    palette, image_data = _walk(data, name)
+def decoded(data: bytes, name: str) -> NDArray[Any]:
+    """Pixels (H, W, C) of an image file whose header was checked, as stored, in the order red, green, blue, alpha.
+    Raises BadInput where OpenCV cannot decode them.
+    """
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it would print is refused here
+    damaged = f"{name} is damaged: its image data cannot be decoded; copy it again, or save it as PNG."
+    image: Any = None
+    with refusing(damaged):
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    require(image is not None, damaged)
+    if image.ndim == 2:
+        return np.asarray(image[..., None])
+    if image.dtype == np.float64:
+        return np.asarray(image[..., [2, 1, 0, 3][: image.shape[2]]])
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA))
+
+
+def placed(image: NDArray[Any], out: PixelArray | None, like: Any, name: str) -> PixelArray:
+    """A decoded image, without alpha and in `out` if given. BadInput if it is of another kind than its header says
+    (`like`: its rows, columns, channels and dtype).
+    """
+    image = image[..., : like.channels]
+    same = image.shape == (like.rows, like.columns, like.channels) and image.dtype == like.dtype
+    require(same, f"{name} is stored in a way that is not read; save it as 8- or 16-bit PNG, grey or RGB.")
     if out is None:
-        out = np.empty((header.rows, header.columns, header.channels), dtype=header.dtype)
-    if header.colour == 3:
-        _decode_palette(header, palette, image_data, name, out)
-    elif header.colour in (4, 6):
-        whole = np.empty((*out.shape[:2], _CHANNELS[header.colour]), dtype=header.dtype)
-        _decode(header, image_data, name, whole)
-        out[...] = whole[..., :-1]
-    else:
-        _decode(header, image_data, name, out)
+        return np.ascontiguousarray(image)
+    out[...] = image
     return out
 
 
-def png_opaque(data: bytes, name: str) -> BoolArray | None:
-    """Where a sound PNG file is opaque by half or more (H, W); None where it has no transparency."""
+def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
+    """PNG as (H, W, C) uint8 or uint16, C = 1 or 3, no alpha or palette, in `out` if given; BadInput if damaged."""
+    return placed(png_pixels(data, name), out, png_header(data, name), name)
+
+
+def png_pixels(data: bytes, name: str) -> NDArray[Any]:
+    """As :func:`decode_png`, with alpha behind the colours where there is some: C = 1 to 4."""
     header = png_header(data, name)
-    palette, image_data = _walk(data, name)
-    if header.colour in (4, 6):
-        whole = np.empty((header.rows, header.columns, _CHANNELS[header.colour]), dtype=header.dtype)
-        _decode(header, image_data, name, whole)
-        return np.asarray(whole[..., -1] > np.iinfo(header.dtype).max // 2)
-    alpha = next((content for kind, content in chunks_of(data) if kind == b"tRNS"), b"")
-    if header.colour != 3 or not alpha:  # one transparent colour of grey or RGB is left as it is
-        return None
-    opaque = np.frombuffer(alpha[:256].ljust(256, b"\xff"), dtype=np.uint8) > 127
-    return np.asarray(opaque[_palette_index(header, palette, image_data, name)])
+    pixels = decoded(_image_chunks(data, name, header), name)
+    return pixels[..., ::3] if header.channels == 1 and pixels.shape[2] == 4 else pixels
 
 
-def _walk(data: bytes, name: str) -> tuple[bytes, list[memoryview]]:
-    """Walk all chunks to the last; return the content of the palette and the whole chunks of image data."""
-    view = memoryview(data)
-    palette, image_data = b"", []
-    position, kind = 8, b""
+def _image_chunks(data: bytes, name: str, header: PngHeader) -> bytes:
+    """The file with the chunks alone that make the image, all of them walked to the last."""
+    wanted = (b"IHDR", b"IDAT", b"IEND", *((b"PLTE", b"tRNS") if header.palette else ()))
+    view, kept, position, kind = memoryview(data), [memoryview(SIGNATURE)], 8, b""
     while kind != b"IEND":
-        length = int.from_bytes(view[position : position + 4], "big")
-        end = position + 12 + length
+        end = position + 12 + int.from_bytes(view[position : position + 4], "big")
         require(end <= len(data), f"{name} is truncated: the file ends within the image; copy it again.")
         kind = bytes(view[position + 4 : position + 8])
-        if kind == b"IDAT":  # libpng compares its checksum
-            image_data.append(view[position:end])
-            position = end
-            continue
         sound = zlib.crc32(view[position + 4 : end - 4]) == int.from_bytes(view[end - 4 : end], "big")
         require(sound, f"{name} is damaged: a checksum does not match; copy it again.")
-        if kind == b"PLTE":
-            palette = bytes(view[position + 8 : end - 4])
-        elif kind not in (b"IHDR", b"IEND"):
-            require(bool(kind[0] & 0x20), f"{name} is damaged: the PNG chunk {kind!r} is not known.")
+        known = kind in (b"IHDR", b"IDAT", b"IEND", b"PLTE") or bool(kind[0] & 0x20)
+        require(known, f"{name} is damaged: the PNG chunk {kind!r} is not known.")
+        kept += [view[position:end]] if kind in wanted else []
         position = end
-    return palette, image_data
+    return b"".join(kept)
 
 
 def chunks_of(data: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -153,76 +141,3 @@ def chunks_of(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 def png_chunk(kind: bytes, content: bytes) -> bytes:
     """One chunk of a PNG file, whole."""
     return len(content).to_bytes(4, "big") + kind + content + zlib.crc32(content, zlib.crc32(kind)).to_bytes(4, "big")
-
-
-class _Warnings(logging.Handler):
-    """The last warning of a decoder about PNG image data, in each thread; it also keeps all warnings from stderr."""
-
-    last = threading.local()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if "IDAT" in record.getMessage():  # others are of how libpng is called
-            self.last.words = record.getMessage()
-
-
-def codecs() -> Any:
-    """The package imagecodecs, which is slow to import and prints nothing then."""
-    import imagecodecs
-
-    log = logging.getLogger("imagecodecs")
-    if not any(isinstance(one, _Warnings) for one in log.handlers):
-        log.addHandler(_Warnings())
-    return imagecodecs
-
-
-def _decode(header: _PngHeader, image_data: list[memoryview], name: str, out: NDArray[Any]) -> None:
-    """Decode grey or RGB, with or without alpha, into `out` (H, W, C)."""
-    if _decode_plain(header, image_data, out):
-        return
-    sound = b"".join([SIGNATURE, png_chunk(b"IHDR", header.packed()), *image_data, png_chunk(b"IEND", b"")])
-    _Warnings.last.words = ""
-    damaged = f"{name} is damaged: its image data cannot be decoded; copy it again."
-    with refusing(damaged):  # also where imagecodecs has lost libpng's message, which is not UTF-8 then
-        codecs().png_decode(sound, out=out if out.shape[2] > 1 else out[..., 0])
-    require(not _Warnings.last.words, damaged)
-
-
-def _decode_plain(header: _PngHeader, image_data: list[memoryview], out: NDArray[Any]) -> bool:
-    """Decode rows that are at most differences to the row above, as :func:`write_image` writes them, in 0.6 of libpng's
-    time; return whether that was done: libpng decides where anything is unusual or unsound."""
-    packed, row = b"".join(chunk[8:-4] for chunk in image_data), out[0].nbytes + 1
-    with suppress(zlib.error, codecs().DeflateError):
-        first = zlib.decompressobj().decompress(packed, 8 * row)  # a few rows show whether to inflate all
-        if header.interlaced or header.depth < 8 or not _PLAIN.issuperset(first[::row]):
-            return False
-        lines = np.empty((header.rows, row), dtype=np.uint8)
-        whole = len(codecs().deflate_decode(packed, out=lines.reshape(-1))) == lines.size
-        ends = codecs().deflate_adler32(lines) == int.from_bytes(packed[-4:], "big")  # nothing follows
-        sound = all(codecs().deflate_crc32(one[4:-4]) == int.from_bytes(one[-4:], "big") for one in image_data)
-        if not (whole and ends and sound and _PLAIN.issuperset(filters := lines[:, 0].tolist())):
-            return False
-        above = np.zeros(row - 1, dtype=np.uint8)
-        for up, line, values in zip(filters, lines[:, 1:], out.reshape(len(out), -1).view(np.uint8), strict=True):
-            above = np.add(above, line, out=values) if up else np.positive(line, out=values)
-        if header.depth == 16 and sys.byteorder == "little":
-            out.byteswap(inplace=True)
-        return True
-    return False
-
-
-def _decode_palette(
-    header: _PngHeader, palette: bytes, image_data: list[memoryview], name: str, out: PixelArray
-) -> None:
-    index = _palette_index(header, palette, image_data, name)
-    np.frombuffer(palette, dtype=np.uint8).reshape(-1, 3).take(index, axis=0, out=out)
-
-
-def _palette_index(header: _PngHeader, palette: bytes, image_data: list[memoryview], name: str) -> NDArray[np.uint8]:
-    """Numbers (H, W) of colours, decoded as grey values: libpng takes any colour for one beyond the palette."""
-    require(len(palette) > 0, f"{name} is damaged: a PNG image with a palette that is missing.")
-    require(len(palette) % 3 == 0 and len(palette) <= 768, f"{name} is damaged: its palette has an impossible length.")
-    index = np.empty((header.rows, header.columns, 1), dtype=np.uint8)
-    _decode(replace(header, colour=0), image_data, name, index)
-    index //= np.uint8(255 // (2**header.depth - 1))  # libpng stretches 1, 2 and 4 bits to the full scale
-    require(int(index.max()) < len(palette) // 3, f"{name} is damaged: it refers to a colour beyond its palette.")
-    return index[..., 0]

@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
 from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
 from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
 from splitknit.io.png import SIGNATURE as PNG
-from splitknit.io.png import chunks_of, codecs, decode_png, png_chunk
+from splitknit.io.png import chunks_of, decode_png, decoded, png_chunk
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES as TIFFS
 from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
@@ -36,6 +36,7 @@ _METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
 _APP0 = 0xE0
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
 """Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
+_SMALLEST_JPEG2000 = 32  # pixels that five halvings need
 _AFTER_HEADER = 33  # first bytes of a PNG file: signature and IHDR
 
 
@@ -91,8 +92,10 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
-    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss."""
-    return bytes(codecs().jpeg2k_encode(np.ascontiguousarray(image), reversible=True, level=0, numthreads=1))
+    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32 pixels a side."""
+    small = f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG."
+    require(min(image.shape) >= _SMALLEST_JPEG2000, small)
+    return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
 
 
 def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8]:
@@ -104,10 +107,9 @@ def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8
     rows, columns = down - up, right - left
     require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")
     require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
-    with refusing(f"{name} is damaged: its JPEG 2000 image cannot be decoded; copy it again."):
-        image = np.asarray(codecs().jpeg2k_decode(data, numthreads=1))
-    require(image.shape == (rows, columns) and image.dtype == np.uint8, f"{name} is damaged; copy it again.")
-    return image
+    image = decoded(data, name)
+    require(image.shape == (rows, columns, 1) and image.dtype == np.uint8, f"{name} is damaged; copy it again.")
+    return np.asarray(image[..., 0])
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
@@ -212,8 +214,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
     """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of another kind."""
-    array, description = _checked(image, ppi), canonical_json(dict(text)) if text else None
-    return encode_tiff(array, description=description, resolution=(float(ppi), float(ppi)), resolutionunit="INCH")
+    return encode_tiff(_checked(image, ppi), canonical_json(dict(text)) if text else "", float(ppi))
 
 
 def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:

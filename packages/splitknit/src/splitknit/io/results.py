@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.errors import importing, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
+from splitknit.io.clouds import NEEDS_TRIMESH
 from splitknit.io.fields import parse_json, read_json
-from splitknit.io.height_maps import ptm_chunks, tmd_bytes, x3p_bytes
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, glb_chunks, obj_chunks, stl_chunks, triangulate, write_ply_pieces
+from splitknit.io.mesh import bands, stl_chunks, triangulate, write_ply_pieces
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.prints import png_with_texts, provenance_texts
@@ -210,45 +209,40 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_ply_pieces(path, vertices, (triangles, faces), comments)
 
 
-MESHES = ("stl", "obj", "glb")
-SURFACES = (*MESHES, "x3p", "tmd", "ptm")
-"""Kinds of :func:`surface_chunks`."""
+SURFACES = ("stl", "obj", "glb")
+"""Kinds of :func:`surface_bytes`."""
 
 
-def surface_chunks(
-    result: Reconstruction, kind: str, title: str, date: datetime.date | None = None
-) -> tuple[dict[str, Any], Iterator[bytes]]:
+def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
     """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
-    `title`: one line for the file's header; `date`: of the measurement, where it is known; of ``x3p``; `kind`: ``stl``,
-    ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as ``phalange.ply``;
-    ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture. Raises BadInput if the result
-    has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven places.
+    `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
+    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or ``obj`` or ``glb`` are
+    wanted without trimesh.
     """
     require_scale(result)
     box = bounding_box(result.mask)
-    rough = {"relief_roughness": areal_roughness(result.ridge_mm[box], result.pitch_mm)}
-    if kind not in MESHES:
-        size = {"size": list(result.mask[box].shape), "pitch_mm": result.pitch_mm, "unit": "mm", **rough}
-        if kind == "ptm":
-            return size, ptm_chunks(result.normals[box], _albedo_bytes(result)[box])
-        uneven = "its pixels lie at uneven places (perspective camera): import its phalange.ply, and export that."
-        require(result.x_mm is None, uneven)
-        height, pitch = result.height_mm[box], result.pitch_mm
-        return size, iter([tmd_bytes(height, pitch) if kind == "tmd" else x3p_bytes(height, pitch, title, date)])
     valid = result.mask[box] & np.isfinite(result.height_mm[box])
     _, count, pieces = triangulate(valid)
     require(count > 0, "the result holds no surface; reconstruct the capture again.")
     vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
     faces = np.concatenate(list(pieces))
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", **rough}
-    axes = axes_of(result.facts.get("material"))
+    rough = areal_roughness(result.ridge_mm[box], result.pitch_mm)
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", "relief_roughness": rough}
     if kind == "stl":
-        return facts, stl_chunks(vertices, faces, title)
-    if kind == "obj":
-        return facts, obj_chunks(vertices, normals, faces, (title, axes))
-    grey = np.round(intensity * np.float32(255.0)).astype(np.uint8)
-    return facts, glb_chunks(vertices, normals, grey, faces, {"title": title, "axes": axes})[1]
+        return facts, b"".join(stl_chunks(vertices, faces, title))
+    with importing(NEEDS_TRIMESH):
+        import trimesh
+    grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
+    grey[:, :3] = np.round(255.0 * intensity)[:, None]
+    words = {"title": title, "axes": axes_of(result.facts.get("material"))}
+    scale = 0.001 if kind == "glb" else 1.0
+    mesh: Any = trimesh.Trimesh(
+        vertices * scale, faces, vertex_normals=normals, vertex_colors=grey, metadata=words, process=False
+    )
+    header = {} if kind == "glb" else {"header": f"unit mm, {', '.join(words.values())}"}
+    written = mesh.export(file_type=kind, **header)
+    return facts, written if isinstance(written, bytes) else written.encode("ascii")
 
 
 def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:

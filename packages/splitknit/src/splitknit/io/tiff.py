@@ -1,21 +1,20 @@
-"""TIFF files with one flat image, grey or RGB: tags are read and checked here, libtiff (by imagecodecs) decodes.
+"""TIFF files with one flat image, grey or RGB: tags are read and checked here, OpenCV decodes LZW and PackBits.
 
 Nothing is allocated before the strips or tiles that the tags name are known to lie in the file, side by side, and to be
-long enough for the image. Tags that no reader here needs are passed over. The package tifffile, which writes, cannot
-read them so: it loads every tag before it checks one (a file of 1 MB that repeats its tags took 8 GB).
+long enough for the image. Tags that no reader here needs are passed over.
 
 Source: TIFF, revision 6.0, Adobe 1992: sections 2 (image file directory), 15 (tiles).
 """
 
 from __future__ import annotations
 
-import io
-import logging
 import math
 import os
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
@@ -23,16 +22,16 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import write_file
-from splitknit.io.png import DEFLATE_RATIO, check_held, check_size, codecs
+from splitknit.io.png import DEFLATE_RATIO, check_held, check_size, decoded, placed
 from splitknit.io.provenance import canonical_json
-from splitknit.model import BoolArray, PixelArray
+from splitknit.model import PixelArray
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296
 _COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER = 256, 257, 258, 259, 262, 266
 _SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH = 277, 278, 284, 317, 339, 32997
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 322, 323, 324, 325
-_ORIENTATION, _SHORT = 274, 3
+_ORIENTATION, _SOFTWARE, _SHORT = 274, 305, 3
 _EXTRA_SAMPLES, _ALPHA = 338, (1, 2)
 _OPTIONAL = {DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT, _EXTRA_SAMPLES}
 _READ = _OPTIONAL | {
@@ -43,16 +42,20 @@ _READ = _OPTIONAL | {
 _TYPES = {1: ("u1", 1), 2: ("u1", 1), 3: ("u2", 1), 4: ("u4", 1), 5: ("u4", 2), 7: ("u1", 1), 16: ("u8", 1)}
 """Types of a tag's values: kind, and how many make one value."""
 _WHOLE = frozenset({1, 3, 4, 16})  # types of whole numbers, which all tags but the optional ones hold
-_KINDS = {1: "uint", 2: "int", 3: "float"}
+_UNSIGNED, _FLOAT = 1, 3
+_KINDS = {_UNSIGNED: "uint", 2: "int", _FLOAT: "float"}
+_OF_FLOATS = 3  # a predictor
 _NONE, _LZW, _DEFLATE, _OLD_DEFLATE, _PACKBITS = 1, 5, 8, 32946, 32773
 _RATIO = {_NONE: 1, _LZW: 2560, _DEFLATE: DEFLATE_RATIO, _OLD_DEFLATE: DEFLATE_RATIO, _PACKBITS: 64}
 """The most bytes that a stored byte can become; of LZW a string of 3838 bytes for 12 bits."""
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB = 0, 1, 2
-_SEPARATE = 2
 _MAX_TAGS = 4096
 _LONGEST_TEXT = 1_000_000
 _MIN_TILE = 16
-_INCH, _CENTIMETRE, _CM_PER_INCH = 2, 3, 2.54
+INCH, CENTIMETRE = 2, 3
+"""Units of a resolution."""
+_CM_PER_INCH = 2.54
+_FINEST_RATIO = 1_000_000  # denominator of a resolution: below 4000 pixels a unit it fits into 32 bits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +65,14 @@ class TiffPage:
     rows: int
     columns: int
     samples: int  # channels as stored, with alpha
-    dtype: np.dtype[Any]  # as stored, with its order of bytes
+    dtype: np.dtype[Any]
+    order: str  # of the bytes of a value
     photometric: int
-    separate: bool  # whether each channel has strips or tiles of its own
+    compression: int
+    predictor: int
+    segment: tuple[int, int]  # rows and columns of a strip or tile
+    tiled: bool
+    places: tuple[tuple[int, int], ...]  # offset and length of each strip or tile
     tags: Mapping[int, NDArray[Any]]  # values by the number of the tag; those of fractions alternate
 
     @property
@@ -79,17 +87,37 @@ class TiffPage:
         return text.rstrip(b"\0").decode("utf-8", "replace")
 
 
-def encode_tiff(image: NDArray[Any], **tags: Any) -> bytes:
-    """Uncompressed TIFF (H, W) or (H, W, 3), the same bytes each time; `tags`: arguments of tifffile's ``imwrite``."""
-    import tifffile  # slow to import
-
-    logger = logging.getLogger("tifffile")
-    if not logger.handlers:  # its warnings would go to stderr
-        logger.addHandler(logging.NullHandler())
-    stream = io.BytesIO()
-    photometric = "minisblack" if image.ndim == 2 else "rgb"
-    tifffile.imwrite(stream, image, photometric=photometric, metadata=None, software="splitknit", **tags)
-    return stream.getvalue()
+def encode_tiff(image: NDArray[Any], description: str = "", resolution: float = 0.0, unit: int = INCH) -> bytes:
+    """Uncompressed TIFF (H, W) or (H, W, 3); `resolution`: pixels in a `unit`, 0 where it is unknown."""
+    pixels = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("<"))
+    rows, columns = pixels.shape[:2]
+    samples = 1 if pixels.ndim == 2 else 3
+    ratio = struct.pack("<II", *Fraction(resolution).limit_denominator(_FINEST_RATIO).as_integer_ratio())
+    values = {
+        **{_COLUMNS: [columns], _ROWS: [rows], _BITS: [8 * pixels.itemsize] * samples, _COMPRESSION: [_NONE]},
+        **{_PHOTOMETRIC: [_BLACK_IS_ZERO if samples == 1 else _RGB], _SAMPLES: [samples], _STRIP_ROWS: [rows]},
+        **{_STRIP_OFFSETS: [8], _STRIP_BYTES: [pixels.nbytes]},
+        **{_FORMAT: [_FLOAT if pixels.dtype.kind == "f" else _UNSIGNED] * samples},
+    }
+    tags = {tag: (4, len(one), struct.pack(f"<{len(one)}I", *one)) for tag, one in values.items()}
+    texts = {_SOFTWARE: "splitknit", **({DESCRIPTION: description} if description else {})}
+    tags |= {tag: (2, len(text) + 1, text.encode("ascii") + b"\0") for tag, text in texts.items()}
+    if resolution:
+        tags |= {
+            X_RESOLUTION: (5, 1, ratio),
+            Y_RESOLUTION: (5, 1, ratio),
+            RESOLUTION_UNIT: (4, 1, struct.pack("<I", unit)),
+        }
+    place = 8 + pixels.nbytes + pixels.nbytes % 2
+    behind = place + 2 + 12 * len(tags) + 4
+    entries, more = [], b""
+    for tag, (kind, count, content) in sorted(tags.items()):
+        inline = content.ljust(4, b"\0") if len(content) <= 4 else struct.pack("<I", behind + len(more))
+        entries.append(struct.pack("<HHI", tag, kind, count) + inline)
+        more += b"" if len(content) <= 4 else content + b"\0" * (len(content) % 2)
+    directory = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
+    head = struct.pack("<2sHI", b"II", 42, place)
+    return b"".join([head, pixels.tobytes(), bytes(pixels.nbytes % 2), directory, more])
 
 
 def write_float_tiff(
@@ -110,12 +138,11 @@ def write_float_tiff(
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
     require(good, f"a field to write must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
     description = {**(metadata or {}), "unit": unit}
-    tags: dict[str, Any] = {}
     if pitch_mm is not None:
         require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
         description["pitch_mm"] = float(pitch_mm)
-        tags = {"resolution": (10.0 / float(pitch_mm),) * 2, "resolutionunit": "CENTIMETER"}
-    write_file(path, encode_tiff(image, description=canonical_json(description), **tags))
+    per_cm = 0.0 if pitch_mm is None else 10.0 / float(pitch_mm)
+    write_file(path, encode_tiff(image, canonical_json(description), per_cm, CENTIMETRE))
 
 
 def tiff_page(data: bytes, name: str) -> TiffPage:
@@ -136,15 +163,17 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     known = len(bits) == len(kind) == 1 and shown in ("uint8", "uint16", "int8", "int16", "float32", "float64")
     kinds = f"{name} has {max(bits)}-bit samples of the type {shown}; save it as 8- or 16-bit unsigned integers."
     require(known, kinds)
-    grey = photometric in (_WHITE_IS_ZERO, _BLACK_IS_ZERO) and samples in (1, 2)
+    grey = photometric in (_WHITE_IS_ZERO, _BLACK_IS_ZERO) and samples == 1
     colour = photometric == _RGB and samples in (3, 4)
-    require(grey or colour, f"{name} is neither grey nor RGB (CMYK or palette?); save it as grey or RGB.")
+    require(
+        grey or colour, f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB."
+    )
     readable = compression in _RATIO and number(_PREDICTOR, 1) in (1, 2, 3)
-    readable = readable and number(_BIT_ORDER, 1) == 1 and number(_PLANAR, 1) in (1, 2)
+    readable = readable and number(_BIT_ORDER, 1) == 1 and (samples == 1 or number(_PLANAR, 1) == 1)
     stored = f"compression {compression}, predictor {number(_PREDICTOR, 1)}, order of bits {number(_BIT_ORDER, 1)}"
     remedy = "save it as PNG or as uncompressed TIFF."
     require(readable, f"{name} has an unsupported storage format ({stored}); {remedy}")
-    dtype = np.dtype(shown).newbyteorder(order)
+    dtype = np.dtype(shown)
     check_size(rows, columns, samples * dtype.itemsize, name)
     tiled = _TILE_OFFSETS in tags
     if tiled:
@@ -152,8 +181,7 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
         require(min(segment) >= _MIN_TILE and segment[0] < rows + 4096 and segment[1] < columns + 4096, damaged)
     else:
         segment = max(1, min(number(_STRIP_ROWS, rows), rows)), columns
-    separate = samples > 1 and number(_PLANAR, 1) == _SEPARATE
-    count = math.ceil(rows / segment[0]) * math.ceil(columns / segment[1]) * (samples if separate else 1)
+    count = math.ceil(rows / segment[0]) * math.ceil(columns / segment[1])
     where = (_TILE_OFFSETS, _TILE_BYTES) if tiled else (_STRIP_OFFSETS, _STRIP_BYTES)
     offsets, lengths = (tags.get(tag) for tag in where)
     if lengths is None and offsets is not None and count == 1 and compression == _NONE:  # written by old programs
@@ -166,14 +194,16 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     size = sum(length for _, length in places)
     require(size <= len(data), damaged)
     check_held(rows, columns, samples * dtype.itemsize / _RATIO[compression], size, name)
-    return TiffPage(rows, columns, samples, dtype, photometric, separate, tags)
+    predictor = number(_PREDICTOR, 1)
+    stored = (order, photometric, compression, predictor, segment, tiled, places)
+    return TiffPage(rows, columns, samples, dtype, *stored, tags)
 
 
 def tiff_header(data: bytes, name: str) -> TiffPage:
     """The first page's tags. Raises BadInput as :func:`tiff_page`, and for others than 8- or 16-bit grey or RGB."""
     page = tiff_page(data, name)
-    kind = f"{8 * page.dtype.itemsize}-bit samples of the type {page.dtype.newbyteorder('=')}"
-    known = page.dtype in (np.uint8, np.dtype("<u2"), np.dtype(">u2"))
+    kind = f"{8 * page.dtype.itemsize}-bit samples of the type {page.dtype}"
+    known = page.dtype in (np.uint8, np.uint16)
     require(known, f"{name} has {kind}; save it as 8- or 16-bit unsigned integers.")
     return page
 
@@ -181,35 +211,41 @@ def tiff_header(data: bytes, name: str) -> TiffPage:
 def decode_tiff(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode the first page to (H, W, C) uint8 or uint16, C = 1 or 3, without alpha, raises as :func:`tiff_header`."""
     page = tiff_header(data, name)
-    if out is None:
-        out = np.empty((page.rows, page.columns, page.channels), dtype=page.dtype.newbyteorder("="))
-    decode_page(data, page, name, out)
-    if page.photometric == _WHITE_IS_ZERO:
-        np.subtract(np.iinfo(out.dtype).max, out, out=out)
-    return out
+    return placed(page_pixels(data, page, name), out, page, name)
 
 
-def decode_page(data: bytes, page: TiffPage, name: str, out: NDArray[Any]) -> None:
-    """Decode a page into `out` (H, W, C), its values as stored; alpha is dropped."""
-    whole = not page.separate and page.samples == out.shape[2] and out.dtype == page.dtype.newbyteorder("=")
-    with refusing(f"{name} is damaged: a part of its image cannot be decompressed; copy it again."):
-        if whole:
-            codecs().tiff_decode(data, index=0, out=out if page.samples > 1 else out[..., 0])
-            return
-        values = np.asarray(codecs().tiff_decode(data, index=0))
-        if page.separate:
-            values = np.moveaxis(values.reshape(page.samples, page.rows, page.columns), 0, -1)
-        out[...] = values.reshape(page.rows, page.columns, page.samples)[..., : out.shape[2]]
+def page_pixels(data: bytes, page: TiffPage, name: str) -> NDArray[Any]:
+    """Pixels (H, W, C) of a page, dark where they are small, with alpha behind the colours where it is stated. BadInput
+    where a part of it is missing.
+    """
+    if page.compression in (_LZW, _PACKBITS) or page.predictor == _OF_FLOATS:
+        pixels = decoded(data, name)
+        turned = page.dtype == np.uint8  # by OpenCV, where white is zero
+    else:
+        pixels, turned = _segments(data, page, name), False
+    known = page.samples == page.channels or int(page.tags.get(_EXTRA_SAMPLES, [0])[0]) in _ALPHA
+    pixels = pixels if known else pixels[..., : page.channels]
+    white_is_zero = page.photometric == _WHITE_IS_ZERO and not turned and page.dtype.kind == "u"
+    return np.asarray(np.iinfo(page.dtype).max - pixels) if white_is_zero else pixels
 
 
-def tiff_opaque(data: bytes, name: str) -> BoolArray | None:
-    """Where the first page of a sound file is opaque by half or more (H, W); None where it has no transparency."""
-    page = tiff_page(data, name)
-    if page.samples == page.channels or _EXTRA_SAMPLES not in page.tags or page.tags[_EXTRA_SAMPLES][0] not in _ALPHA:
-        return None
-    values = np.empty((page.rows, page.columns, page.samples), page.dtype.newbyteorder("="))
-    decode_page(data, page, name, values)
-    return np.asarray(values[..., -1] > (0.5 if page.dtype.kind == "f" else np.iinfo(page.dtype).max // 2))
+def _segments(data: bytes, page: TiffPage, name: str) -> NDArray[Any]:
+    """The strips or tiles of a page, not packed or deflated."""
+    (high, wide), samples = page.segment, page.samples
+    across, down = -(-page.columns // wide), -(-page.rows // high)
+    whole = np.empty((down * high, across * wide, samples), page.dtype)
+    damaged = f"{name} is damaged: a part of its image cannot be decompressed; copy it again."
+    for k, (offset, length) in enumerate(page.places):
+        top, left = k // across * high, k % across * wide
+        rows = high if page.tiled else min(high, page.rows - top)
+        size, part = rows * wide * samples * page.dtype.itemsize, data[offset : offset + length]
+        with refusing(damaged):
+            part = part if page.compression == _NONE else zlib.decompressobj().decompress(part, size)
+        require(len(part) >= size, damaged)
+        values = np.frombuffer(part[:size], page.dtype.newbyteorder(page.order)).reshape(rows, wide, samples)
+        values = values if page.predictor == 1 else np.cumsum(values, axis=1, dtype=page.dtype)
+        whole[top : top + rows, left : left + wide] = values
+    return whole[: page.rows, : page.columns]
 
 
 def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple[int, int, int, int]]]:
@@ -224,7 +260,7 @@ def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple
     return order, long, count, ((*entry.unpack_from(data, start), start + value) for start in starts)
 
 
-def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArray[Any]]]:
+def _tags(data: bytes, damaged: str) -> tuple[str, dict[int, NDArray[Any]]]:
     """Order of bytes, and values of the tags that are read."""
     order, long, count, entries = _directory(data)
     require(0 < count <= _MAX_TAGS, damaged)
@@ -253,10 +289,10 @@ def stated_ppi(data: bytes) -> tuple[float, float] | None:
         return fraction[0] / fraction[1] if len(fraction) == 2 and all(fraction) else None
 
     x, y = ratio(X_RESOLUTION), ratio(Y_RESOLUTION)
-    unit = int(tags[RESOLUTION_UNIT][0]) if RESOLUTION_UNIT in tags else _INCH
-    if not x or not y or unit not in (_INCH, _CENTIMETRE):
+    unit = int(tags[RESOLUTION_UNIT][0]) if RESOLUTION_UNIT in tags else INCH
+    if not x or not y or unit not in (INCH, CENTIMETRE):
         return None
-    scale = 1.0 if unit == _INCH else _CM_PER_INCH
+    scale = 1.0 if unit == INCH else _CM_PER_INCH
     return x * scale, y * scale
 
 

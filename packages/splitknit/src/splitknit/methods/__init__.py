@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from splitknit.methods.metric import opaque_surface, skin_surface, undoes_blur
 from splitknit.methods.photographs import FingerPhotographs, FingerSurface
-from splitknit.methods.shaded import shaded_surface
 from splitknit.methods.thesis import thesis_surface
 from splitknit.presets import PipelineSettings
 
@@ -14,7 +13,6 @@ METHODS: dict[str, Callable[[FingerPhotographs, PipelineSettings], FingerSurface
     "thesis": thesis_surface,
     "opaque": opaque_surface,
     "skin": skin_surface,
-    "shaded": shaded_surface,
 }
 """The surface of what was photographed, by the settings. A shape from mirrors replaces that of any of them
 (:func:`splitknit.methods.photographs.on_mirror_shape`)."""
@@ -22,8 +20,6 @@ METHODS: dict[str, Callable[[FingerPhotographs, PipelineSettings], FingerSurface
 
 def method_for(photographs: FingerPhotographs, settings: PipelineSettings) -> str:
     """Name of the method that these settings choose for these photographs."""
-    if photographs.shading is not None:
-        return "shaded"
     if settings.method == "thesis":
         return "thesis"
     return "skin" if undoes_blur(photographs.capture.material, settings.skin) else "opaque"

@@ -58,8 +58,6 @@ class _Surface:
     height_mm: FloatArray
     mask: BoolArray
     quality: FloatArray | None = None
-    x_mm: FloatArray | None = None
-    y_mm: FloatArray | None = None
     scatter_mm: float = 0.0
     """Of the points beside it, robust standard deviation."""
 
@@ -67,9 +65,9 @@ class _Surface:
 def result_of_cloud(cloud: Cloud, view: CloudView | None = None) -> Reconstruction:
     """Make a result of a point cloud: heights on a grid, normals, relief and shape.
 
-    An organised cloud, and points on a square lattice of any turn, keep their grid; others are fitted, node by node, by
-    a plane through the points within a pitch and a half. Of several layers the nearest to the viewer is taken. What was
-    not measured stays a hole. The relief is what the `metric` method takes for ridges in a shape
+    Points on a square lattice of any turn keep their grid; others are fitted, node by node, by a plane through the
+    points within a pitch and a half. Of several layers the nearest to the viewer is taken. What was not measured stays
+    a hole. The relief is what the `metric` method takes for ridges in a shape
     (:func:`splitknit.skin.relief.detail_of`), fading out where the surface is steep (:data:`STEEPEST`).
 
     Returns a result of the preset ``import``, z towards the viewer; its albedo is the quality of a cloud on a lattice,
@@ -81,7 +79,7 @@ def result_of_cloud(cloud: Cloud, view: CloudView | None = None) -> Reconstructi
     >>> result_of_cloud(read_cloud("finger.ply", "mm")).save("finger")  # doctest: +SKIP
     """
     view = view or CloudView()
-    flat = cloud.points_mm.reshape(-1, 3)
+    flat = cloud.points_mm
     known: BoolArray = np.asarray(np.isfinite(flat).all(axis=1))
     count = int(known.sum())
     require(count >= 16, f"the cloud has {count} points; a surface needs 16 at least.")
@@ -98,8 +96,6 @@ def result_of_cloud(cloud: Cloud, view: CloudView | None = None) -> Reconstructi
     )
     places = flat if bool((turn == np.eye(3)).all()) else flat @ turn.T.astype(np.float32)
     found = None if view.pitch_mm is not None else _on_lattice(places, known, cloud.quality)
-    if found is None and view.pitch_mm is None and cloud.points_mm.ndim == 3:
-        found = _organised(places.reshape(cloud.points_mm.shape))
     found = found or _fitted(places[known], view)
     mask, pitch = found.mask, found.pitch_mm
     odd = _doubts_of_finger(found) if view.material == "skin" else ()
@@ -130,8 +126,6 @@ def result_of_cloud(cloud: Cloud, view: CloudView | None = None) -> Reconstructi
         input_from_upright=upright.input_from_upright,
         upright_size=upright.size,
         preset="import",
-        x_mm=found.x_mm,
-        y_mm=found.y_mm,
         facts={"material": view.material, "yaw_deg": float(np.rad2deg(upright.yaw_rad)), "cloud": about},
         warnings=tuple(notes),
     )
@@ -161,10 +155,8 @@ def facing(cloud: Cloud) -> tuple[NDArray[np.float64], str]:
     """Direction (3,) towards the viewer, and what it was found by.
 
     The mean normal where the cloud has some; else the direction in which it is thinnest, seen so that its middle is
-    nearer than its rim. Within 30 degrees of a coordinate axis it is that axis. A grid is seen along z.
+    nearer than its rim. Within 30 degrees of a coordinate axis it is that axis.
     """
-    if cloud.points_mm.ndim == 3:
-        return AXES["z"], "grid"
     sample = slice(None, None, max(1, len(cloud.points_mm) // 200_000))
     points = cloud.points_mm[sample]
     mean = np.zeros(3) if cloud.normals is None else np.nan_to_num(cloud.normals[sample]).mean(axis=0, dtype=np.float64)
@@ -225,23 +217,6 @@ def _on_lattice(points: FloatArray, known: BoolArray, quality: FloatArray | None
     if quality is not None:
         shade.reshape(-1)[place_of] = quality[known]
     return _Surface("lattice", float(abs(alpha)), height, np.isfinite(height), None if quality is None else shade)
-
-
-def _organised(points: FloatArray) -> _Surface | None:
-    """The grid (H, W, 3) of a cloud, turned so that x runs along its columns and y up against its rows; None where its
-    steps along the two differ by a tenth."""
-    steps = [np.diff(points[..., :2], axis=axis).reshape(-1, 2) for axis in (1, 0)]
-    if any(not np.isfinite(one).any() for one in steps):
-        return None
-    across, down = (np.nanmedian(one, axis=0) for one in steps)
-    if abs(across[1]) > abs(across[0]):
-        points, across, down = points.swapaxes(0, 1), down, across
-    points = points[:: -1 if down[1] > 0 else 1, :: -1 if across[0] < 0 else 1]
-    pitch = float(np.sqrt(abs(across[0] * down[1])))
-    if not pitch > _FINEST_MM or not 0.9 < abs(across[0] / down[1]) < 1.1:
-        return None
-    x, y, height = (np.ascontiguousarray(points[..., k]) for k in range(3))
-    return _Surface("organised", pitch, height, np.isfinite(height), None, x, y)
 
 
 def _fitted(points: FloatArray, view: CloudView) -> _Surface:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places, sure_of_places
@@ -48,7 +49,6 @@ from splitknit.steps import shared, step
 
 if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
-    from splitknit.photometric.shading import Shading
 
 NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
@@ -147,8 +147,6 @@ class FingerPhotographs:
     """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
     specular: FloatArray | None = None
     """(H, W) picture of the specular reflection, of a polarised capture."""
-    shading: Shading | None = None
-    """Calibration from which slopes follow, where the capture names one."""
 
     def white_and_nir(self, plane_mm: float) -> tuple[FingerBand, FingerBand]:
         """The white band, and the band of the shape: the same one where there is no other."""
@@ -210,9 +208,8 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     fit, response = _response(steady, finger) if steady.material == "skin" else (fit, None)
     doubts |= {"response": (response.words, response.worthless)} if response is not None and response.sure else {}
     if fit is not None and steady.mask is not None and not white.colours:
-        every = max(1, max(steady.shape) // FRAME_SIDE)
-        stack, vectors = linear_stack(white.sampled(every), steady.encoding, "grey"), steady.rig.select(white.lights)
-        if leaves_out_object(stack, vectors.light_vectors(), finger.mask[::every, ::every]):
+        stack, vectors, some = _sampled(steady, white)
+        if leaves_out_object(stack, vectors, finger.mask[some]):
             doubts["view"] = (INVERTED, False)
     for band in (steady.bands[name] for name in ("white", "nir") if name in steady.bands):
         known = fit if band is white else None
@@ -263,13 +260,18 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     return grids[0] < _JPEG_GRID * grids[1]
 
 
+def _sampled(capture: Capture, band: Band) -> tuple[FloatArray, NDArray[np.float64], tuple[slice, slice]]:
+    """Grey linear light (L, h, w) at some of a band's pixels, its lights (L, 3), and which pixels these are."""
+    every = max(1, max(capture.shape) // FRAME_SIDE)
+    lights = capture.rig.select(band.lights).light_vectors()
+    return linear_stack(band.sampled(every), capture.encoding, "grey"), lights, np.s_[::every, ::every]
+
+
 def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
-    every = max(1, max(capture.shape) // FRAME_SIDE)
-    stack, vectors = linear_stack(band.sampled(every), capture.encoding, "grey"), capture.rig.select(band.lights)
-    inside = finger.wider[::every, ::every]
+    stack, vectors, some = _sampled(capture, band)
     opaque = capture.material == "opaque"
-    fit = fit_lights(stack, vectors.light_vectors(), inside, relief=opaque)
+    fit = fit_lights(stack, vectors, finger.wider[some], relief=opaque)
     return replace(fit, brightness=()) if opaque and capture.rig.intensities_assumed else fit  # see `_brightness`
 
 
@@ -404,10 +406,8 @@ def _doubt_of_lights(
         if explained or stored.residual < 0.5 * fit.residual:
             doubts = [(ENCODING.format(capture.encoding, other), spoils(fit))]
     if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are not such lights
-        every = max(1, max(capture.shape) // FRAME_SIDE)
-        stack, inside = linear_stack(band.sampled(every), capture.encoding, "grey"), finger.wider[::every, ::every]
-        vectors = capture.rig.select(band.lights).light_vectors()
-        faults = faulty_photographs(stack, vectors, inside, saturation_levels(band, capture.encoding))
+        stack, vectors, some = _sampled(capture, band)
+        faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
         doubts = [(_unlike_words(one, band.image_names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
@@ -423,17 +423,17 @@ def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
     """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
-    every = max(1, max(capture.shape) // FRAME_SIDE)
-    inside, px = finger.mask[::every, ::every], capture.rig.camera.px_per_mm / every
+    (white, _, some), (nir, *_) = (_sampled(capture, capture.bands[name]) for name in ("white", "nir"))
+    inside, px = finger.mask[some], capture.rig.camera.px_per_mm / some[0].step
     rim = inside & ~erode(inside, 1.5 * px)
     core = inside & ~rim
     if not core.any():
         return {}
-    series = (linear_stack(capture.bands[name].sampled(every), capture.encoding, "grey") for name in ("white", "nir"))
-    white, nir = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in (one.mean(0) for one in series))
-    other = f"nir band: {100 * nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * white:.0f} % in white"
+    means = white.mean(axis=0), nir.mean(axis=0)
+    own, dark = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
+    other = f"nir band: {100 * dark:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * own:.0f} % in white"
     check = "check that both bands are of one finger in one place."
-    return {"nir": (f"{other}: {check}", nir - white > OTHER_OUTLINE[1])} if nir - white > OTHER_OUTLINE[0] else {}
+    return {"nir": (f"{other}: {check}", dark - own > OTHER_OUTLINE[1])} if dark - own > OTHER_OUTLINE[0] else {}
 
 
 def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[str, bool]], tuple[str, ...]]:

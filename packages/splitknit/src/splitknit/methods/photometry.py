@@ -18,7 +18,6 @@ from splitknit.integration.poisson import poisson
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
 from splitknit.methods.photographs import FingerBand
 from splitknit.model import BoolArray, FloatArray
-from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
@@ -89,9 +88,6 @@ def distant_normals(
     """Normals (h, w, 3) and albedo by photometric stereo under distant lights (L, 3)."""
     if p.method == "robust":
         return robust(images, lights, inside)
-    if p.method == "hanrahan_krueger":
-        normals, albedo, _ = hanrahan_krueger(images, lights, inside, p.hanrahan_krueger)
-        return normals, albedo
     return lambertian(images, lights, inside)
 
 

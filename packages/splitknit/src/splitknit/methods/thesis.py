@@ -38,7 +38,7 @@ def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     """EA and PR (thesis, section 5.4): the visible surface, whole.
 
     EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
-    Zheng, Lin and Xie are EA with other parameters (:mod:`splitknit.presets`).
+    Zheng and Lin are EA with other parameters (:mod:`splitknit.presets`).
     """
     normals, albedo = visible_normals(white, p.photometry)
     height_mm = integrated(slopes_of(normals, white), white, p.height)

@@ -1,8 +1,8 @@
 """What ``splitknit separate`` does: a folder of images under patterns in, direct and global light out.
 
 Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full scale of the files, NaN
-outside the mask), 8-bit previews of both, for sinusoids also ``phase.tiff`` (rad, wrapped) and its preview, and
-``report.json``. The folder of images is described in :mod:`splitknit.separation.pattern_folder`.
+outside the mask), 8-bit previews of both, and ``report.json``. The folder of images is described in
+:mod:`splitknit.separation.pattern_folder`.
 
 Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png`` (16 bits, linear) of
 light K, ``specular.png`` of all lights, and ``report.json``.
@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,11 +32,9 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.io.tiff import write_float_tiff
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
-from splitknit.separation.binary import checkerboard, occluder, single_image
+from splitknit.separation.binary import checkerboard
 from splitknit.separation.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
-from splitknit.separation.sinusoid import PhaseSeparation, sinusoid
 from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
-from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
@@ -128,37 +125,12 @@ def separate_polarised_folders(
 
 
 def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
-    settings = StackSettings(clip_level=light.clip_level)
-    common: dict[str, Any] = {"mask": light.mask, "settings": settings}
-    patterns: FloatArray | None = light.patterns
-    if plan.method in ("checkerboard", "occluder") and plan.patterns == ESTIMATE:
+    common: dict[str, Any] = {"mask": light.mask, "settings": StackSettings(clip_level=light.clip_level)}
+    patterns = light.patterns
+    if plan.patterns == ESTIMATE:
         patterns = estimate_patterns(light.stack, **common)
-    grid = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period, **common}
-    alpha = 0.5 if plan.alpha is None else plan.alpha
-    if plan.method == "checkerboard":
-        return checkerboard(light.stack, alpha=alpha, patterns=patterns, **grid)
-    if plan.method == "symmetry":
-        return by_symmetry(light.stack, white=light.white, **grid)
-    if plan.method == "sinusoid":
-        return sinusoid(light.stack, _phases(plan), dark=plan.dark, noise_std=plan.noise_std, **common)
-    if plan.method == "occluder":
-        kind = plan.kind or ("line" if plan.alpha is None else "mesh")
-        share = plan.shadow_percent
-        return occluder(light.stack, kind, alpha=plan.alpha, shadow_percent=share, patterns=patterns, **common)
-    require(plan.patterns != ESTIMATE, "method single needs the pattern's image or check_px, not 'estimate'.")
-    require(light.mask is None, "method single takes no mask; cut the image instead.")
-    image, block, pattern = light.stack[0], plan.block or 0, None if patterns is None else patterns[0]
-    shape: dict[str, Any] = {"check_px": plan.check_px, "alpha": alpha, "dark": plan.dark}
-    return single_image(image, block, pattern=pattern, settings=settings, **shape)
-
-
-def _phases(plan: PatternFolder) -> NDArray[np.float64] | None:
-    if plan.shifts is None:
-        return None
-    require(plan.period is not None and plan.period > 0, "a sinusoid's shifts need its period, in the same units.")
-    single = "a sinusoid's shifts are single numbers, along its one direction."
-    require(all(len(row) == 1 for row in plan.shifts), single)
-    return np.asarray(2 * np.pi * np.array([row[0] for row in plan.shifts]) / float(plan.period or 1.0))
+    grid: dict[str, Any] = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period}
+    return checkerboard(light.stack, alpha=plan.alpha, patterns=patterns, **grid, **common)
 
 
 def _with_names(message: str, plan: PatternFolder) -> str:
@@ -178,10 +150,6 @@ def _write(parts: Separation, plan: PatternFolder, light: _PatternLight, target:
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
         write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
         write_image(target / f"{name}.png", _light_picture(part))
-    if isinstance(parts, PhaseSeparation):
-        write_float_tiff(target / "phase.tiff", parts.phase_rad, "rad, wrapped", origin)
-        write_image(target / "phase.png", _phase_picture(parts))
-        files += ["phase.tiff", "phase.png"]
     return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
 
 
@@ -197,7 +165,7 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
     if negative > 0.05:
         dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
         warnings.append(f"{dark}: check alpha, dark and the black image.")
-    if plan.method == "checkerboard" and plan.patterns is not None and plan.check_px is None:
+    if plan.patterns is not None and plan.check_px is None:
         low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
         warnings.append(f"global light was taken to be the same under all shifts; {low}")
     white = None
@@ -208,7 +176,7 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
         if ratio.size:
             white = {"median_ratio": float(np.median(ratio)), "median_error": float(np.median(np.abs(ratio - 1)))}
     return {
-        "method": plan.method,
+        "method": "checkerboard",
         "images": [file.name for file in plan.images],
         "image_size": list(light.stack.shape[1:3]),
         "result_size": list(parts.direct.shape[:2]),
@@ -230,15 +198,6 @@ def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
     scaled = np.clip(np.where(known, light, 0.0) / top, 0.0, 1.0)
     return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
-
-
-def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
-    """The phase as hue, as bright as the modulation is strong."""
-    known = np.isfinite(parts.phase_rad)
-    hue = np.mod(np.where(known, parts.phase_rad, 0.0) / (2 * np.pi), 1.0) * 180.0
-    strength = np.clip(np.where(known, parts.modulation, 0.0) / 0.5, 0.0, 1.0)
-    coded = np.dstack([np.minimum(hue, 179.0), np.full(hue.shape, 200.0), 255.0 * strength])
-    return np.asarray(cv2.cvtColor(np.round(coded).astype(np.uint8), cv2.COLOR_HSV2RGB), dtype=np.uint8)
 
 
 # The images of a pattern folder as linear light.

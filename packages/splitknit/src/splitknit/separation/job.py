@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from splitknit.errors import require
-from splitknit.verbs import AnyPath, Encoding, Help, Job, Natural, Progress, path
+from splitknit.verbs import AnyPath, Encoding, Help, Job, Progress, path
 
-_OF_PATTERNS = ("method", "alpha", "dark", "patterns", "check_px", "block")
+_OF_PATTERNS = ("alpha", "dark", "patterns", "check_px")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,6 @@ class SeparateJob(Job):
         "photographs through parallel and crossed films: specular and diffuse light", "FOLDER", positional=True)]
     _: KW_ONLY
     out: Annotated[AnyPath, Help("folder to write the results into", "DIR")]
-    method: Annotated[Literal["checkerboard", "symmetry", "sinusoid", "occluder", "single"] | None, Help(
-        "how the light was patterned (default: what separation.json states, else checkerboard); symmetry: "
-        "checkerboards without noise, an odd number of equal steps a period each way")] = None
     alpha: Annotated[float | None, Help("fraction of the pattern that is lit (default: 0.5)")] = None
     dark: Annotated[float | None, Help("brightness of its unlit part (default: 0)")] = None
     patterns: Annotated[str | None, Help(
@@ -38,9 +35,8 @@ class SeparateJob(Job):
         "WHERE")] = None
     encoding: Annotated[Encoding | None, Help("of the images (default: linear)")] = None
     check_px: Annotated[float | None, Help(
-        "side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are found in "
-        "the images unless `patterns` gives them)")] = None
-    block: Annotated[Natural | None, Help("side of a block of the result, for one image")] = None
+        "side of a check on the images, for noisy checkerboards on skin (whose states are found in the images unless "
+        "`patterns` gives them)")] = None
     # fmt: on
 
     def run(self, progress: Progress) -> dict[str, Any]:

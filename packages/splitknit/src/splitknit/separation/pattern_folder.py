@@ -20,7 +20,6 @@ from splitknit.io.fields import Fields, as_number, inside, read_json
 from splitknit.io.plain import natural_order
 from splitknit.separation.stacks import check_shifts
 
-METHODS = ("checkerboard", "symmetry", "sinusoid", "occluder", "single")
 DOCUMENT = "separation.json"
 ESTIMATE = "estimate"
 _SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
@@ -32,39 +31,26 @@ class PatternFolder:
     """What is separated, and how."""
 
     images: tuple[Path, ...]  # in order
-    method: str = "checkerboard"  # one of `METHODS`
     encoding: str = "linear"  # ``linear`` or ``srgb``
     black: Path | None = None  # image without the pattern's light
     white: Path | None = None  # image with the whole source lit
     mask: Path | None = None  # white = to be separated
-    alpha: float | None = None  # lit fraction of the pattern; the method's default where None
+    alpha: float = 0.5  # lit fraction of the pattern
     dark: float = 0.0  # brightness of the unlit part of the pattern
     patterns: tuple[Path, ...] | str | None = None  # state images, ``estimate``, or None for maximum and minimum
     shifts: tuple[tuple[float, ...], ...] | None = None  # shifts of the pattern in each image
     period: float | None = None  # period of the pattern, in units of the shifts
-    kind: str | None = None  # ``line`` or ``mesh``; a mesh where None and `alpha` is given
-    shadow_percent: float = 0.0  # fraction of an occluder's images in which a pixel is surely in shadow
-    check_px: float | None = None
-    """Side of a check on the camera's pixels: of a single image, and of checkerboards on skin, where light spreads."""
-    block: int | None = None  # side of a block of a single image's result
-    noise_std: float = 0.0  # noise of one image, linear light
+    check_px: float | None = None  # side of a check on the camera's pixels, for skin, where light spreads
 
     def __post_init__(self) -> None:
-        require(self.method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{self.method}'.")
         other = f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'."
         require(self.encoding in ("linear", "srgb"), other)
         require(len(self.images) > 0, "there are no images.")
-        if self.method == "single":
-            require(len(self.images) == 1, f"method single takes one image, but there are {len(self.images)}.")
-            require(self.block is not None, "method single needs block, the side of a block in pixels.")
-        if self.patterns == ESTIMATE and self.method == "checkerboard":
+        if self.patterns == ESTIMATE:
             few = "states can be found in the images where checks have 5 pixels or more"
             cure = "give the states as patterns, or leave check_px and patterns out."
             wide = self.check_px is None or self.check_px >= 5
             require(wide, f"{few}, but check_px is {self.check_px}; {cure}")
-        if self.method == "symmetry":
-            require(self.alpha in (None, 0.5), f"method symmetry needs alpha 0.5, but it is {self.alpha}.")
-            require(self.patterns is None, "method symmetry takes no patterns; use method checkerboard with them.")
 
     def settings(self) -> dict[str, Any]:
         """All choices but the files, as JSON can hold them."""
@@ -90,11 +76,13 @@ def read_pattern_folder(folder: Path, changes: Mapping[str, Any] | None = None) 
         changed["patterns"] = tuple(_images_in(states))
     try:
         plan = PatternFolder(**{**found, **changed})
-        if plan.method == "checkerboard" and plan.check_px is not None and plan.patterns is None:
+        if plan.check_px is not None and plan.patterns is None:
             plan = replace(plan, patterns=ESTIMATE)  # the size of the checks is of use only with states
-        return plan if "shifts" in found else replace(plan, shifts=_shifts_by_names(plan))
+        if "shifts" not in found:
+            _check_names(plan.images)
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
+    return plan
 
 
 def _read_document(folder: Path) -> dict[str, Any]:
@@ -102,7 +90,9 @@ def _read_document(folder: Path) -> dict[str, Any]:
     name = str(folder / DOCUMENT)
     given = Fields(document, name)
     given.format("splitknit-separation", 1)
-    known = {"format", "version", *(item.name for item in fields(PatternFolder))}
+    method = given.text("method") if given.has("method") else "checkerboard"
+    require(method == "checkerboard", f"{name}: method must be 'checkerboard', but it is '{method}'; others left.")
+    known = {"format", "version", "method", *(item.name for item in fields(PatternFolder))}
     unknown = sorted(set(given.keys()) - known)
     require(not unknown, f"{name}: the field '{unknown[0] if unknown else ''}' is not known; correct or remove it.")
     found: dict[str, Any] = {}
@@ -113,18 +103,12 @@ def _read_document(folder: Path) -> dict[str, Any]:
     for key in _ROLES:
         if given.has(key):
             found[key] = inside(folder, given.get(key), name, key)
-    for key in ("method", "encoding", "kind"):
-        if given.has(key):
-            found[key] = given.text(key)
-    limits = {"alpha": 1.0, "dark": 1.0, "period": 1e6, "shadow_percent": 50.0, "check_px": 1e4, "noise_std": 1.0}
+    if given.has("encoding"):
+        found["encoding"] = given.text("encoding")
+    limits = {"alpha": 1.0, "dark": 1.0, "period": 1e6, "check_px": 1e4}
     for key, high in limits.items():
         if given.has(key):
             found[key] = given.number(key, 0.0, high)
-    if given.has("block"):
-        block = given.number("block", 1, 1e6)
-        if block != int(block):
-            given.refuse("block", "a whole number")
-        found["block"] = int(block)
     if given.has("patterns"):
         value = given.get("patterns")
         files = () if value == ESTIMATE else given.items("patterns")
@@ -157,19 +141,14 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(files, key=lambda file: (natural_order(file.stem), file.name))
 
 
-def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:
-    """The one or two numbers in which names differ, without a gap, or None; only completeness is read from them."""
-    if plan.method not in ("checkerboard", "symmetry", "sinusoid") or len(plan.images) < 3:
-        return None
-    words = {re.sub(r"\d+", "#", image.stem) for image in plan.images}
-    if len(words) > 1:
-        return None
-    table = np.array([[int(number[:15]) for number in re.findall(r"\d+", image.stem)] for image in plan.images])
+def _check_names(images: tuple[Path, ...]) -> None:
+    """Refuse images whose names differ in one or two numbers with a gap: a shift is missing."""
+    if len(images) < 3 or len({re.sub(r"\d+", "#", image.stem) for image in images}) > 1:
+        return
+    table = np.array([[int(number[:15]) for number in re.findall(r"\d+", image.stem)] for image in images])
     varying = table[:, np.ptp(table, axis=0) > 0]
-    if varying.shape[1] not in (1, 2):
-        return None
-    try:
-        check_shifts(varying, len(varying))
-    except BadInput as error:
-        raise BadInput(f"by the numbers in the names of the images: {error}") from error
-    return None
+    if varying.shape[1] in (1, 2):
+        try:
+            check_shifts(varying, len(varying))
+        except BadInput as error:
+            raise BadInput(f"by the numbers in the names of the images: {error}") from error

@@ -29,21 +29,19 @@ LIT_LEVEL = 0.1
 """Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
 cannot resolve."""
 MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
+_MAX_CONSTANT = 0.05  # more such pixels than this, among the bright ones, and the stack is refused
+_REPEAT = 0.02  # images that differ by less than this part of the usual power of differences show one pattern twice
 _BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
 EDGE = 0.1  # where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
 
 
 @dataclass(frozen=True, slots=True)
 class StackSettings(Checked):
-    """When a stack is refused. Fractions are of the pixels inside the mask."""
+    """When a stack is refused."""
 
     clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
     """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
     that the stack is not a file's [0, 1] scale, and nothing is looked for."""
-    constant_share: Annotated[float, Limits(0, 1, below=True)] = 0.05
-    """More such pixels than this, among the bright ones, and the stack is refused."""
-    repeat: Annotated[float, Limits(0, 1, below=True)] = 0.02
-    """Two images that differ by less than this part of the usual power of differences show one pattern twice."""
 
 
 DEFAULTS = StackSettings()
@@ -163,43 +161,38 @@ def percent(fraction: float) -> str:
 # Whether a stack can hold what its patterns are to show: pixels that change, and no pattern twice.
 
 
-def check_contrast(
-    low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
-) -> None:
-    """Refuse a stack in which too many bright pixels do not change; `words`: what they never were, and the remedy."""
+def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
+    """Refuse a stack in which too many bright pixels do not change."""
     dark, bright = low.max(axis=-1), high.max(axis=-1)
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
     fraction = float(constant.sum()) / max(1.0, float(looked_at.sum()))
-    if fraction <= settings.constant_share:
+    if fraction <= _MAX_CONSTANT:
         return
     row, column = np.argwhere(constant)[0]
-    fault = f"{percent(fraction)} of the bright pixels were {words[0]} (first at row {row}, column {column})"
-    raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {words[1]}.")
+    place = f"(first at row {row}, column {column})"
+    fault = f"{percent(fraction)} of the bright pixels were never lit or never dark {place}"
+    cure = "let the patterns reach every pixel, or give a mask."
+    raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {cure}")
 
 
-def check_repeats(
-    light: FloatArray, mask: BoolArray, settings: StackSettings = DEFAULTS, expected: NDArray[np.float64] | None = None
-) -> None:
+def check_repeats(light: FloatArray, mask: BoolArray) -> None:
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
     They differ by noise alone, which is independent from pixel to pixel: the covariance of the difference with itself,
-    moved by a pixel or two, shows patterns. `expected`: (N, N) how much patterns differ (any unit); all equal where
-    None.
+    moved by a pixel or two, shows patterns.
     """
     power, covariance, count = _differences(light, mask)
     pairs = np.triu_indices(len(light), 1)
-    relative = covariance[pairs] if expected is None else covariance[pairs] / np.maximum(expected[pairs], 1e-6)
-    limit = settings.repeat if expected is None else 0.2
     level = float(np.mean(np.square(light.mean(axis=0, dtype=np.float64)[mask])))
-    reference = float(np.median(relative))
+    reference = float(np.median(covariance[pairs]))
     require(
-        float(np.median(covariance[pairs])) > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
+        reference > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
         "the images differ by noise at most: the patterns never light the scene; check the projector, or whether "
         "the direct light is too weak to be seen.",
     )
     similar = np.zeros(covariance.shape, dtype=np.bool_)
-    similar[pairs] = relative <= limit * reference
+    similar[pairs] = covariance[pairs] <= _REPEAT * reference
     twins = odd_twins(similar)
     if twins is not None:
         fault = f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated,"
@@ -304,8 +297,8 @@ def _words(row: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:g}" for value in row) + ")"
 
 
-def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) -> FloatArray:
-    """Return known states (N, H, W), checked against the stack they belong to; `distinct`: none may come twice."""
+def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
+    """Return known states (N, H, W), checked against the stack they belong to."""
     states = np.asarray(patterns, dtype=np.float32)
     shape = images.light.shape[:3]
     require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")
@@ -321,8 +314,7 @@ def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) 
                 f"{percent(fraction)} of the pixels are never {word} by the patterns (first at row {row}, column "
                 f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
             )
-    if distinct:
-        _check_order(images, states)
+    _check_order(images, states)
     return states
 
 

@@ -1,1 +1,0 @@
-"""Planning and building a rig: its dimensions, its parts, its circuit."""

@@ -1,0 +1,92 @@
+"""The twin as the devices of ``splitknit capture``, a finger or calibration target; registered as ``twin``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from splitknit import Opened, Rig, default_rig, override, require
+from splitknit_simulator.bench_photos import BOARD
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
+from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import FingerScene, twin_settings
+
+TARGETS = ("card", "disc", "nail", "board", "sphere")
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """The twin, set up: every finger is photographed with devices of its own."""
+
+    settings: TwinSettings
+    devices: TwinDeviceSettings
+
+    @classmethod
+    def made(cls, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Twin:
+        """Sort settings: ``device.*`` to the devices, the rest to finger, skin, light and sensor. BadInput if one is
+        unknown, or the rig is another camera's.
+        """
+        own = {name: value for name, value in changes.items() if not name.startswith("device.")}
+        settings = twin_settings(scale, own)
+        if rig is not None:
+            require(
+                "films" not in rig.provenance,
+                "the rig file has polarising films, which the twin's camera and LEDs have not; capture with `device` "
+                "pi, or take provenance.films out of the file.",
+            )
+            size = (default_rig(scale) if scale is not None else rig).camera.image_size
+            require(
+                size == rig.camera.image_size,
+                f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
+                f"{rig.camera.image_size[1]} pixels (rows x columns), those of `scale` {scale} have {size[0]} x "
+                f"{size[1]}; leave `scale` out.",
+            )
+            settings = replace(settings, rig=rig)
+        devices = {name.removeprefix("device."): value for name, value in changes.items() if name not in own}
+        return cls(settings, override(TwinDeviceSettings(), devices))
+
+    @contextmanager
+    def opened(
+        self, seed: int, impression: int = 0, *, pattern: str | None = None, target: str | None = None
+    ) -> Iterator[Opened]:
+        """Open the devices around a simulated finger, or around a calibration target."""
+        truth: Mapping[str, Any] | None = None
+        notes: tuple[str, ...] = ()
+        twin, clock = self.settings, Clock()
+        scene: LitScene
+        if target is None:
+            scene = FingerScene(seed, pattern, twin, impression=impression)
+            truth, rig = scene.truth(), scene.rig
+        else:
+            rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
+            scene, words = _target_scene(target, rig, seed)
+            notes = (words,)
+        noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
+        sensor: dict[str, Any] = {"sensor": twin.sensor, "sensor_scale": twin.sensor_scale, "seed": noise}
+        with (
+            TwinLightBank(scene, clock, self.devices) as lights,
+            TwinCamera(scene, lights, clock, self.devices, **sensor) as camera,
+        ):
+            used = {"twin": twin, "devices": self.devices}
+            yield Opened("twin", camera, lights, rig, used, truth=truth, notes=notes)
+
+
+def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
+    """Return a target under the rig, and what it is; the seed draws its place where it has one."""
+    camera, leds = rig.camera, rig.leds
+    if name == "nail":
+        x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
+        return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
+    if name == "board":
+        scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
+        size = f"{BOARD.columns}x{BOARD.rows}"
+        return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
+    makers: dict[str, Any] = {"card": CardScene, "disc": DiscScene, "sphere": SphereScene}
+    require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
+    return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

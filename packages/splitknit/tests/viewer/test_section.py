@@ -1,0 +1,83 @@
+"""Sections are those of the finger: a half ellipsoid with a known relief."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handmade import finger
+from splitknit.errors import BadInput
+from splitknit.model import Reconstruction
+from splitknit.viewer.surface import ResultSurface, section, surface_in
+
+
+def perspective(result: Reconstruction) -> Reconstruction:
+    """The same finger as a camera 140 mm above sees it."""
+    height, width = result.mask.shape
+    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, :] * (1 - result.height_mm / 140)
+    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None] * (1 - result.height_mm / 140)
+    return replace(result, x_mm=x.astype(np.float32), y_mm=y.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def surfaces() -> dict[str, ResultSurface]:
+    result, _ = finger()
+    return {"parallel": surface_in(result), "perspective": surface_in(perspective(result))}
+
+
+def height_at(x: float, y: float) -> float:
+    along = (y - 1.0) / 8.5 if y > 1.0 else 0.0
+    shape = 5.5 * np.sqrt(1.0 - (x / 7.5) ** 2 - along**2)
+    radius, turn = np.hypot(x - 0.6, y - 2.0), np.arctan2(y - 2.0, x - 0.6)
+    return float(shape + 0.03 * np.cos(2 * np.pi * radius / 0.45 + 2 * turn))
+
+
+def test_a_section_across_has_the_ellipse_s_length(surfaces) -> None:
+    cut = section(surfaces["parallel"], (-6.0, -4.0), (6.0, -4.0))
+    assert cut.figures["flat_mm"] == pytest.approx(12.0)
+    assert cut.figures["height_difference_mm"] == pytest.approx(height_at(6, -4) - height_at(-6, -4), abs=0.01)
+    x = np.linspace(-6, 6, 4001)
+    z = np.array([height_at(each, -4.0) for each in x])
+    length = np.hypot(np.diff(x), np.diff(z)).sum()
+    assert cut.figures["along_surface_mm"] == pytest.approx(length, rel=0.01)
+    np.testing.assert_allclose(cut.height_mm, np.interp(cut.x_mm, x, z), atol=0.006)
+
+
+@pytest.mark.parametrize("which", ["parallel", "perspective"])
+def test_a_section_along_a_ray_of_the_spiral_has_its_period(which: str, surfaces) -> None:
+    cut = section(surfaces[which], (0.6, 3.0), (0.6, 8.4))
+    low, high = (y * (1 - (height_at(0.6, y) / 140 if which == "perspective" else 0.0)) for y in (3.0, 8.4))
+    period = 0.45 * (high - low) / 5.4  # further from the camera looks smaller
+    assert cut.figures["ridge_period_mm"] == pytest.approx(period, rel=0.015)
+
+
+def test_places_of_a_perspective_camera_are_found(surfaces) -> None:
+    surface = surfaces["perspective"]
+    rows, columns = np.nonzero(np.isfinite(surface.x_mm[::37, ::41]))
+    rows, columns = 37 * rows, 41 * columns
+    x, y = (field[rows, columns].astype(float) for field in (surface.x_mm, surface.y_mm))
+    apart = np.abs(surface.locate(x, y) - np.stack([columns, rows])).max(axis=0)
+    assert np.median(apart) < 0.02  # at the rim neighbours are missing
+
+
+def test_a_section_over_the_edge_says_so(surfaces) -> None:
+    cut = section(surfaces["parallel"], (0.0, -4.0), (12.0, -4.0))
+    assert cut.figures["straight_mm"] is None
+    assert cut.figures["along_surface_mm"] is None
+    assert np.isnan(cut.height_mm).mean() == pytest.approx(1 - 7.386 / 12, abs=0.02)
+
+
+@pytest.mark.parametrize("end", [(0.0, 0.0), (float("nan"), 0.0), (1e6, 0.0)])
+def test_ends_that_are_no_ends_are_refused(surfaces, end: tuple[float, float]) -> None:
+    with pytest.raises(BadInput):
+        section(surfaces["parallel"], (0.0, 0.0), end)
+    with pytest.raises(BadInput, match="no surface"):
+        section(surfaces["parallel"], (20.0, 0.0), (30.0, 0.0))
+
+
+def test_an_empty_result_is_refused() -> None:
+    result, _ = finger()
+    with pytest.raises(BadInput, match="no heights"):
+        surface_in(replace(result, mask=np.zeros_like(result.mask)))

@@ -1,0 +1,406 @@
+"""Rigs that are compared: what changes from one to the next, how brightly a rig exposes, and what it must satisfy.
+
+Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its intensity on the axis
+is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens of the f-number N that images with the
+magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2) of a surface of radiance L; photons times the quantum
+efficiency are electrons.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # hardware/ is not installed
+
+from hardware.films import SIDE_HEIGHT_MM, SIDE_RADIUS_MM, side_leds
+from splitknit.errors import require
+from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit_simulator.calibration_set.solids import unit
+from splitknit_simulator.light.lighting import irradiance
+
+Array = NDArray[np.float64]
+FULL_PX_PER_MM = 75.7  # scale of the full frame of the thesis's camera, 3200 x 2200 pixels
+FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
+"""Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
+_LEDS_PER_BAND = 7
+
+
+@dataclass(frozen=True, slots=True)
+class RigCandidate:
+    """One rig out of a sweep."""
+
+    height_mm: float
+    """Height of camera and LEDs above the finger plane (the same, as in the thesis)."""
+    radius_mm: float
+    """Radius of the circle of LEDs."""
+    power_w: float
+    """Electrical power of one LED."""
+    tilt_deg: float | None = None
+    """Tilt of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
+    px_per_mm: float = 12.0
+    """Resolution of the camera on the finger plane; the field stays."""
+    side: int = 0
+    """Number of side lights, as bright in the middle of the finger plane as the others."""
+    side_radius_mm: float = SIDE_RADIUS_MM
+    """Their distance from the camera's axis."""
+    side_height_mm: float = SIDE_HEIGHT_MM
+    """Their height above the finger plane."""
+
+    @property
+    def beam_deg(self) -> float:
+        """Angle of the beams from the vertical, towards the axis."""
+        centre = float(np.rad2deg(np.arctan2(self.radius_mm, self.height_mm)))
+        return centre if self.tilt_deg is None else self.tilt_deg
+
+    @property
+    def name(self) -> str:
+        """Short, unique, fit for a file."""
+        tilt = "centre" if self.tilt_deg is None else f"{self.tilt_deg:g}"
+        side = f"_n{self.side}_r{self.side_radius_mm:g}_h{self.side_height_mm:g}" if self.side else ""
+        return f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}{side}"
+
+    @property
+    def volume_l(self) -> float:
+        """Size of the box: litres of the cylinder that holds LEDs and camera."""
+        return float(np.pi * self.radius_mm**2 * self.height_mm * 1e-6)
+
+
+@dataclass(frozen=True, slots=True)
+class BuildSettings:
+    """What all candidates share."""
+
+    half_angle_deg: float = 30.0
+    """Angle at which an LED is half as bright: 60 bare, 30 and less with a lens, 90 for even light."""
+    led_drop_mm: float = 0.0
+    """How far the LEDs stand below the front of the lens; negative is above."""
+    view: str = "perspective"
+    """Model of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes it."""
+
+    @property
+    def lobe_exponent(self) -> float:
+        """Exponent m of an LED whose intensity falls with cos^m: half at the half angle."""
+        if self.half_angle_deg >= 90.0:
+            return 0.0
+        return float(np.log(0.5) / np.log(np.cos(np.deg2rad(self.half_angle_deg))))
+
+
+def grid(  # noqa: PLR0917 - one list an axis
+    heights_mm: Sequence[float],
+    radii_mm: Sequence[float],
+    powers_w: Sequence[float],
+    tilts_deg: Sequence[float | None] = (None,),
+    resolutions: Sequence[float] = (12.0,),
+    side: Sequence[int] = (0,),
+    side_radii_mm: Sequence[float] = (SIDE_RADIUS_MM,),
+    side_heights_mm: Sequence[float] = (SIDE_HEIGHT_MM,),
+) -> tuple[RigCandidate, ...]:
+    """All combinations, in the lists' order, each once. BadInput if a list is empty or has an impossible value."""
+    axes: dict[str, Sequence[Any]] = {"heights_mm": heights_mm, "radii_mm": radii_mm, "powers_w": powers_w}
+    axes |= {"tilts_deg": tilts_deg, "resolutions": resolutions, "side": side}
+    axes |= {"side_radii_mm": side_radii_mm, "side_heights_mm": side_heights_mm}
+    for name, values in axes.items():
+        require(len(values) > 0, f"{name} is empty; list one value at least.")
+    found = (values if values[5] else values[:6] for values in itertools.product(*axes.values()))
+    return tuple(dict.fromkeys(RigCandidate(*values) for values in found))
+
+
+def _camera_of(candidate: RigCandidate, build: BuildSettings) -> Camera:
+    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in FIELD_MM)
+    camera = Camera(candidate.px_per_mm, (rows, columns), height_mm=candidate.height_mm)
+    if build.view == "orthographic":
+        return camera
+    focal = candidate.px_per_mm * candidate.height_mm
+    matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]], dtype=np.float64)
+    return replace(camera, model="perspective", matrix=matrix)
+
+
+def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float]) -> Rig:
+    """The candidate as a rig; `intensities`: of the LEDs on their axis, in W/sr, of each band that has LEDs."""
+    tilt, z = np.deg2rad(candidate.beam_deg), candidate.height_mm - build.led_drop_mm
+    leds = []
+    for band, intensity in intensities.items():
+        for k in range(_LEDS_PER_BAND):
+            azimuth = 2.0 * np.pi * (k + (0.5 if band == "nir" else 0.0)) / _LEDS_PER_BAND
+            x, y = float(np.cos(azimuth)), float(np.sin(azimuth))
+            place = (candidate.radius_mm * x, candidate.radius_mm * y, z)
+            aim = (-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt)))
+            leds.append(Led(band, place, intensity=intensity, lobe_exponent=build.lobe_exponent, aim=aim))
+    if candidate.side and "white" in intensities:
+        white = [led for led in leds if led.band == "white"]
+        leds += side_leds(white, candidate.side, candidate.side_radius_mm, candidate.side_height_mm)
+    return Rig(_camera_of(candidate, build), tuple(leds), {"source": "search of rigs", "candidate": candidate.name})
+
+
+# How brightly a rig exposes.
+
+PLANCK_LIGHT = 1.98645e-25  # Planck's constant times the speed of light, J m
+
+
+@dataclass(frozen=True, slots=True)
+class _Lamp:
+    """One band's LED and how well the sensor sees it."""
+
+    efficiency: float  # radiant flux over electrical power
+    wavelength_nm: float  # mean, for the energy of a photon
+    quantum_efficiency: float  # electrons of a green pixel per photon of this light, colour filter included
+
+
+LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
+"""By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
+phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
+850 nm emitters; the camera without infrared filter."""
+_TRANSMISSION = 0.9  # transmission of the lens
+_PIXEL_UM = 1.12  # pixel of the IMX219 at full resolution; smaller pictures bin its pixels
+MAGNIFICATION = _PIXEL_UM * 1e-3 * FULL_PX_PER_MM  # size on the sensor over size on the finger
+FULL_WELL_E = 4700.0  # electrons at full scale of a pixel at full resolution
+READ_NOISE_E = 2.5  # standard deviation of the noise of reading out, electrons, a pixel at full resolution
+TARGET_LEVEL = 0.7  # fraction of full scale that the brightest skin shall reach
+MIN_LEVEL = 0.1  # below this fraction a picture is too dark to be used
+_LONGEST_S = 0.2  # 14 pictures in 7 s leave half a second each for light, settling and reading out
+_MAX_GAIN = 8.0  # largest gain of the camera: beyond it a picture stays dark
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonSettings:
+    """Lens and shutter."""
+
+    f_number: float = 4.0
+    """The lens's focal length over its pupil."""
+    shortest_s: float = 1.0 / 4000.0
+    """Shortest exposure time."""
+
+    def focal_mm(self, height_mm: float) -> float:
+        """Focal length that images from `height_mm` with this magnification (thin lens)."""
+        return height_mm * MAGNIFICATION / (1.0 + MAGNIFICATION)
+
+    def depth_of_field_mm(self, blur_mm: float) -> float:
+        """Depth within which a point's image stays below `blur_mm` on the finger; the height drops out of it."""
+        return 2.0 * self.f_number * blur_mm * (1.0 + MAGNIFICATION) / MAGNIFICATION
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedExposure:
+    """How one band is exposed."""
+
+    time_s: float
+    gain: float
+    level: float  # fraction of full scale of the brightest skin: the target where the shutter and the gain allow it
+
+
+def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
+    """Radiant intensity of an LED on its axis."""
+    return power_w * lamp.efficiency * (lobe_exponent + 1.0) / (2.0 * np.pi)
+
+
+def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> float:
+    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
+    on_sensor = np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
+    photons = on_sensor * (_PIXEL_UM * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT
+    return float(photons * lamp.quantum_efficiency)
+
+
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
+    """Shutter first, then gain, then darkness, for electrons a second where the finger is brightest."""
+    require(rate_e_s > 0, "no light falls on the finger; turn the LEDs towards it.")
+    wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
+    time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
+    gain = float(np.clip(wanted / time, 1.0, _MAX_GAIN))
+    return PlannedExposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
+
+
+W_PER_UNIT = 100.0
+"""W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""
+_LED_BODY_MM = 2.5  # radius of an LED's case
+_CAMERA_BODY_MM = 17.3  # half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
+_FINGER_MM = 12.0  # half the breadth of the opening that a large finger needs
+_WALL_MM = 8.0  # from the circle of the LEDs to the outside of the box
+_LAMP_MM = 14.0  # from the outside of the box to a side light in its lamp
+_BED_MM = (220.0, 250.0)  # side of the printer's bed, and its height
+_ROUGHNESS = 0.25  # GGX alpha of the skin whose specular reflection is evaluated
+_MAX_BLIND = 0.05
+"""Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal needs."""
+_BLUR_MM = 0.11  # disc of defocus that is allowed: a quarter of a ridge period
+ALBEDO = 0.6  # albedo of skin in its brightest channel, for the exposure
+_MIN_BEAM = 0.1  # smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One constraint and what a rig makes of it."""
+
+    name: str
+    ok: bool
+    value: float
+    words: str  # one sentence
+    hard: bool = True  # whether a rig that fails is left out; otherwise it is only said
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintPoints:
+    """Where on a finger specular reflection is looked for: (N, 3) points in mm, and normals towards the camera."""
+
+    points_mm: Array
+    normals: Array
+
+
+def examine(
+    candidate: RigCandidate,
+    build: BuildSettings,
+    photons: PhotonSettings,
+    *,
+    finger: PrintPoints,
+    bands: Sequence[str] = ("white",),
+) -> tuple[Finding, ...]:
+    """One finding for every constraint on a candidate, failed ones included; `bands`: whose exposure is judged."""
+    leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
+    white = [led for led in leds if led.band == leds[0].band]
+    ring = white[:_LEDS_PER_BAND]  # lamps shade the side lights against the lens
+    return (
+        _in_view(white, candidate, build),
+        _into_lens(ring, candidate),
+        _room(candidate),
+        *([_beside(candidate)] if candidate.side else []),
+        _bed(candidate),
+        _beam(candidate, build.lobe_exponent),
+        _glare(white, candidate, build, finger),
+        *(_exposed(band, planned_exposure(leds, band, photons)) for band in bands),
+        _depth(photons, finger),
+    )
+
+
+def led_intensities(candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]) -> dict[str, float]:
+    """Radiant intensity of the candidate's LEDs on their axis, W/sr, by band."""
+    return {band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in bands}
+
+
+def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> Finding:
+    """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
+    clear = 1e3
+    for led in leds:
+        x, y, z = np.asarray(led.position_mm)
+        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
+        if below > 0:
+            fraction = below / candidate.height_mm if build.view == "perspective" else 1.0
+            half_y, half_x = (0.5 * side * fraction for side in FIELD_MM)
+            outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
+            clear = min(clear, float(outside) - _LED_BODY_MM)
+    words = f"the LEDs stand {clear:.1f} mm beside what the camera sees."
+    if clear <= 0.0:
+        words = f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture; widen the circle or raise it."
+    return Finding("leds_in_view", clear > 0.0, clear, words)
+
+
+def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
+    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
+    worst = 0.0
+    for led in leds:
+        to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
+        if to_lens[2] > 0:  # the lens looks down: only light from below meets it
+            distance = float(np.linalg.norm(to_lens))
+            leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
+            worst = max(worst, float(to_lens[2]) / distance * leaves**led.lobe_exponent)
+    words = "no LED shines into the lens."
+    if worst >= 1e-3:
+        words = f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light); raise or shade them."
+    return Finding("direct_light", worst < 1e-3, worst, words)
+
+
+def _room(candidate: RigCandidate) -> Finding:
+    inside, needed = candidate.radius_mm - _LED_BODY_MM, max(_CAMERA_BODY_MM, _FINGER_MM)
+    words = f"{inside:.1f} mm are free inside the circle"
+    words = f"{words}." if inside >= needed else f"only {words}, but camera and finger need {needed:.1f} mm; widen it."
+    return Finding("room", inside >= needed, inside - needed, words)
+
+
+def _beside(candidate: RigCandidate) -> Finding:
+    spare = candidate.side_radius_mm - candidate.radius_mm - _WALL_MM - _LAMP_MM
+    words = f"{spare:.0f} mm are to spare between box and side lights."
+    if spare < 0.0:
+        needed = candidate.side_radius_mm - spare
+        words = f"side lights {candidate.side_radius_mm:g} mm from the axis need {needed:.0f} mm outside this box."
+    return Finding("side_lights", spare >= 0.0, spare, words)
+
+
+def _bed(candidate: RigCandidate) -> Finding:
+    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
+    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
+    words = f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, "
+    fits_not = f"does not fit a printer of {_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
+    return Finding("printer", spare >= 0.0, spare, words + ("fits the printer." if spare >= 0.0 else fits_not))
+
+
+def _beam(candidate: RigCandidate, exponent: float) -> Finding:
+    centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
+    off = abs(candidate.beam_deg - centre)
+    fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
+    ok = fraction >= _MIN_BEAM and off < 75.0
+    words = f"the finger gets {100 * fraction:.0f} % of the LEDs' axial intensity."
+    if not ok:
+        words = f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} %; tilt them by {centre:.0f} deg."
+    return Finding("beam", ok, fraction, words)
+
+
+def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> Finding:
+    glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
+    blind = float(np.mean((~glare).sum(axis=0) < 3))
+    covered = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
+    words = f"{covered}, and {100 * blind:.0f} % of it under all but two."
+    if blind > _MAX_BLIND:
+        few = f"on {100 * blind:.0f} % of it fewer than three LEDs are free of it"
+        words = f"{covered}; {few}; widen or lower the circle."
+    return Finding("glare", blind <= _MAX_BLIND, blind, words)
+
+
+def _glaring(
+    leds: list[Led], candidate: RigCandidate, build: BuildSettings, roughness: float, finger: PrintPoints
+) -> BoolArray:
+    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
+    points = finger.points_mm
+    view = np.array([0.0, 0.0, 1.0])
+    if build.view == "perspective":
+        view = unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
+    halves = [unit(unit(np.asarray(led.position_mm) - points) + view) for led in leds]
+    limit = np.cos(_glare_lobe_rad(roughness))
+    return np.array([np.sum(half * finger.normals, axis=1) > limit for half in halves])
+
+
+def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) -> PlannedExposure | None:
+    """Exposure of facing patches of skin about the middle of the finger plane; None where no light falls on them."""
+    spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
+    lit = (float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds if led.band == band)
+    rate = electrons_per_s(ALBEDO / np.pi * W_PER_UNIT * max(lit), LAMPS[band], photons)
+    return plan_exposure(rate, photons) if rate > 0 else None
+
+
+def _glare_lobe_rad(roughness: float) -> float:
+    """Angle between normal and half vector where a GGX surface's glare is halved: Walter et al. 2007, equation (33)."""
+    squared = min(roughness**2, 0.6)
+    return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
+
+
+def _exposed(band: str, plan: PlannedExposure | None) -> Finding:
+    if plan is None:
+        return Finding(f"exposure_{band}", False, 0.0, "no light falls on the finger; turn the beams towards it.")
+    how = f"{1000 * plan.time_s:.3g} ms at gain {plan.gain:.2g}"
+    words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
+    if plan.level < MIN_LEVEL:
+        words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
+    elif plan.level > 1.0:
+        words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
+    return Finding(f"exposure_{band}", MIN_LEVEL <= plan.level <= 1.0, plan.level, words)
+
+
+def _depth(photons: PhotonSettings, finger: PrintPoints) -> Finding:
+    seen = float(np.ptp(finger.points_mm[:, 2]))
+    sharp = photons.depth_of_field_mm(_BLUR_MM)
+    words = f"{sharp:.1f} mm of depth are sharp within {_BLUR_MM:g} mm at f/{photons.f_number:g}; the print has "
+    words += f"{seen:.1f} mm." if sharp >= seen else f"{seen:.1f} mm: stop down."
+    return Finding("depth_of_field", sharp >= seen, sharp - seen, words, hard=False)

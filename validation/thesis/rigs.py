@@ -1,0 +1,227 @@
+"""Which rig would the thesis's own experiment choose? Sweeps of height, radius, power, tilt and resolution.
+
+    python validation/thesis/rigs.py                    # all sweeps: 15 minutes of one core; may be interrupted
+    python validation/thesis/rigs.py --report           # only the tables (as kept in tables/rig) and the picture of
+                                                        # docs/experiments/rig-optimise.md
+    python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric    # a sweep of your own
+
+Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run that was stopped goes
+on where it was. ``rigs.json`` beside this script holds the figures that the report follows from.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rig_candidates import BuildSettings, RigCandidate, grid
+from rig_study import ThesisStudy
+from scipy import stats
+
+HERE = Path(__file__).resolve().parent
+OUT = HERE.parent / "out" / "rig"
+RESULTS = HERE / "rigs.json"
+
+HEIGHTS = (100.0, 120.0, 140.0, 170.0, 200.0)
+RADII = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)
+PX = 10.0
+COMPARED = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
+"""What is kept of each comparison with the best, in this order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """One question."""
+
+    asks: str
+    study: ThesisStudy
+    candidates: tuple[RigCandidate, ...]
+
+
+def _plane(fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any) -> Sweep:
+    return Sweep(
+        "height and radius", ThesisStudy(fingers=fingers, **study), grid(heights, radii, (1.0,), (None,), (PX,))
+    )
+
+
+def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
+    return Sweep("power", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), powers, (None,), (PX,)))
+
+
+def _tilts(fingers: int, **study: Any) -> Sweep:
+    tilts = (0.0, 10.0, 20.0, 30.0, None)
+    return Sweep("tilt", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,)))
+
+
+def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
+    return Sweep("resolution", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), (None,), values))
+
+
+POWERS = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
+METRIC: dict[str, Any] = {"method": "metric", "material": "skin"}
+SWEEPS: dict[str, Sweep] = {
+    "ea_opaque": _plane(8),
+    "ea_poisson_opaque": _plane(4, method="ea-poisson"),
+    "ea_skin": _plane(4, material="skin"),
+    "metric_skin": _plane(6, (100.0, 140.0, 200.0), (35.0, 52.5, 80.0, 100.0), **METRIC),
+    "near_ea_opaque": _plane(4, (50.0, 70.0, 85.0), (52.5, 65.0, 80.0, 100.0)),
+    "parallel_ea_opaque": _plane(8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")),
+    "power_ea_opaque": _powers(4, POWERS),
+    "power_metric_skin": _powers(3, POWERS, **METRIC),
+    "tilt_ea_opaque": _tilts(4),
+    "tilt_metric_skin": _tilts(3, **METRIC),
+    "resolution_ea_opaque": _resolutions(4, (5.0, 7.5, 10.0, 15.0, 20.0)),
+    "resolution_metric_skin": _resolutions(3, (5.0, 7.5, 10.0, 15.0, 20.0), **METRIC),
+    "renderer_power": _powers(4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"),
+    "renderer": Sweep(
+        "height, radius and power under one fixed exposure",
+        ThesisStudy(fingers=3, camera="renderer"),
+        grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX,)),
+    ),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--report", action="store_true", help="tables and picture from rigs.json alone")
+    parser.add_argument("--sweeps", nargs="*", choices=SWEEPS, metavar="NAME", help=f"of {', '.join(SWEEPS)}")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--scratch", type=Path, default=OUT)
+    own = parser.add_argument_group("a sweep of your own, which is printed and not kept in rigs.json")
+    own.add_argument("--heights", type=float, nargs="+", help="of camera and LEDs over the finger plane, mm")
+    own.add_argument("--radii", type=float, nargs="+", default=[52.5], help="of the circle of LEDs, mm")
+    own.add_argument("--powers", type=float, nargs="+", default=[1.0], help="of one LED, W")
+    own.add_argument("--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="metric: on skin")
+    own.add_argument("--fingers", type=int, default=2)
+    chosen = parser.parse_args(arguments)
+    if chosen.heights:
+        study = ThesisStudy(chosen.method, chosen.fingers, material="skin" if chosen.method == "metric" else "opaque")
+        rigs = grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,))
+        _print_best(sweep_rigs(chosen.scratch / f"own_{chosen.method}_{chosen.fingers}", rigs, study, chosen.workers))
+        return 0
+    if not chosen.report:
+        results = json.loads(RESULTS.read_text()) if chosen.sweeps and RESULTS.exists() else {}
+        for name in chosen.sweeps or SWEEPS:
+            results[name] = _run(name, chosen.scratch / name, chosen.workers)
+            print(f"{name}: {len(results[name]['rows'])} rigs")
+        RESULTS.write_text(json.dumps(results, separators=(",", ":")).replace("},{", "},\n{") + "\n")
+    from rig_report import write_report
+
+    print(write_report(json.loads(RESULTS.read_text())))
+    return 0
+
+
+def sweep_rigs(
+    out: Path, candidates: Sequence[RigCandidate], study: ThesisStudy, workers: int = 1
+) -> list[dict[str, Any]]:
+    """Records of all candidates in their order; each is kept in `out` when it is finished, and not measured again."""
+    out.mkdir(parents=True, exist_ok=True)
+    files = {one: out / f"{one.name}.json" for one in candidates}
+    waiting = [one for one, file in files.items() if not file.is_file()]
+    with ProcessPoolExecutor(workers) as pool:
+        for k, (one, record) in enumerate(zip(waiting, pool.map(study.record, waiting), strict=True), start=1):
+            files[one].write_text(json.dumps(record), encoding="ascii")
+            print(f"\r{out.name} {k}/{len(waiting)}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return [json.loads(file.read_text(encoding="ascii")) for file in files.values()]
+
+
+def summarise(records: Sequence[Mapping[str, Any]], figure: str) -> dict[str, Any]:
+    """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name; the ``pareto`` front
+    of the figure, the LEDs' power and the size of the box.
+    """
+    done = [one for one in records if one["status"] == "done"]
+    if not done:
+        sys.exit(f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}")
+    compared = _compare_with_best(done, figure)
+    rigs = [RigCandidate(**{k: v for k, v in one["candidate"].items() if k != "name"}) for one in done]
+    costs = [[one["mean"][figure], rig.power_w, rig.volume_l] for one, rig in zip(done, rigs, strict=True)]
+    front = zip(rigs, _pareto_front(np.array(costs)), strict=True)
+    best = next(name for name, row in compared.items() if row["best"])
+    return {"best": best, "compared": compared, "pareto": [rig.name for rig, is_on in front if is_on]}
+
+
+def _pareto_front(costs: np.ndarray) -> np.ndarray:
+    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere."""
+    return np.array([not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs])
+
+
+def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
+    numbers = np.asarray(values, dtype=np.float64)
+    mean = float(numbers.mean())
+    if numbers.size == 1:
+        return mean, -np.inf, np.inf
+    half = float(stats.t.ppf(0.975, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
+    return mean, mean - half, mean + half
+
+
+def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[str, dict[str, Any]]:
+    """How much worse than the best every candidate is, finger by finger, by name: ``value`` and ``low``, ``high`` (95 %
+    interval of the mean over the fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (of the
+    paired difference), and ``as_good``: that interval holds zero.
+    """
+    values = {one["candidate"]["name"]: np.array([f[figure] for f in one["fingers"]]) for one in records}
+    best = min(values, key=lambda name: (float(values[name].mean()), name))
+    compared: dict[str, dict[str, Any]] = {}
+    for name, own in values.items():
+        ends = zip(
+            ("value", "low", "high", "worse_by", "worse_low", "worse_high"),
+            (*_mean_interval(own), *_mean_interval(own - values[best])),
+            strict=True,
+        )
+        row: dict[str, Any] = {end: value if np.isfinite(value) else None for end, value in ends}
+        compared[name] = {**row, "as_good": row["worse_low"] is None or row["worse_low"] <= 0.0, "best": name == best}
+    return compared
+
+
+def _print_best(records: Sequence[Mapping[str, Any]]) -> None:
+    found = summarise(records, "hausdorff_mm")
+    print("height  radius   power  Hausdorff (95 % interval), mm, smallest first; x: on the Pareto front; =: as good")
+    by_error = sorted((one for one in records if one["mean"]), key=lambda one: one["mean"]["hausdorff_mm"])
+    for one in by_error:
+        rig, its = one["candidate"], found["compared"][one["candidate"]["name"]]
+        between = "" if its["low"] is None else f" ({its['low']:.3f} to {its['high']:.3f})"
+        marks = "".join(mark for mark, on in ((" x", rig["name"] in found["pareto"]), (" =", its["as_good"])) if on)
+        print(f"{rig['height_mm']:6g} {rig['radius_mm']:7g} {rig['power_w']:7g}  {its['value']:.3f}{between}{marks}")
+    for one in records:
+        if one["reason"]:
+            print(f"{one['candidate']['name']}: {one['reason']}")
+
+
+def _run(name: str, out: Path, workers: int) -> dict[str, Any]:
+    """Sweep, and keep of it what the report needs."""
+    asked = SWEEPS[name]
+    records = sweep_rigs(out, asked.candidates, asked.study, workers)
+    summaries = {objective: summarise(records, f"{objective}_mm") for objective in ("hausdorff", "whole", "rms")}
+    rows = []
+    for one in records:
+        row = {name: value for name, value in one["candidate"].items() if name != "name"}
+        row |= {"name": one["candidate"]["name"], "status": one["status"], "reason": one["reason"]}
+        row["broken"] = [rule["name"] for rule in one["constraints"] if rule["hard"] and not rule["ok"]]
+        if one["mean"] is not None:
+            row |= {key: round(value, 5) for key, value in one["mean"].items()}
+            row["compared"] = {
+                objective: [_short(its["compared"][row["name"]][key]) for key in COMPARED]
+                for objective, its in summaries.items()
+            }
+        rows.append(row)
+    study = asked.study
+    asks = {"method": study.method, "material": study.material, "camera": study.camera, "fingers": study.fingers}
+    best = {objective: its["best"] for objective, its in summaries.items()}
+    return {"asks": asked.asks, **asks, "best": best, "pareto": summaries["hausdorff"]["pareto"], "rows": rows}
+
+
+def _short(value: float | bool | None) -> float | bool | None:
+    return round(value, 4) if isinstance(value, float) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
