@@ -3,7 +3,7 @@
 # make test MEMBER=splitknit: one member's tests, in an environment with only that member and what it may import
 # make examples: run every example and write docs/guide/examples.md
 # make docs: the documentation as a site, ./site/index.html; a broken link or an undocumented public name is an error
-# make install: all that `splitknit` needs; with EXTRAS=train (docs/guide/install.md) other parts as well
+# make install: all that `splitknit` needs; with EXTRAS=photos (docs/guide/install.md) other parts as well
 # make lock: write constraints.txt for the dependencies of all members; with LOCK_ARGS=--upgrade in newer releases
 # make clean: remove what these made
 
@@ -14,14 +14,13 @@ BIN = $(VENV)/bin
 PYTEST_ARGS ?= -n 2 --dist worksteal
 
 MEMBERS := splitknit splitknit-simulator splitknit-rig splitknit-match
-EXTRAS ?= batch,minutiae
+EXTRAS ?= minutiae
 LOCK_ARGS ?=
 
 # the member of each extra
-$(foreach name,completion photos plot x3p,$(eval OF_$(name) := splitknit[$(name)]))
-$(foreach name,reference train,$(eval OF_$(name) := splitknit-simulator[$(name)]))
+$(foreach name,completion mesh photos plot,$(eval OF_$(name) := splitknit[$(name)]))
 $(eval OF_capture := splitknit-rig[capture])
-$(foreach name,batch cluster minutiae objects pad records search,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,cluster encrypt minutiae pad records,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 
@@ -93,7 +92,7 @@ $(VENV)/.ready: constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 	$(BIN)/python -m pip install --quiet --require-hashes -r $(VENV)/pip.txt
 	$(BIN)/python -m pip uninstall --quiet --quiet --yes setuptools
 	$(BIN)/python -m pip install --quiet --no-deps $(MEMBERS:%=-e packages/%)
-	$(INSTALL) $(MEMBERS) $(if $(filter splitknit-match,$(MEMBERS)),'splitknit-match[batch$(comma)minutiae]')
+	$(INSTALL) $(MEMBERS) $(if $(filter splitknit-match,$(MEMBERS)),'splitknit-match[minutiae]')
 	@touch $@
 
 # Hashes are those of all files of a release, for every platform, and those that are there already: torch's first one is
@@ -104,10 +103,11 @@ lock:
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
 		--python-version 3.11 $(foreach name,capture,) \
-		$(foreach name,completion photos plot x3p reference train batch cluster minutiae objects pad records search serve,--extra $(name)) \
-		--group dev --group hardware --group browser --group docs --group install $(MEMBERS:%=--no-emit-package %) \
+		$(foreach name,completion mesh photos plot cluster encrypt minutiae pad records serve,--extra $(name)) \
+		--group dev --group browser --group docs --group hardware --group install --group reference --group training \
+		$(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)
 
 clean:
 	rm -rf .venv .venv-* demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
-	find packages tests examples benchmarks validation -name __pycache__ -type d -prune -exec rm -rf {} +
+	find packages tests examples benchmarks training validation -name __pycache__ -type d -prune -exec rm -rf {} +

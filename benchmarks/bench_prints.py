@@ -25,7 +25,7 @@ from splitknit.finger.orientation import find_upright
 from splitknit.model import default_rig
 from splitknit_match.matching.minutiae import nfiq2
 from splitknit_match.prints.curvature import CurvatureSettings, curvature
-from splitknit_match.prints.enhance import gabor_enhance, ridge_mask, stft_enhance, thin
+from splitknit_match.prints.enhance import gabor_enhance, ridge_mask, thin
 from splitknit_match.prints.make import Print, enhance, make_print
 from splitknit_match.prints.sources import Source
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -65,14 +65,12 @@ def phalange(scale: float, rounds: int) -> None:
     unrolled: Print = make_print(source, "unroll")
     enhanced = enhance(unrolled, 500.0)
     work: dict[str, Callable[[], Any]] = {"unrolled print (free)": lambda: make_print(source, "unroll")}
-    for kind in ("arc", "tube", "cylinder"):
-        work[f"unrolled print ({kind})"] = lambda kind=kind: make_print(source, "unroll", kind)
+    work["unrolled print (arc)"] = lambda: make_print(source, "unroll", "arc")
     work["relief print"] = lambda: make_print(source, "relief")
     for degree, word in ((2, "quadratic"), (3, "cubic")):
         settings = CurvatureSettings(degree=degree)
         work[f"curvature map, {word}"] = lambda s=settings: curvature(seen.height_mm, seen.mask, camera.pitch_mm, s)
     work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled, 500.0)
-    work["STFT enhancement of it"] = lambda: stft_enhance(unrolled.image, 500.0, unrolled.weight > 0.5)
     work["black and white, thinned"] = lambda: thin(ridge_mask(enhanced))
     print_table(f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)", race(work, rounds))
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")
@@ -84,7 +82,6 @@ def real_prints(files: list[Path], rounds: int) -> None:
     size = " x ".join(map(str, images[0].shape))
     methods: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "splitknit Gabor": lambda image: gabor_enhance(image).image,
-        "splitknit STFT": lambda image: stft_enhance(image).image,
     }
     if enhancer := library("fingerprint_enhancer"):
         methods["fingerprint-enhancer"] = lambda image: np.where(

@@ -28,8 +28,6 @@ SUITES = {
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
     "bench_match.py": (["--rounds", "5"], ["--rounds", "1"]),
-    "bench_search.py": (["--rounds", "5"], ["--rounds", "1", "--fingers", "2000", "--people", "3"]),
-    "bench_gallery.py": ([], ["--fingers", "2000"]),
     "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
     "bench_clouds.py": ([], ["--points", "1e5"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),

@@ -11,8 +11,8 @@ import pytest
 
 PACKAGES = Path(__file__).resolve().parents[1] / "packages"
 MEMBERS = ("splitknit", "splitknit_simulator", "splitknit_rig", "splitknit_match")
-APART = {"cli", "demo", "scanners", "training"}
-"""Parts of the simulator's member that may know the estimate: they compare with it, or train it."""
+APART = {"cli", "demo"}
+"""Parts of the simulator's member that may know the estimate: they compare with it."""
 SHARED = {"devices", "errors", "exports", "io", "model", "settings", "verbs", "workers"}
 """What of the core the simulator may use: data, files, checks; nothing that estimates."""
 

@@ -212,7 +212,6 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
         arguments = [[places.get(word, word) for word in verb] for verb in (VERBS_RUN if run == "verbs" else DEMO_RUN)]
         events = watched(VERBS, tmp_path, json.dumps(arguments), strace=STRACE)
     else:
-        pytest.importorskip("pyarrow")
         events = watched(PROCESSES, tmp_path, str(people), strace=STRACE)
     assert {Path(of).name for _, of in events if of.endswith(".onnx")} == set(NETWORKS[run])
     assert violations(events, tmp_path) == []

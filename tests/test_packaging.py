@@ -42,7 +42,7 @@ def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
     assert held == kept
     assert any(name.endswith("/py.typed") for name in held) and any(name.endswith("/__init__.pyi") for name in held)
     if member == "splitknit":
-        assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css", ".svg"}
+        assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css"}
     for licence in PROJECTS[member]["license-files"]:
         assert (home / licence).is_file()
 
@@ -74,13 +74,9 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     ]
 
 
-def test_the_conda_environment_has_the_extras_batch_and_plot() -> None:
+def test_the_conda_environment_has_the_extra_plot() -> None:
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
-    batch, plot = (
-        PROJECTS["splitknit-match"]["optional-dependencies"]["batch"],
-        PROJECT["optional-dependencies"]["plot"],
-    )
-    needed = of_conda(NEEDED + batch + plot)
+    needed = of_conda(NEEDED + PROJECT["optional-dependencies"]["plot"])
     found = {one for one in environment["dependencies"] if isinstance(one, str)}
     assert found - {"pip", "python >=3.11,<3.14"} == needed
     assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}

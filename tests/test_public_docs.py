@@ -70,7 +70,7 @@ def test_the_site_shows_every_public_name_and_verb(hooks: ModuleType, caplog: py
     assert caplog.records == []
     shown = {line.strip(":#` ") for line in page.splitlines() if line.startswith((":::", "### "))}
     assert shown >= set(PUBLIC) and "splitknit.Capture" in shown
-    assert "### `splitknit gallery rekey`" in hooks.help_of_every_verb()
+    assert "### `splitknit gallery import`" in hooks.help_of_every_verb()
 
 
 def test_a_public_name_without_words_is_found(

@@ -37,7 +37,7 @@ similarity of 0.780 on one kind and 0.787 on another, and one minutia more in th
 Entry = dict[str, Any]
 QUICK = ["--set", "metric.rounds=1"]
 PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng")
-METHODS = ("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
+METHODS = ("ridge", "thesis", "minutiae")
 
 
 def run(*words: object) -> str:

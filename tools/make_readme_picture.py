@@ -16,7 +16,7 @@ import numpy as np
 import splitknit
 from splitknit.finger.ridges import relief_print
 from splitknit.imaging.band import linear_image
-from splitknit.io.pictures import PictureFrame, grey, on_paper, to_frame, upright_frame
+from splitknit.io.pictures import PictureFrame, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.report.figures import oblique_view, small_fields
 from splitknit.report.result import PRINT_PPI
@@ -43,7 +43,8 @@ def photograph(capture: Capture, result: Reconstruction, frame: PictureFrame) ->
 def relief(result: Reconstruction, frame: PictureFrame) -> Picture:
     """The ridges alone, valleys dark."""
     values, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
-    return on_paper(grey(values, -45.0, 45.0), weight)
+    level = np.clip((values + 45.0) / 90.0 * 255.0, 0, 255).astype(np.uint8)
+    return on_paper(np.repeat(level[..., None], 3, axis=2), weight)
 
 
 def fitted(picture: Picture, paper: int) -> Picture:

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.presets import PRESETS
-from splitknit_match.matching.search import SearchSettings
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.prints.make import PrintingSettings
 from splitknit_rig.capture.pi import PiCameraSettings
@@ -137,11 +136,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit match`, `enroll` and `identify`",
         "What each is: [matching](../guide/matching.md). Captures are reconstructed with `--preset` as it is.",
         (("", MatchingSettings()),),
-    ),
-    (
-        "`splitknit identify`",
-        "Besides `band.`, `template.` and `ridge.` of the table above. The search: [galleries](../guide/gallery.md).",
-        (("search.", SearchSettings()),),
     ),
 )
 """Heading, words, and what the names begin with, for every verb but ``reconstruct``."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from batch_stores import EA, chunks, pairs_of
+from batch_stores import EA, chunks, pairs_of, rows_of
 from splitknit.errors import BadInput, Refused
 from splitknit.finger.ridges import relief_print
 from splitknit.io.capture import read_capture
@@ -34,10 +34,8 @@ RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
 
 def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path, tmp_path: Path) -> None:
     table = Store(reconstructed).features("ea")
-    assert table.column("capture").to_pylist() == sorted(
-        f"S{s:02d}/session_{k}/right_index" for s in (1, 2) for k in (1, 2)
-    )
-    row = {name: table.column(name)[1].as_py() for name in table.column_names}
+    assert table["capture"].tolist() == sorted(f"S{s:02d}/session_{k}/right_index" for s in (1, 2) for k in (1, 2))
+    row = rows_of(table)[1]
     result = reconstruct(read_capture(people / row["capture"]), "ea")
     surface = surface_of(result)
     assert row["finger"] == "S01/right_index"
@@ -54,7 +52,7 @@ def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path,
     kept, made = Store(reconstructed).images("ea", row["capture"]), surface_images(surface)
     for name, channel in made.channels.items():
         np.testing.assert_array_equal(kept.channels[name], channel)
-    assert Store(reconstructed).features("ea", ["seconds"]).column("seconds").to_pylist()[0] > 0
+    assert Store(reconstructed).features("ea", ["seconds"])["seconds"].tolist()[0] > 0
 
 
 def test_chunks_say_where_they_come_from(people: Path, reconstructed: Path) -> None:
@@ -65,7 +63,7 @@ def test_chunks_say_where_they_come_from(people: Path, reconstructed: Path) -> N
     document = EA.cases[0].document()
     for name in ("preset", "settings_sha256"):
         assert origin["settings"][name] == document[name]
-    assert origin["inputs"].keys() == set(read_chunk(file, ["capture"]).column("capture").to_pylist())
+    assert origin["inputs"].keys() == set(read_chunk(file, ["capture"])["capture"].tolist())
     assert all(len(one) == 64 for one in origin["inputs"].values())
 
 
@@ -77,10 +75,10 @@ def test_two_processes_leave_what_one_leaves(people: Path, reconstructed: Path, 
 
 
 def test_what_is_there_is_not_done_again(people: Path, store: Path) -> None:
-    before = {file: file.stat().st_mtime_ns for file in store.rglob("*.parquet")}
+    before = {file: file.stat().st_mtime_ns for file in store.rglob("*.npz")}
     facts = run_batch(people, store, EA, jobs=1)
     assert (facts["reconstructed"], facts["found"]) == (0, 4)
-    assert {file: file.stat().st_mtime_ns for file in store.rglob("*.parquet")} == before
+    assert {file: file.stat().st_mtime_ns for file in store.rglob("*.npz")} == before
 
 
 def test_a_lost_chunk_alone_is_made_again_and_leftovers_go(people: Path, store: Path) -> None:
@@ -156,7 +154,7 @@ def test_a_growing_population_is_taken_as_it_comes(people: Path, store: Path, tm
     shutil.copytree(people / "S02" / "session_2" / "right_index", grown / "S02" / "session_2" / "right_index")
     facts = run_batch(grown, out, EA, jobs=1)
     assert (facts["reconstructed"], facts["found"]) == (1, 3)
-    assert Store(out).features("ea").equals(Store(store).features("ea"))
+    assert rows_of(Store(out).features("ea")) == rows_of(Store(store).features("ea"))
 
 
 def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> None:
@@ -168,12 +166,12 @@ def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> No
     facts = run_batch(spoiled, tmp_path / "out", small, jobs=1)
     assert len(facts["failures"]) == 4
     table = Store(tmp_path / "out").features("ea")
-    assert table.column("acquired").to_pylist() == [False] * 4
-    assert table.column("failure")[0].as_py().startswith("white_0.png is black")
-    assert "too small" in table.column("failure")[1].as_py()
-    assert table.column("print")[0].as_py() is None
-    assert table.column("print")[1].as_py() is not None
-    assert table.column("template").to_pylist() == [b""] * 4
+    assert table["acquired"].tolist() == [False] * 4
+    assert table["failure"][0].startswith("white_0.png is black")
+    assert "too small" in table["failure"][1]
+    assert table["print"][0] == b""
+    assert table["print"][1] != b""
+    assert table["template"].tolist() == [b""] * 4
 
 
 def test_comparisons_are_the_matchers_own(copies: tuple[Path, Path]) -> None:
@@ -186,18 +184,18 @@ def test_comparisons_are_the_matchers_own(copies: tuple[Path, Path]) -> None:
     table = Store(out).scores("ea", "ridge")
     templates = dict(
         zip(
-            Store(out).features("ea").column("capture").to_pylist(),
-            Store(out).features("ea").column("template").to_pylist(),
+            Store(out).features("ea")["capture"].tolist(),
+            Store(out).features("ea")["template"].tolist(),
             strict=True,
         )
     )
-    for row in table.to_pylist()[::7]:
+    for row in rows_of(table)[::7]:
         if row["compared"]:
             direct = ridge_match(unpack(templates[row["a"]]), unpack(templates[row["b"]]))
             assert row["similarity"] == direct.similarity
             assert row["rotation_deg"] == direct.rotation_deg
         assert row["genuine"] == (row["a"].split("/")[::2] == row["b"].split("/")[::2])
-    failed = [row for row in table.to_pylist() if "S02/session_3/right_index" in (row["a"], row["b"])]
+    failed = [row for row in rows_of(table) if "S02/session_3/right_index" in (row["a"], row["b"])]
     assert len(failed) == 8
     assert not any(row["compared"] for row in failed)
     assert all(np.isnan(row["similarity"]) for row in failed)
@@ -217,7 +215,7 @@ def test_scores_go_to_everyone(copies: tuple[Path, Path], tmp_path: Path) -> Non
     np.testing.assert_array_equal(read.label, scores.label)
     assert read.ids["finger"][1] == scores.finger.names if scores.finger else False
     turned = to_scores(Store(out).scores("ea", "ridge"), "correlation")
-    assert turned.score[0] == Store(out).scores("ea", "ridge").column("correlation")[0].as_py()
+    assert turned.score[0] == Store(out).scores("ea", "ridge")["correlation"][0]
     with pytest.raises(BadInput, match="no column 'colour'"):
         to_scores(Store(out).scores("ea", "ridge"), "colour")
 
@@ -250,8 +248,8 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
     settings = replace(EA, matchers=("thesis", "minutiae"))
     run_batch(people, store, settings, jobs=1)
     table = Store(store).scores("ea", "thesis")
-    assert table.num_rows == 4
-    row = table.to_pylist()[1]
+    assert len(table["a"]) == 4
+    row = rows_of(table)[1]
     sides = [Store(store).images("ea", row[side]) for side in "ab"]
     direct = thesis_match(sides[0], sides[1], ThesisSettings(gate=0.0))
     assert row["similarity"] == pytest.approx(direct.similarity, abs=1e-15)
@@ -259,7 +257,7 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
     assert row["ratio"] == direct.ratio
     assert to_scores(table, "dissimilarity_relief").score[1] == 1.0 - direct.dissimilarity["relief"]
     found = Store(store).scores("ea", "minutiae")
-    assert found.column("similarity").to_pylist() == found.column("bozorth3").to_pylist()
+    assert found["similarity"].tolist() == found["bozorth3"].tolist()
     scores = to_scores(found)
     assert scores.genuine.min() > scores.impostor.max()
     # made once: the second run reads them
@@ -292,7 +290,7 @@ def test_other_populations_versions_and_folders_are_refused(people: Path, store:
         run_batch(other, store, EA, jobs=1)
     kept = (store / "store.json").read_text()
     for change, words in (
-        ({"format_version": 3}, "version 3"),
+        ({"format_version": 2}, "version 2, and this is a reader of version 3; run the batch again"),
         ({"version": "9.9"}, "made by splitknit 9.9"),
         ({"cases": 3}, "damaged"),
         ({"cases": {"ea": 3}}, "damaged"),
@@ -357,9 +355,3 @@ def test_cases_and_matchers_that_cannot_be(people: Path) -> None:
         BatchSettings(matchers=("eyes",))
     with pytest.raises(BadInput, match="impostors must be from 0 to 1"):
         BatchSettings(impostors=1.5)
-
-
-def test_columns_of_bytes_may_hold_more_than_two_gigabytes(copies: tuple[Path, Path]) -> None:
-    _, out = copies
-    columns = Store(out).features("ea").schema
-    assert {str(columns.field(name).type) for name in ("template", "print", "images")} == {"large_binary"}

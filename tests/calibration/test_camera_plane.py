@@ -1,15 +1,13 @@
-"""The finger plane: scale, height and tilt from marks, and the disc's dots from a picture."""
+"""The finger plane: height and tilt from marks."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
-from camera_views import BOARD, MATRIX, seen, turned
+from camera_views import BOARD, MATRIX, seen
 from splitknit.errors import BadInput
-from splitknit_rig.calibration.plane import mean_pose, plane_pose, plane_scale
-from splitknit_rig.calibration.targets import find_disc
+from splitknit_rig.calibration.plane import mean_pose, plane_pose
 
 MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
 
@@ -70,80 +68,8 @@ def test_deviations_are_what_repetition_gives():
     assert np.abs(np.subtract(mean.tilt_xy_deg, (0.6, -0.4))).max() < 4 * mean.deviations["tilt_deg"]
 
 
-def test_scale_of_an_orthographic_camera():
-    angle = np.deg2rad(33)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    rng = np.random.default_rng(1)
-    for flip in (1, -1):
-        places = 18.9 * (MARKS * (1, flip)) @ turn + (400, 300)
-        found = plane_scale(BOARD.points_mm, places)
-        assert found.px_per_mm == pytest.approx(18.9)
-        assert found.rms_px < 1e-9
-        assert found.anisotropy < 1e-9
-        noisy = [plane_scale(BOARD.points_mm, places + rng.normal(0, 0.1, places.shape)) for _ in range(60)]
-        spread = np.std([one.px_per_mm for one in noisy], ddof=1)
-        assert spread == pytest.approx(np.mean([one.deviation for one in noisy]), rel=0.3)
-    assert plane_scale(BOARD.points_mm, MARKS * (20, 18)).anisotropy == pytest.approx(20 / 18 - 1)
-
-
 def test_marks_that_do_not_do():
     with pytest.raises(BadInput, match="on one line"):
         plane_pose(BOARD.points_mm[:9], seen(MARKS, np.eye(3), (0, 0, 140.0))[:9], MATRIX)
     with pytest.raises(BadInput, match="at least 5 marks"):
         plane_pose(MARKS[:4], MARKS[:4], MATRIX)
-
-
-def disc(rotation, middle, *, extra=(), shade=0.6, noise=0.004, size=(550, 800)):
-    """Picture of dots of 1.5 mm every 10 mm, and where their centres are."""
-    u, v = np.meshgrid(np.arange(-30, 31, 10.0), np.arange(-30, 31, 10.0))
-    dots = np.column_stack([u.ravel(), v.ravel()])
-    places = seen(dots, rotation, np.asarray(middle))
-    sub = 8
-    image = np.full((size[0] * sub, size[1] * sub), 215, np.uint8)
-    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    rim = 0.75 * np.column_stack([np.cos(angle), np.sin(angle)])
-    for dot in [*dots, *extra]:
-        outline = (seen(rim + dot, rotation, np.asarray(middle)) + 0.5) * sub - 0.5
-        cv2.fillPoly(image, [np.round(outline * 64).astype(np.int32)], 20, cv2.LINE_8, 6)
-    image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA) / 255
-    ramp = np.linspace(1, shade, size[1])[None] * np.linspace(shade, 1, size[0])[:, None]
-    image = cv2.GaussianBlur(image * ramp, (0, 0), 1.0)
-    return np.clip(image + np.random.default_rng(2).normal(0, noise, image.shape), 0, 1), places
-
-
-@pytest.mark.parametrize("spin", [0, 20, 44, 75])
-def test_dots_of_the_disc(spin):
-    rotation = base(1.5, -1.0) @ turned(0, 0, spin)
-    image, truth = disc(rotation, (0.8, -0.5, 140.0))
-    places_mm, centres = find_disc(np.round(255 * image).astype(np.uint8), 10.0)
-    whole, surely = (np.all((truth > rim) & (truth < np.array([799, 549]) - rim), axis=1).sum() for rim in (14, 18))
-    assert 8 <= surely <= len(centres) <= whole
-    misses = np.linalg.norm(centres[:, None] - truth, axis=2).min(axis=1)
-    assert misses.max() < 0.15
-    pose = plane_pose(places_mm, centres, MATRIX)
-    assert pose.height_mm == pytest.approx(140, rel=5e-4)
-    assert pose.tilt_deg == pytest.approx(np.hypot(1.5, 1.0), abs=0.15)
-    assert np.allclose(places_mm % 10, 0)
-
-
-def test_what_is_no_dot_is_passed_over():
-    """A scratch, a large spot, specks and a dot off the grid."""
-    image, _ = disc(np.eye(3), (1.0, 0.5, 140.0))
-    plain, _ = find_disc(image, 10.0)
-    image[200:204, 300:380] = 0.1
-    cv2.circle(image, (500, 250), 26, 0.1, -1)
-    for k in range(20):
-        image[40 + 3 * k, 150 + 5 * k] = 0.1
-    cv2.circle(image, (330, 330), 14, 0.1, -1, cv2.LINE_AA)
-    soiled, centres = find_disc(image, 10.0)
-    assert len(soiled) == len(plain)
-    assert np.ptp(soiled, axis=0).tolist() == np.ptp(plain, axis=0).tolist()
-    assert plane_pose(soiled, centres, MATRIX).rms_px < 0.1
-
-
-def test_pictures_without_a_disc():
-    flat = 0.6 + np.random.default_rng(3).normal(0, 0.01, (300, 400))
-    with pytest.raises(BadInput, match="black dots on a grid were found, but six are needed"):
-        find_disc(flat, 10.0)
-    with pytest.raises(BadInput, match="spacing must be"):
-        find_disc(flat, 0.0)

@@ -39,7 +39,7 @@ def test_other_shells_have_a_script(shell: str, capsys: pytest.CaptureFixture[st
     assert "reconstruct" in script and "tip-direction" in script
 
 
-@pytest.mark.parametrize("verb", ["", "demo", "gallery", "gallery rekey", "calibrate lights", "completion"])
+@pytest.mark.parametrize("verb", ["", "demo", "gallery", "gallery import", "calibrate lights", "completion"])
 def test_every_verb_has_the_version(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*verb.split(), "--version"]) == 0
     assert capsys.readouterr().out.startswith("splitknit 0.")

@@ -28,12 +28,9 @@ from pathlib import Path
 
 import cv2
 
-from first_gallery import of_version_1
 from splitknit.cli.main import main as splitknit
-from splitknit.errors import BadInput
 from splitknit.io.atomic import MANIFEST, manifest_of
-from splitknit_match.gallery.entry import NewCapture
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile
 
 # words: {out} is what is written, {base} the folder of what is read, {gallery} a gallery of A and B
 VERBS: dict[str, str] = {
@@ -53,10 +50,7 @@ VERBS: dict[str, str] = {
     "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",
     "export": "export {gallery} --to iso-19794-2 --out {out}",
     "gallery-export": "gallery export {gallery} --out {out}",
-    "gallery-index": "gallery index {gallery} --shards {out}",
     "gallery-import": "gallery import {gallery} {base}/exported",
-    "gallery-repair": "gallery repair {gallery}",
-    "gallery-migrate": "gallery migrate {gallery}",
     "rig-target": "rig target --out {out}",
     "compare": "compare {base}/result {base}/result --out {out}",
     "match-template": "match {base}/result {base}/result --template {out}",
@@ -69,8 +63,6 @@ VERBS: dict[str, str] = {
     "export-mesh": "export {base}/result --to glb --out {out}",
     "enroll": "enroll {gallery} {base}/result --person C --finger right_index",
     "gallery-remove": "gallery remove {gallery} --person A",
-    "gallery-rekey": "gallery rekey {gallery} --new-key-file {base}/key",
-    "forget": "forget --person A {gallery} --yes",
     "serve": "serve --gallery {gallery} --token-file {base}/key --port {port}",
 }
 NOT_STOPPED = {
@@ -81,13 +73,10 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
-    "train relief": "needs torch",
-    "train separation": "needs torch",
-    "train shape": "needs torch",
     "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""
-PARTS = ("gallery-index", "simulate-population", "batch", "demo")
+PARTS = ("simulate-population", "batch", "demo")
 """What these write comes in parts, each of them whole."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
@@ -113,7 +102,7 @@ def forked(words: Sequence[str], log: Path, stop: Callable[[int], object] = lamb
 
 def command(name: str, base: Path, out: Path, gallery: Path, port: int) -> list[str]:
     """The words of a verb, its gallery a fresh one."""
-    shutil.copyfile(base / ("first.skg" if name == "gallery-migrate" else "people.skg"), gallery)
+    shutil.copyfile(base / "people.skg", gallery)
     return VERBS[name].format(out=out, base=base, gallery=gallery, port=port).split()
 
 
@@ -159,19 +148,10 @@ def contents(place: Path) -> dict[str, bytes]:
 
 
 def people(gallery: Path) -> frozenset[str]:
-    """Who is in a gallery that is sound, under any of the keys."""
-    os.environ["SPLITKNIT_GALLERY_KEY"] = "0f" * 32
-    from splitknit_match.gallery.key import key_of
-
-    try:
-        opened = Gallery.open(gallery)
-    except BadInput:
-        opened = Gallery.open(gallery, key_of(None))
-    finally:
-        del os.environ["SPLITKNIT_GALLERY_KEY"]
-    with opened:
+    """Who is in a gallery that is sound."""
+    with GalleryFile(gallery) as opened:
         assert opened.problems() == [], opened.problems()
-        return frozenset(one.entry.person for one in opened.entries())
+        return frozenset(one.person for one in opened.entries())
 
 
 def left_in(tree: Path) -> list[str]:
@@ -200,9 +180,6 @@ def prepared(base: Path) -> None:
     (base / "print").write_text(base64.b64encode((base / "result/print.png").read_bytes()).decode())
     (base / "key").write_text("0f" * 32)
     (base / "key").chmod(0o600)
-    with Gallery.open(base / "people.skg") as made:
-        captures = [NewCapture(one.entry, made.templates([one.row])[one.row]) for one in made.entries()]
-        of_version_1(base / "first.skg", captures, None, made.settings_sha256)
     (base / "scores.csv").write_text("label,score\n" + "".join(f"{k % 2},{k % 7}\n" for k in range(200)))
 
 
@@ -214,7 +191,7 @@ def stopped_once(name: str, base: Path, tree: Path, seconds: float, draw: random
     if (base / f"{name}.out").exists():
         (shutil.copytree if (base / f"{name}.out").is_dir() else shutil.copyfile)(base / f"{name}.out", out)
     before, names = contents(out), set(contents(base / f"{name}.new"))
-    after = {"gallery-remove": {"B"}, "forget": {"B"}, "enroll": {"A", "B", "C"}, "serve": {"A", "B", "C"}}
+    after = {"gallery-remove": {"B"}, "enroll": {"A", "B", "C"}, "serve": {"A", "B", "C"}}
     possible = [{"A", "B"}, after.get(name, {"A", "B"})]
 
     def stop(child: int) -> None:

@@ -369,49 +369,12 @@ def _sqlite(draw: Draw, data: bytes) -> bytes:
         return database.serialize()
 
 
-def _parquet(draw: Draw, data: bytes) -> bytes:
-    """Write a table anew with a column of other values or of another type, missing, or with other metadata."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(io.BytesIO(data))
-    k = draw(st.integers(0, table.num_columns - 1))
-    values = table.column(k).to_pylist()
-    action = draw(st.integers(0, 6))
-    if action == 0:
-        table = table.drop_columns([table.column_names[k]])
-    elif action == 1:
-        other = draw(st.sampled_from((None, 1, 1.5, "x", b"x", [1], {"a": 1}, True)))
-        table = table.set_column(k, table.column_names[k], pa.array([other] * len(values)))
-    elif action == 2:
-        table = draw(st.sampled_from((table.slice(0, 0), table.slice(0, 1), pa.concat_tables([table, table]))))
-    elif action == 3:
-        facts = dict(table.schema.metadata or {b"splitknit": b"{}"})
-        one = draw(st.sampled_from(sorted(facts)))
-        table = table.replace_schema_metadata({**facts, one: changed(draw, facts[one], [])})
-    else:
-        row = draw(st.integers(0, max(0, len(values) - 1)))
-        old = values[row]
-        if isinstance(old, bytes):
-            values[row] = changed(draw, old, [one for one in values if isinstance(one, bytes)])
-        elif isinstance(old, str):
-            values[row] = draw(st.sampled_from(("", "x", "\0", "../x", "x" * 3000, old + "\n")))
-        else:
-            choices = (0, -1, 2**31 - 1) if isinstance(old, int) else (0.0, 1e308, float("nan"), None)
-            values[row] = draw(st.sampled_from(choices)) if isinstance(old, (int, float)) else None
-        table = table.set_column(k, table.schema.field(k), pa.array(values, table.schema.field(k).type))
-    stream = io.BytesIO()
-    pq.write_table(table, stream, compression=draw(st.sampled_from(("zstd", "none", "snappy"))), store_schema=True)
-    return stream.getvalue()
-
-
 FORMATS: tuple[tuple[Callable[[bytes], bool], Callable[[Draw, bytes], bytes]], ...] = (
     (lambda data: data.startswith(PNG), _png),
     (lambda data: data[:4] in (b"II*\0", b"MM\0*"), _tiff),
     (lambda data: data.startswith(b"PK\x03\x04"), _zip),
     (lambda data: data.startswith(b"\x93NUMPY"), _npy),
     (lambda data: data.startswith(b"SQLite format 3\0"), _sqlite),
-    (lambda data: data.startswith(b"PAR1"), _parquet),
     (lambda data: data[:1] in (b"{", b"[") and len(data) < 300_000, _json),
     (lambda data: len(data) < 300_000 and not set(data[:2000]) - set(range(32, 127)) - {9, 10, 13}, _table),
 )

@@ -19,12 +19,11 @@ import tempfile
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
-from unittest import mock
 
 import cv2
 import numpy as np
@@ -62,8 +61,9 @@ from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.viewer.server import pages_of, start
-from splitknit_match.batch.chunks import read_origin, read_schema, write_chunk, write_timings
-from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
+from splitknit_match.batch.features import BANDS, QUALITY
+from splitknit_match.batch.features import COLUMNS as FEATURES
 from splitknit_match.batch.population import read_population
 from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import Store, open_store
@@ -72,31 +72,24 @@ from splitknit_match.cli.records import WhatJob
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.score_files import read_exclusions, read_scores
 from splitknit_match.evaluation.study import _read_exclusion_list, _read_systems
-from splitknit_match.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
-from splitknit_match.gallery.file import describe
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify_job import identify
-from splitknit_match.gallery.key import Key, ScryptSettings, code_secret, key_of
+from splitknit_match.gallery.key import key_of
 from splitknit_match.gallery.manage import export_gallery, import_gallery
 from splitknit_match.gallery.serve import read_token
-from splitknit_match.gallery.shards import Shards, _seal, write_shards
-from splitknit_match.matching.code import CODE_VERSION, code_of
 from splitknit_match.matching.inputs import Pixels, read_side
 from splitknit_match.matching.inputs import _read_surface as read_matched
 from splitknit_match.matching.match_job import make_template as template_of
 from splitknit_match.matching.match_job import match
 from splitknit_match.matching.minutiae_record import (
     Minutiae,
-    SpaceMinutiae,
     pack_minutiae,
-    pack_space_minutiae,
     unpack_minutiae,
-    unpack_space_minutiae,
 )
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.surface_code import SurfaceCode, pack_surface_code, unpack_surface_code
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit_match.prints.fingerphoto import read_fingerphoto
 from splitknit_match.prints.from_file import (
@@ -111,22 +104,17 @@ from splitknit_match.records.finger_image import encode_finger_images
 from splitknit_match.records.fmr_bytes import ISO_2005, ISO_2011
 from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.itl_reading import TransactionFacts, encode_transaction
-from splitknit_match.records.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record, read_minutiae_record
 from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
-from splitknit_rig.calibration.lights_found import _check_tips
+from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
-from splitknit_simulator.training.separation import SeparationData, SeparationSettings
-from splitknit_simulator.training.trainer import TrainingRun, load_data, open_folder
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
-RAW = Key(bytes(range(32)), raw=True)
-PHRASE = Key(b"correct horse battery", raw=False)
 EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())
 
 
@@ -203,11 +191,6 @@ def _folder(make: Callable[[Path], object]) -> Files:
         make(root)
         found = sorted(file for file in root.rglob("*") if file.is_file())
         return {file.relative_to(root).as_posix(): file.read_bytes() for file in found}
-
-
-def _seeded() -> Any:
-    """Salts and nonces that are the same every time."""
-    return mock.patch("os.urandom", Random(5).randbytes)
 
 
 def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
@@ -499,23 +482,16 @@ def _packed() -> list[Files]:
         many.integers(0, 99, 7).astype(np.int32), many.integers(0, 99, 7).astype(np.int32), many.uniform(0, 6, 7),
         np.ones(7, np.uint8), np.full(7, 50, np.uint8), (100, 100),
     )  # fmt: skip
-    space = SpaceMinutiae(
-        many.uniform(-9, 9, (7, 3)), many.uniform(0, 6, 7), many.uniform(-1, 1, 7), np.ones(7, np.uint8),
-        np.full(7, 50, np.uint8),
-    )  # fmt: skip
-    mask = np.ones((40, 30), bool)
-    code = SurfaceCode(np.where(mask, _noise(40, 30) % 9, 0).astype(np.uint8), mask, 0.1)
-    return _each("bytes", pack_minutiae(flat), pack_space_minutiae(space), pack_surface_code(code))
+    return _each("bytes", pack_minutiae(flat))
 
 
 def _packed_repaired(files: Files) -> Files:
-    """The checksum is the last of the head, whose size goes by the magic."""
+    """The checksum is the last of the head."""
     data = files.get("bytes")
     if not isinstance(data, bytes):
         return files
-    head = {b"SKMI": 16, b"SKM3": 12}.get(data[:4], 16)
-    body = data[head:]
-    return {"bytes": data[: head - 4].ljust(head - 4, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
+    body = data[16:]
+    return {"bytes": data[:12].ljust(12, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
 
 
 def _of_2011() -> bytes:
@@ -554,15 +530,6 @@ def _transactions() -> list[Files]:
         encode_transaction([small], facts, "png"),
         encode_transaction([large], facts, "wsq"),
     )
-
-
-def _spaces() -> list[Files]:
-    many = np.random.default_rng(2)
-    x, y, z = many.uniform(-9, 9, (3, 6))
-    found = Minutiae3D(
-        x, y, z, many.uniform(0, 6, 6), many.uniform(-1, 1, 6), np.ones(6, int), np.full(6, 9), "right_index"
-    )
-    return _written("x.json", lambda path: write_minutiae3d(path, found))
 
 
 SCORES = b"""system,label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b
@@ -647,7 +614,7 @@ def _new(person: str, seed: int, session: str = "1", images: str = "") -> NewCap
     template = make_template(ridge_band(_relief(seed), np.ones((90, 80), bool), 0.1))
     entry = Entry(person, "right_index", session, "result", f"{seed:064x}", area_mm2=70.0, images=images)
     picture = encode_image(_noise(9, 9), ".png") if images else None
-    return NewCapture(entry, pack(template), code_of(template).tobytes(), CODE_VERSION, picture)
+    return NewCapture(entry, pack(template), picture)
 
 
 def _relief(seed: int) -> Any:
@@ -656,98 +623,60 @@ def _relief(seed: int) -> Any:
 
 
 @cache
-def _gallery(key: Key | None) -> bytes:
-    from splitknit_match.gallery.enrol import templates_hash
+def _gallery() -> bytes:
+    from splitknit_match.gallery.identify import templates_hash
 
-    with tempfile.TemporaryDirectory() as scratch, _seeded():
+    with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
-        with Gallery.create(path, templates_hash(MatchingSettings()), key, ScryptSettings(log2_n=10)) as gallery:
-            gallery.add([_new("Ann", 1, images="thumbnail"), _new("Ann", 1, "2"), _new("Bob", 2)])
+        with GalleryFile(path) as gallery:
+            captures = [_new("Ann", 1, images="thumbnail"), _new("Ann", 1, "2"), _new("Bob", 2)]
+            gallery.add(captures, templates_hash(MatchingSettings()))
         return path.read_bytes()
 
 
-def _opened(kind: Key | None) -> Callable[[Path, Files], object]:
-    def read(folder: Path, files: Files) -> object:
-        path = folder / "x.skg"
-        key = replace(kind, counter=folder / "counter") if kind is not None and "counter" in files else kind
+def _opened(folder: Path, files: Files) -> object:
+    path = folder / "x.skg"
 
-        def contents() -> None:
-            with Gallery.open(path, key) as gallery:
-                gallery.entries()
-                gallery.templates()
-                gallery.codes(CODE_VERSION)
-                gallery.images()
+    def contents() -> None:
+        with GalleryFile(path) as gallery:
+            gallery.people()
+            gallery.images()
 
-        def checked() -> None:
-            with Gallery.open(path, key) as gallery:
-                for _, problem in gallery.problems():
-                    said(BadInput(problem))
-                    assert problem.isprintable(), f"a problem is not one printable line: {problem!a}"
+    def checked() -> None:
+        with GalleryFile(path) as gallery:
+            for _, problem in gallery.problems():
+                said(BadInput(problem))
+                assert problem.isprintable(), f"a problem is not one printable line: {problem!a}"
 
-        return _any(
-            contents,
-            checked,
-            lambda: describe(path),
-            lambda: gallery_scores(path, key=key),
-        )
-
-    return read
+    return _any(contents, checked, lambda: gallery_scores(path))
 
 
 def _galleries() -> list[Files]:
     probe = encode_template(_new("x", 1).template, VERSION)
-    return [{"x.skg": _gallery(None), "x.skt": probe}]
+    return [{"x.skg": _gallery(), "x.skt": probe}]
 
 
 def _identified(folder: Path, files: Files) -> object:
-    return identify(folder / "x.skg", folder / "x.skt", search="codes")
-
-
-def _shards() -> list[Files]:
-    codes = np.stack([code_of(unpack(_new("x", seed).template)) for seed in range(3)])
-    with _seeded():
-        return [_folder(lambda folder: write_shards(folder, np.arange(3), codes))]
-
-
-def _searched(folder: Path, files: Files) -> object:
-    return Shards(folder).search(unpack(_new("x", 1).template), 3)
-
-
-def _shards_repaired(files: Files) -> Files:
-    """The list of what there is; without a key anyone can make it."""
-    data, listed = files.get("codes-000000.skc"), files.get("shards.json")
-    if not isinstance(data, bytes) or not isinstance(listed, bytes):
-        return files
-    try:
-        salt = bytes.fromhex(json.loads(data[:4096])["salt"])
-        document = dict(json.loads(listed))
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return files
-    contents = {"codes-000000.skc": hashlib.sha256(data).hexdigest()}
-    document |= {"shards": contents, "seal": _seal(contents, code_secret(None, salt))}
-    return files | {"shards.json": json.dumps(document).encode("ascii")}
+    return identify(folder / "x.skg", folder / "x.skt")
 
 
 def _exports() -> list[Files]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
-        path.write_bytes(_gallery(None))
-        return [_folder(lambda to: export_gallery(path, to, images=True))]
+        path.write_bytes(_gallery())
+        return [_folder(lambda to: export_gallery(GalleryFile(path), to, images=True))]
 
 
 def _imported(folder: Path, files: Files) -> None:
     with tempfile.TemporaryDirectory(dir=folder.parent) as other:
         path = Path(other) / "x.skg"
         try:
-            import_gallery(path, folder)
+            import_gallery(GalleryFile(path), folder)
         except BadInput:
-            if path.exists():
-                with Gallery.open(path) as gallery:
-                    assert len(gallery) == 0, "a refused folder left something in the gallery"
+            assert not path.exists(), "a refused folder left a gallery"
             raise
-        with Gallery.open(path) as gallery:
+        with GalleryFile(path) as gallery:
             assert gallery.problems() == [], "what was imported is damaged"
-            gallery.codes(CODE_VERSION)
 
 
 # --- batch, populations, folders that grow -----------------------------------------------------------------------
@@ -778,16 +707,14 @@ def _store() -> Files:
         store = out / "store"
         store.mkdir()
         open_store(store, there, EA)
-        columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
+        rows = []
         for number, capture in enumerate(there.captures):
             row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
             row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
             row |= {"session": capture.session, "acquired": True, "failure": "", "area_mm2": 70.0, "warnings": []}
-            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": None}
-            row |= {"images": _surface()}
-            for name, value in row.items():
-                columns[name].append(value)
-        write_chunk(store / "features" / "ea" / "00000-x.parquet", columns, _feature_schema(), {"kind": "features"})
+            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": b""}
+            rows.append(row | {"images": _surface()})
+        write_chunk(store / "features" / "ea" / "00000-x.npz", rows, FEATURES, {"kind": "features"})
         write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
 
     return _folder(make)
@@ -806,23 +733,8 @@ def _batch(folder: Path, files: Files) -> object:
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
         lambda: store.images("ea", "S01/session_1/right_index"),
-        lambda: [(read_schema(file).names, read_origin(file)) for file in store.files("features", "ea")],
+        lambda: [read_origin(file) for file in store.files("features", "ea")],
     )
-
-
-def _training(folder: Path) -> None:
-    open_folder(TrainingRun(folder), SeparationData(), SeparationSettings())
-    (folder / "data").mkdir()
-    np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
-    (folder / "data" / "finger_0000001.json").write_text(json.dumps({"finger": 1, "light": [1, 2]}))
-
-
-def _trained(folder: Path, files: Files) -> object:
-    def loaded() -> None:
-        for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
-            np.asarray(samples[0][0]).sum()
-
-    return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
 
 
 # --- calibration and separated light -----------------------------------------------------------------------------
@@ -839,7 +751,7 @@ def _tips() -> list[Files]:
 
 
 def _tipped(data: bytes) -> None:
-    _check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
+    check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
 
 
 def _radiometry() -> list[Files]:
@@ -1006,11 +918,10 @@ TARGETS = (
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
            _skt_repaired),
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
-    Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
+    Target("packed", _packed, _of_bytes(unpack_minutiae), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES, _of_2011()), _record),
     Target("what", _print_files, lambda folder, files: WhatJob(folder / "x").run(lambda *_: None)),
     Target("cloud", _clouds, _cloud),
-    Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),
@@ -1019,18 +930,13 @@ TARGETS = (
     Target("settings-toml", lambda: [{"x.toml": _TOML}], _settings("x.toml")),
     Target("settings-set", lambda: [{"set": _SET}], _assignments),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
-    Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse", bytes(range(200, 232))), _keys),
-    Target("gallery", lambda: _each("x.skg", _gallery(None)), _opened(None)),
-    Target("gallery_sealed", lambda: [{"x.skg": _gallery(RAW), "counter": b'{"": 1}'}], _opened(RAW)),
-    Target("gallery_phrase", lambda: _each("x.skg", _gallery(PHRASE)), _opened(PHRASE)),
-    Target("gallery_entry", lambda: _each("bytes", encode_entry(_new("Ann", 1).entry)), _of_bytes(decode_entry)),
+    Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse"), _keys),
+    Target("gallery", lambda: _each("x.skg", _gallery()), _opened),
     Target("identify", _galleries, _identified, _skt_repaired),
-    Target("shards", _shards, _searched, _shards_repaired),
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
-    Target("training", lambda: [_folder(_training)], _trained),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),

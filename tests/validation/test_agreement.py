@@ -12,8 +12,6 @@ import pytest
 
 from script_folder import Script, scripts_of
 
-pytest.importorskip("pyarrow")
-
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "prints"
 
 

@@ -25,7 +25,7 @@ render_crop, render_glare, render_volume = reference.render_crop, reference.rend
 HERE = importlib.util.find_spec("mitsuba") is not None and (
     "DRJIT_LIBLLVM_PATH" in os.environ or any(any(Path("/usr").glob(pattern)) for pattern in reference.LLVM)
 )
-needs_mitsuba = pytest.mark.skipif(not HERE, reason="needs mitsuba (extra 'reference') and libllvm19")
+needs_mitsuba = pytest.mark.skipif(not HERE, reason="needs mitsuba (group 'reference') and libllvm19")
 TILT = np.arcsin(52.5 / np.hypot(52.5, 140.0))
 LEDS = (
     Led("white", direction=(float(np.sin(TILT)), 0.0, float(np.cos(TILT)))),
@@ -225,7 +225,7 @@ def test_missing_mitsuba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libLLVM.so.19.1")
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(BadInput, match="its extra 'reference'"):
+    with pytest.raises(BadInput, match="the dependency group 'reference'"):
         render_crop(FLAT, WINDOW, LEDS, BLUE)
 
 

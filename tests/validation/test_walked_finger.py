@@ -27,9 +27,7 @@ sys.path.append(str(VALIDATION / "path_traced"))
 finger: Any = importlib.import_module("walked_finger")
 FingerOptics, photograph_finger, specular = finger.FingerOptics, finger.photograph_finger, finger.specular
 
-needs_numba = pytest.mark.skipif(
-    importlib.util.find_spec("numba") is None, reason="needs numba (splitknit's extra 'reference')"
-)
+needs_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="needs numba (group 'reference')")
 LEDS = (Led("white", position_mm=(52.5, 0.0, 140.0)), Led("white", position_mm=(0.0, 0.0, 140.0)))
 STRENGTH = 1e4 / np.array([52.5**2 + 140.0**2, 140.0**2])
 COSINE = np.array([140.0 / np.hypot(52.5, 140.0), 1.0])
@@ -248,5 +246,5 @@ def test_what_it_does_not_know_is_refused():
 
 def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(BadInput, match="its extra 'reference'"):
+    with pytest.raises(BadInput, match="the dependency group 'reference'"):
         finger.render_finger(FLAT, LEDS, "red", EVEN)

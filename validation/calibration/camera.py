@@ -20,7 +20,7 @@ import numpy as np
 from splitknit.model import Rig
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera, fit_lens
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
-from splitknit_rig.calibration.targets import Board, find_board, find_disc
+from splitknit_rig.calibration.targets import Board, find_board
 from splitknit_simulator.calibration_set import bench, flat
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.rigs import built_rig
@@ -38,13 +38,12 @@ class Photos:
     rig: Rig
     corners: list[np.ndarray]
     planes: list[np.ndarray]
-    disc: tuple[np.ndarray, np.ndarray]
     normal: np.ndarray
     """(3,) of the base, true."""
 
 
 def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | None = None) -> Photos:
-    """Photograph a board by hand and on the base, and the disc; a pinhole unless there is an f-number."""
+    """Photograph a board by hand and on the base; a pinhole unless there is an f-number."""
     rig = built_rig(seed, scale=scale)
     focal_mm = float(rig.camera.matrix[0, 0]) / scale * 1.12e-3
     opening = 0.0 if f_number is None else 1 / (1 / focal_mm + 1 / rig.camera.height_mm) / f_number
@@ -71,9 +70,8 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
         middle = (*shift, -float(normal[:2] @ shift) / float(normal[2]))
         level = flat.BoardScene(**common, board=PRINTED, rotation_vector=turn, translation_mm=middle)
         planes.append(find_board(photo(level, 500 + k), BOARD))
-    plate = flat.DiscScene(**common, tilt_deg=tilt, rotation_deg=11.0 * seed, shift_mm=(0.5, -0.8))
     found = [one for one in corners if one is not None]
-    return Photos(rig, found, [p for p in planes if p is not None], find_disc(photo(plate, 600), 10.0), normal)
+    return Photos(rig, found, [p for p in planes if p is not None], normal)
 
 
 def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
@@ -85,7 +83,6 @@ def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
     by_board = mean_pose(
         [plane_pose(BOARD.points_mm, one, lens.matrix, lens.distortion) for one in photos.planes], focal
     )
-    by_disc = plane_pose(*photos.disc, lens.matrix, lens.distortion)
 
     def tilt_error(pose: PlanePose) -> float:
         return float(np.degrees(np.arccos(min(1.0, float(pose.normal @ photos.normal)))))
@@ -96,8 +93,6 @@ def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
         "principal_point_px": float(np.linalg.norm(lens.matrix[:2, 2] - true[:2, 2])),
         "board_px_per_mm_percent": 100 * abs(by_board.px_per_mm / truth.px_per_mm - 1),
         "board_tilt_deg": tilt_error(by_board),
-        "disc_px_per_mm_percent": 100 * abs(by_disc.px_per_mm / truth.px_per_mm - 1),
-        "disc_tilt_deg": tilt_error(by_disc),
         "rms_px": lens.rms_px,
     }
 

@@ -67,7 +67,7 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
         rig = built_rig(seed)
         rng = np.random.default_rng([seed, 0x11])
         two, four = (noisy_table(rig, places, nail_mm, rng) for places in (TWO, FOUR))
-        known = Nail(nail_mm + float(rng.normal(0, NAIL_MM)))
+        known = Nail(height_mm=nail_mm + float(rng.normal(0, NAIL_MM)))
         drawn = default_rig()
         exact = noisy_table(drawn, TWO, nail_mm, rng)
         plain, _ = by_circle(exact, drawn.camera, CIRCLE)

@@ -6,7 +6,7 @@ writes ``tables/index.csv`` and ``tables/index.json`` (times) beside this file. 
 2004, presses 1 to 8 of five fingers on each of seven sensors; pairs one and three presses apart that match (method
 fusion, false match rate of 1 in 10,000). The others in the gallery are halves of two prints of other sensors, joined.
 A pair is lost where its mate is not among the given number that are compared in full; interval of Clopper and Pearson,
-and by fingers drawn anew. Constants of the index were chosen on the same prints. Times: of `OpenGallery.identify` with
+and by fingers drawn anew. Constants of the index were chosen on the same prints. Times: of `Gallery.identify` with
 every fifth press of the first four sensors, a template; the gallery holds the others (present), or none of theirs.
 """
 
@@ -26,12 +26,10 @@ import numpy as np
 from scipy.stats import beta
 
 from splitknit import read_print_png
-from splitknit_match.gallery.enrol import templates_hash
 from splitknit_match.gallery.entry import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.identify import LIST
+from splitknit_match.gallery.identify import templates_hash
 from splitknit_match.gallery.minutia_index import MinutiaIndex
-from splitknit_match.gallery.warm import OpenGallery
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import similarity_at
@@ -48,6 +46,7 @@ PPI = {
 }  # fmt: skip
 FOLDS = tuple(PPI)[:4], tuple(PPI)[4:]
 SIZE = 10_000
+LIST = 50
 COMPARED = (1, 2, 6, 14, 30, LIST)
 SURE = 9.0
 
@@ -104,12 +103,13 @@ def times(mine: list[str], templates: list[bytes]) -> None:
         probes = range(0, len(mine), 5)
         for case, kept in (("present", set(range(len(templates))) - set(probes)), ("absent", range(len(mine), SIZE))):
             file = Path(folder) / f"{case}.skg"
-            with Gallery.create(file, templates_hash(MatchingSettings())) as made:
-                made.add(
+            with Gallery(file) as made:
+                captures = (
                     NewCapture(Entry(f"P{n}", "right_index", "1", "template", "", unpack(one).area_mm2), one)
                     for n, one in enumerate(templates)
                     if n in kept
                 )
+                made.add(captures, templates_hash(MatchingSettings()))
             with get_context("spawn").Pool(1) as alone:  # as a server has it: its memory holds nothing else
                 first_s, matches, taken = alone.apply(search, (file, [templates[n] for n in probes]))
             found[f"{case}_first_cpu_s"] = round(first_s, 1)
@@ -123,7 +123,7 @@ def times(mine: list[str], templates: list[bytes]) -> None:
 
 def search(file: Path, probes: list[bytes]) -> tuple[float, int, list[tuple[float, float]]]:
     """Processor time of the first search, how many matched, and seconds of each by the clock and of the processor."""
-    gallery = OpenGallery.open(file)
+    gallery = Gallery(file)
     started = time.process_time()
     gallery.identify(probes[0])
     first_s, taken, matches = time.process_time() - started, [], 0

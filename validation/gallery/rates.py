@@ -26,10 +26,9 @@ from index import FOLDS, HERE, PPI, joined, templates
 from scipy.stats import beta
 
 from splitknit import read_print_png
-from splitknit_match.gallery.enrol import templates_hash
 from splitknit_match.gallery.entry import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.warm import OpenGallery
+from splitknit_match.gallery.identify import templates_hash
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.surface import MatchingSettings
@@ -57,12 +56,12 @@ def main() -> None:
                 held = [(name, payloads[f"{name}_1"]) for name in fingers[half::2]]
                 held += [(f"other {n}", one) for n, one in enumerate(fill[: SIZE - len(held)])]
                 file = Path(folder) / f"{half}.skg"
-                with Gallery.create(file, templates_hash(MatchingSettings())) as made:
-                    made.add(
-                        NewCapture(Entry(who, "right_index", "1", "template", "", unpack(one).area_mm2), one)
-                        for who, one in held
-                    )
-                galleries.append(OpenGallery.open(file))
+                captures = (
+                    NewCapture(Entry(who, "right_index", "1", "template", "", unpack(one).area_mm2), one)
+                    for who, one in held
+                )
+                galleries.append(Gallery(file))
+                galleries[-1].add(captures, templates_hash(MatchingSettings()))
             for name in (name for name in mine if name[-1] != "1"):
                 own = fingers.index(name[:-2]) % 2
                 for kind, probe in (("whole", payloads[name]), ("6 mm", cut[name])):

@@ -37,7 +37,6 @@ import numpy as np
 from cylinders import cylinders, mcc_similarity
 from numpy.typing import NDArray
 from pressed_prints import finger, press
-from real_prints import turned
 
 from splitknit.io.prints import read_print_png
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
@@ -154,6 +153,16 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
         angles = np.random.default_rng([TURNS_SEED, len(images)]).uniform(0, 360, len(images))
         images = [turned(*one) for one in zip(images, angles.tolist(), strict=True)]
     return images, [f"{name}/{one}" for one in owner], impression
+
+
+def turned(image: Image, angle_deg: float) -> Image:
+    """A print, turned counter-clockwise on a sheet that holds it, beyond its border as bright as its paper."""
+    rows, columns = image.shape
+    side = int(np.ceil(np.hypot(rows, columns))) + 2
+    matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), angle_deg, 1.0)
+    matrix[:, 2] += (side - columns) / 2, (side - rows) / 2
+    paper = float(np.percentile(image, 95))
+    return np.asarray(cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_CUBIC, borderValue=paper), np.uint8)
 
 
 def kept(file: Path, thing: Any) -> None:

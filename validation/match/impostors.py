@@ -2,7 +2,6 @@
 
     python validation/match/impostors.py ridge fusion minutiae_of_prints --fingers 150
     python validation/match/impostors.py minutiae --fingers 250 --seed 60000
-    python validation/match/impostors.py minutiae3d tetrahedra surface_code --fingers 80 --seed 70000
 
 writes the tables that ``splitknit match`` reads,
 ``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces are the true ones, in
@@ -32,13 +31,10 @@ from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import TABLES
 from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.score import calibrate_scores
-from splitknit_match.matching.space_features import space_minutiae, surface_code
 from splitknit_match.matching.surface import MatchingSettings, surface_template
-from splitknit_match.matching.surface_code import surface_code_match
 from splitknit_match.matching.template import make_template
 from splitknit_match.prints.from_file import print_minutiae
 
@@ -73,9 +69,6 @@ ROUTES = {
     ),
     "minutiae": Route(FINE, lambda one: extract(surface_print(one)), minutiae_match, "relief prints"),
     "minutiae_of_prints": Route(pressed, print_minutiae, minutiae_match, "presses"),
-    "minutiae3d": Route(FINE, space_minutiae, lambda a, b: minutiae3d_match(a, b).similarity, "true surfaces"),
-    "tetrahedra": Route(FINE, space_minutiae, lambda a, b: tetrahedra_match(a, b).similarity, "true surfaces"),
-    "surface_code": Route(FINE, surface_code, lambda a, b: surface_code_match(a, b).similarity, "true surfaces"),
 }  # fmt: skip
 
 

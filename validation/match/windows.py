@@ -3,8 +3,6 @@
     python validation/match/windows.py --compare 24000        # adds comparisons to the cache, in a fixed order
     python validation/match/windows.py                        # fits, rates and tables from what was compared
     python validation/match/windows.py --write                # and writes what the matcher ships
-    python validation/match/windows.py --overlap              # of genuine touches, by the alignment of the whole prints
-    python validation/match/windows.py --gallery 1000         # windows of others against a gallery of so many prints
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
 where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
@@ -15,7 +13,6 @@ constants and false match rates follow from one run: every set is judged by cons
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import json
 import time
@@ -25,19 +22,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from code_tails import wilson
 from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
-from numpy.typing import NDArray
-from pressed_prints import press
-
 from impostors import FOLDER
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import fused_match
-from splitknit_match.matching.methods import REAL_PRINTS, TABLES, fmr_basis, rate, scores_of, similarity_at
-from splitknit_match.matching.ridge import Prepared, RidgeMatch
+from splitknit_match.matching.methods import REAL_PRINTS, TABLES
+from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
-from splitknit_simulator.finger.finger import FREQUENCIES
-from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "windows.json"
@@ -45,8 +39,6 @@ SETS = (*REAL, KNOWN)
 SIZES_MM = (4, 5, 6, 8, 10)
 SEED = 48
 WHOLE, TOUCHES, PRINTS = 0, 1, 2
-SURE = 2.53
-"""Score of whole prints at a false match rate of 1 in 10,000."""
 RATED_MM2, EXCLUDED_MM2 = 6.0, 40.0
 """Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see ``by_overlap``)."""
 FIRST, SECOND = 5600, 2800
@@ -215,103 +207,6 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     return np.array([fusion._score(*row) for row in rows[:, 6:].tolist()])
 
 
-def pose(laid: RidgeMatch) -> tuple[complex, complex]:
-    """Turn and shift, mm (up times i), that take places of A's template to B's."""
-    return np.exp(1j * np.deg2rad(laid.rotation_deg)), complex(laid.right_mm, laid.up_mm)
-
-
-def square(mm: float, *poses: tuple[complex, complex]) -> NDArray[np.float32]:
-    """(4, 2) corners, mm, of a square about the middle after some poses."""
-    corners = mm / 2 * np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j])
-    for turn, shift in poses:
-        corners = turn * corners + shift
-    return np.stack([corners.real, corners.imag], axis=1).astype(np.float32)
-
-
-def overlaps(job: Job) -> None:
-    """How much of genuine touches overlaps, mm2: each laid on its own whole print, and the whole prints, where sure."""
-    found: dict[int, list[float]] = {mm: [] for mm in (4, 5, 6, 8)}
-    for number, name in enumerate(SETS):
-        images, owner, impression = prints(name, job)
-        sides = {n: Prepared(made(images[n], "template", job)) for n in range(len(owner)) if impression[n] < 4}
-        own = {}
-        for n, mm, which, part in windows(images, number):
-            if n in sides and mm in found and which == "middle":
-                laid = fused_match(Prepared(made(part, "template", job)), sides[n])
-                own[n, mm] = pose(laid.ridge) if laid.similarity >= SURE else None
-        for i, j in itertools.combinations(sides, 2):
-            if owner[i] != owner[j]:
-                continue
-            whole = fused_match(sides[i], sides[j])
-            if whole.similarity < SURE:
-                continue
-            for mm, areas in found.items():
-                if (a := own[i, mm]) and (b := own[j, mm]):
-                    areas.append(cv2.intersectConvexConvex(square(mm, a, pose(whole.ridge)), square(mm, b))[0])
-    for mm, areas in found.items():
-        said = ", ".join(f"{100 * np.mean(np.array(areas) < limit):.0f} % below {limit}" for limit in (6, 10, 15))
-        print(f"{mm} mm: {len(areas)} genuine pairs overlap by {np.median(areas):.0f} mm2 (median), {said}")
-
-
-def captures(job: Job, size: int) -> list[tuple[str, Any]]:
-    """Whose, and the template, of so many whole prints: all real ones, their mirror images, then simulated presses.
-
-    A mirror image is another finger's print. Simulated fingers give two presses, and the mirror images of both.
-    """
-    sets = [prints(name, job) for name in SETS]
-    real = [(who, one) for images, owner, _ in sets for who, one in zip(owner, images, strict=True)]
-    found = [*real, *((f"{who} mirrored", mirrored(one)) for who, one in real)][:size]
-    small = MasterPrintSettings(half_width_mm=13.0, proximal_mm=4.0)  # as much as a press shows
-    for k in range((size - len(found) + 3) // 4):
-        rng = np.random.default_rng([98_000 + k, 21])
-        kind = str(rng.choice(list(FREQUENCIES), p=np.array(list(FREQUENCIES.values()))))
-        master = master_print(kind, 98_000 + k, small)
-        pressed = [press(master, number) for number in range(2)]
-        found += [(f"simulated {k}", one) for one in (*pressed, *map(mirrored, pressed))]
-    return [(who, made(one, "template", job)) for who, one in found[:size]]
-
-
-def mirrored(image: Image) -> Image:
-    """Its mirror image."""
-    return np.ascontiguousarray(image[:, ::-1])
-
-
-def search(job: Job, size: int, sizes_mm: list[int]) -> None:
-    """Wrong candidates of a middle window of each sensor in a gallery of whole prints of others; writes a table.
-
-    Windows are of the first impressions of fingers 103; all are compared. *stated*: with a match at the smallest rate
-    that is stated of windows; *above*: by the score alone, whatever overlaps.
-    """
-    at = fmr_basis("windows").smallest
-    limit = similarity_at(at, "windows")
-    probes = []
-    for number in (1, 0, *range(2, len(SETS))):
-        images, owner, impression = prints(SETS[number], job)
-        k = next(k for k, who in enumerate(owner) if who.endswith("103") and impression[k] == 0)
-        probes += [(owner[k], mm, part) for _, mm, which, part in windows([images[k]], number) if which == "middle"]
-    gallery = [(who, Prepared(one)) for who, one in captures(job, size)]
-    head = ("mm", "window_of", "compared", "stated_rate", "expected", "stated", "above")
-    with (HERE / "tables" / "windows_gallery.csv").open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(head)
-        for size_mm, (owner_, mm, part) in itertools.product(sizes_mm, probes):
-            if mm != size_mm:
-                continue
-            probe, found = Prepared(made(part, "template", job)), []
-            for whose, other in gallery:
-                if whose == owner_:
-                    continue
-                one = fused_match(probe, other)
-                areas = probe.template.area_mm2, other.template.area_mm2
-                kind, overlap = scores_of("fusion", areas, one.minutiae), one.ridge.overlap_mm2
-                answer = rate(one.similarity, kind, overlap, at).answer
-                found.append((answer == "match", one.similarity >= limit))
-            expected, counts = round(len(found) * at, 2), np.sum(found, axis=0).tolist()
-            writer.writerow((mm, owner_, len(found), f"{at:.3g}", expected, *counts))
-            stream.flush()
-            print(mm, owner_, len(found), *counts, flush=True)
-
-
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
     """Cost of log-likelihood ratios, in bits (Bruemmer and du Preez 2006)."""
     return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (2 * np.log(2))
@@ -328,7 +223,8 @@ def equal_error(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
 
 def shares(passed: NDArray[np.bool_]) -> list[float]:
     """Fraction and its interval (Wilson), in percent."""
-    low, high = wilson(int(passed.sum()), passed.size) if passed.size else (0.0, 1.0)
+    found = binomtest(int(passed.sum()), max(passed.size, 1)).proportion_ci(method="wilson")
+    low, high = (float(found.low), float(found.high)) if passed.size else (0.0, 1.0)
     return [round(100 * one, 3) for one in (float(passed.mean()) if passed.size else 0.0, low, high)]
 
 
@@ -425,19 +321,10 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--version", default="1", help="of what is made of a print")
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--overlap", action="store_true")
-    parser.add_argument("--gallery", type=int, metavar="N", help="search a gallery of N prints, 280 of them real")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[6, 8], help="of the windows that are searched, mm")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.gallery is not None:
-        search(Job(options.cache, options.version), options.gallery, options.sizes)
-        return
     if options.compare is not None:
         compare(Job(options.cache, options.version), options.compare)
-    if options.overlap:
-        overlaps(Job(options.cache, options.version))
-        return
     rows = np.load(options.cache / "windows.npy")
     facts, _, constants = report(rows)
     print(json.dumps(facts, indent=1))

@@ -15,7 +15,6 @@ from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit_match.prints.print_map import resample
 from splitknit_match.prints.rolled import laid_flat, rolled_facts
-from splitknit_match.prints.unroll import UnrollSettings
 from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import Rolled, rolled_finger
@@ -82,7 +81,7 @@ def front_alone(rolled: Rolled) -> Rolled:
 
 
 def _print(rolled: Rolled) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
-    _, print_map = laid_flat(rolled, "free", 500.0, UnrollSettings())
+    _, print_map = laid_flat(rolled, "free", 500.0)
     values, weight = resample(rolled.blended.relief_mm, rolled.blended.known, rolled.chart.pitch_mm, print_map)
     return ink(values, weight), values, weight > 0.5
 

@@ -4,7 +4,7 @@
     python validation/path_traced/make.py --out DIR --smoke      # two tiny fingers, half a minute
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films; --names p01 p02 for some
 
-Needs the extra ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and ``info.json``, which
+Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and ``info.json``, which
 has all optics and the noise of the walks; of polarised fingers these lie beside the folder, as ``NAME_truth.npz`` and
 ``NAME_info.json``. The same arguments give the same bytes, whatever the number of threads.
 """

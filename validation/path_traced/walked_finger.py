@@ -349,7 +349,7 @@ def _load() -> tuple[Any, Any]:
         numba = importlib.import_module("numba")
     except ImportError as error:
         raise BadInput(
-            "the reference of whole fingers needs numba; install splitknit with its extra 'reference'."
+            "the reference of whole fingers needs numba; install the dependency group 'reference'."
         ) from error
     return numba, importlib.import_module("finger_walks")
 

@@ -47,7 +47,7 @@ class Surfaces:
             self.places[case] = stored_places(self.store.files("features", case))
         where = self.places[case].get(capture)
         payload = None if where is None else _payloads(where.file)[where.row]
-        if payload is None:
+        if not payload:
             return None
         s = unpack_surface(payload)
         return Source(
@@ -58,7 +58,7 @@ class Surfaces:
 
 @lru_cache(maxsize=2)
 def _payloads(file: Path) -> list[bytes | None]:
-    return list(read_chunk(file, ["images"]).column("images").to_pylist())
+    return list(read_chunk(file, ["images"])["images"].tolist())
 
 
 def photograph(folder: Path) -> NDArray[np.float32]:

@@ -19,7 +19,6 @@ import numpy as np
 from splitknit.io.npz import read_npz
 from splitknit_match.prints.curvature import CurvatureSettings, curvature
 from splitknit_match.prints.enhance import as_print, ridge_mask, thin
-from splitknit_match.prints.folder import distortion_picture
 from splitknit_match.prints.make import enhance, make_print
 from splitknit_match.prints.sources import read_source
 
@@ -74,9 +73,7 @@ def main() -> None:
     window = slice(middle[0] - 110, middle[0] + 110), slice(middle[1] - 110, middle[1] + 110)
     zoomed = [cv2.resize(step[window], None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC) for step in steps]
     save(options.out / "prints-steps.jpg", beside(zoomed))
-    kinds = [make_print(photo, "unroll", kind) for kind in ("free", "arc", "tube", "cylinder")]
-    panels = [distortion_picture(made.map, made.unrolled) for made in kinds if made.unrolled is not None]
-    save(options.out / "prints-distortion.jpg", beside(panels[:2]))
+    kinds = [make_print(photo, "unroll", kind) for kind in ("free", "arc")]
     save(options.out / "prints-unrolled.jpg", beside([made.image for made in kinds]))
     print(json.dumps(fits(options.capture, surface), indent=1))
 

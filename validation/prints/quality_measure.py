@@ -67,8 +67,8 @@ def capture_facts(store: Store, population: Path, names: list[str], case: str = 
     places = stored_places(store.files("features", case))
     rows = []
     for name in names:
-        chunk = read_chunk(places[name].file, ["images"]).column("images")
-        surface = unpack_surface(chunk[places[name].row].as_py())
+        chunk = read_chunk(places[name].file, ["images"])["images"]
+        surface = unpack_surface(chunk[places[name].row])
         source = Source(
             "result", surface.mask, surface.pitch_mm, surface.input_from_upright, surface.upright_size, None,
             surface.ridge_mm, surface.shape_mm,
@@ -78,7 +78,7 @@ def capture_facts(store: Store, population: Path, names: list[str], case: str = 
         subject, session, finger = name.split("/")
         others = [f"{subject}/session_{k}/{finger}" for k in range(1, 5) if f"session_{k}" != session]
         templates = {
-            other: read_chunk(places[other].file, ["template"]).column("template")[places[other].row].as_py()
+            other: read_chunk(places[other].file, ["template"])["template"][places[other].row]
             for other in [name, *others]
             if other in places
         }

@@ -22,7 +22,7 @@ from splitknit_match.prints.print_map import resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.sources import Source, read_source
 from splitknit_match.prints.unroll import KINDS, unroll
-from splitknit_match.prints.unroll_grid import GridSettings, slant_cos, surface_grid
+from splitknit_match.prints.unroll_grid import slant_cos, surface_grid
 
 ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
 PATCH_MM = 3.2
@@ -38,7 +38,7 @@ def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float
     if mask.mean() < 0.7:
         return None
     frame = np.eye(3)
-    grid = surface_grid(shape, mask, source.pitch_mm, frame, mask.shape, settings=GridSettings(pitch_mm=0.25))
+    grid = surface_grid(shape, mask, source.pitch_mm, frame, mask.shape, node_mm=0.25)
     made = unrolled_map(unroll(grid), "free", slant_deg=80)
     relief = (truth["height_mm"] - truth["shape_mm"])[rows, columns]
     known = mask & np.isfinite(relief)

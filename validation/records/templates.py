@@ -22,8 +22,9 @@ import numpy as np
 
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
-from splitknit_match.gallery.enrol import Enrolling, enroll_files
+from splitknit_match.gallery.enrol import Enrolling
 from splitknit_match.gallery.export_job import ExportJob
+from splitknit_match.gallery.gallery import enroll
 from splitknit_match.gallery.records import export_records
 from splitknit_match.matching.minutiae import minutiae_match
 from splitknit_match.matching.minutiae_record import Minutiae
@@ -57,8 +58,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         for k, file in enumerate(files):
-            enroll_files(
-                root / "g.skg", [file], f"P{owner[k]}", "right_index", file.stem, settings=Enrolling(input_ppi=500.0)
+            enroll(
+                root / "g.skg", file, f"P{owner[k]}", "right_index", session=file.stem, how=Enrolling(input_ppi=500.0)
             )
         ways: dict[str, tuple[list[Path], Any]] = {
             "phase": (files, "phase"), "mindtct": (files, "mindtct"), "gallery": ([root / "g.skg"], "phase"),

@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import simulated as sim
+import structured_light
 from scipy.stats import beta
 
 import splitknit
@@ -24,8 +26,6 @@ import splitknit_simulator
 from splitknit.io.clouds import Cloud
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit_simulator.light.skin import diffusion_profile
-from splitknit_simulator.scanners import simulated as sim
-from splitknit_simulator.scanners import structured_light
 
 FINE = 12.0
 """Period in projector rows, finer than ridges."""

@@ -32,10 +32,12 @@ from patches import (
     SIZE,
     Patch,
     decibels,
+    draw_palm,
     draw_patches,
     inner,
     known_states,
     noisy_images,
+    palm_surface,
     photograph,
     truth_of,
 )
@@ -44,7 +46,6 @@ from splitknit.model import Camera, Led
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit_simulator.finger.palm import draw_palm, palm_surface
 from splitknit_simulator.light.separation import Checkerboard, Separated
 from splitknit_simulator.light.skin import SkinOptics
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -9,7 +11,6 @@ import numpy as np
 
 from splitknit.model import Camera, Led, default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit_simulator.finger.palm import draw_palm, palm_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import (
     Checkerboard,
@@ -20,6 +21,10 @@ from splitknit_simulator.light.separation import (
 )
 from splitknit_simulator.light.skin import Medium, SkinOptics, SkinRanges
 from splitknit_simulator.surface import SimulatedSurface
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from palms import draw_palm, palm_surface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)

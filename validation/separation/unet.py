@@ -23,7 +23,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,16 +35,13 @@ from splitknit.networks.unet import Network, load_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_images, separate_truth
-from splitknit_simulator.training.separation import (
-    Photograph,
-    SeparationData,
-    drawn_surface,
-    enhanced_contrast,
-    photographs,
-)
-from splitknit_simulator.training.trainer import HELD_OUT_FROM
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parents[1] / "training"))
+
+from scenes import HELD_OUT_FROM  # noqa: E402
+from separation import CHECK_MM, Photograph, drawn_surface, photographs  # noqa: E402
+
 FIRST = HELD_OUT_FROM + 1000
 """Not those of the learning curve either."""
 FRACTION_FROM = 100
@@ -65,20 +61,17 @@ def main() -> int:
     if options.fingers:
         return many_fingers(options.fingers, load_network(options.network))
     count = 1 if options.smoke else options.count
-    data = SeparationData(labels="stack", patches=1)
     network = load_network(options.network)
-    fractions = constant_fractions(replace(data, labels="truth"), 1 if options.smoke else 4)
+    fractions = constant_fractions(1 if options.smoke else 4)
     rows: list[dict[str, Any]] = []
     for kind in ("palm", "finger"):
         for index in range(FIRST, FIRST + count):
-            rows += judge(
-                photographs(kind, index, SEED, data, enhanced_contrast)[0], (kind, index), network, fractions, data
-            )
+            rows += judge(photographs(kind, index, "stack")[0], (kind, index), network, fractions)
             print(f"{kind} {index - FIRST + 1} of {count}", file=sys.stderr, flush=True)
     result = {
         "network": {"name": network.card.name, "sha256": network.card.sha256},
         "photographs_of_each_kind": count,
-        "check_mm": data.check_mm,
+        "check_mm": CHECK_MM,
         "fractions": dict(zip(CHANNELS, fractions.tolist(), strict=True)),
         "summary": summarised(rows),
         "photographs": rows,
@@ -94,11 +87,10 @@ def main() -> int:
 
 def many_fingers(count: int, network: Network) -> int:
     """The network on equalised images of fingers, and the constant fraction: PSNR and paired difference."""
-    data = SeparationData(labels="stack", patches=1)
-    fraction = np.float32(constant_fractions(replace(data, labels="truth"), 4)[3])
+    fraction = np.float32(constant_fractions(4)[3])
     rows = []
     for index in range(FIRST, FIRST + count):
-        photograph = photographs("finger", index, SEED, data, enhanced_contrast)[0]
+        photograph = photographs("finger", index, "stack")[0]
         image, truth = (part[3:] for part in channels(photograph))
         mask = truth[0] > 0
         ways = {
@@ -141,12 +133,12 @@ def note(card: Path, result: dict[str, Any]) -> None:
     card.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def constant_fractions(data: SeparationData, count: int) -> np.ndarray:
+def constant_fractions(count: int) -> np.ndarray:
     """(4,) fraction of the image, per channel, that is nearest to the direct light over other photographs."""
     up, down = np.zeros(4), np.zeros(4)
     for kind in ("palm", "finger"):
         for index in range(HELD_OUT_FROM + FRACTION_FROM, HELD_OUT_FROM + FRACTION_FROM + count):
-            image, direct = channels(photographs(kind, index, SEED, data, enhanced_contrast)[0])
+            image, direct = channels(photographs(kind, index, "truth")[0])
             up += (image * direct).mean(axis=(1, 2))
             down += (image * image).mean(axis=(1, 2))
     return up / down
@@ -159,7 +151,7 @@ def channels(photograph: Photograph) -> tuple[np.ndarray, np.ndarray]:
 
 
 def judge(
-    photograph: Photograph, name: tuple[str, int], network: Network, fractions: np.ndarray, data: SeparationData
+    photograph: Photograph, name: tuple[str, int], network: Network, fractions: np.ndarray
 ) -> list[dict[str, Any]]:
     """Every method on one photograph."""
     image, truth = channels(photograph)
@@ -175,7 +167,7 @@ def judge(
     rows += figures(name, "network on the colours, their fraction", by_fraction, truth[3:], mask, names=CHANNELS[3:])
     box = largest_box(mask)
     inside = np.ones_like(mask[box])
-    projected = by_one_image(photograph, name, image, box, data)
+    projected = by_one_image(photograph, name, image, box)
     for method, made in {**projected, "network, there": found["network"][:3][:, *box]}.items():
         rows += figures(name, method, made, truth[: len(made)][:, *box], inside)
     return rows
@@ -204,14 +196,14 @@ def _box(shape: tuple[int, ...], middle: tuple[int, int], half: float) -> tuple[
 
 
 def by_one_image(
-    photograph: Photograph, name: tuple[str, int], image: np.ndarray, box: tuple[slice, slice], data: SeparationData
+    photograph: Photograph, name: tuple[str, int], image: np.ndarray, box: tuple[slice, slice]
 ) -> dict[str, np.ndarray]:
     """Nayar's separation from a single image under a checkerboard, brought to full size."""
     facts = photograph.facts
-    surface = drawn_surface(*name, SEED, data)
+    surface = drawn_surface(*name)
     skin, led = facts["skin"], Led("white", position_mm=tuple(facts["led_mm"]))
-    pattern = Checkerboard(data.check_mm, steps=5)
-    white = separate_truth(surface, led, skin, check_mm=data.check_mm, phases="centred")
+    pattern = Checkerboard(CHECK_MM, steps=5)
+    white = separate_truth(surface, led, skin, check_mm=CHECK_MM, phases="centred")
     # the camera as it took the white photograph: radiance to full scale, and full scale to the exposure level
     mask = surface.mask[white.window]
     brightest = np.percentile((white.white - white.glare)[:, mask].max(axis=0), 99.9)
@@ -222,7 +214,7 @@ def by_one_image(
     lit = stored.astype(np.float32) / np.float32(2**sensor.bits - 1)
     level = np.median(white.white[1][box] * exposure) / np.median(image[1][box])
     lit /= np.float32(level)
-    check_px = 1000.0 * data.check_mm / facts["pitch_um"]
+    check_px = 1000.0 * CHECK_MM / facts["pitch_um"]
     block = int(np.ceil(2.0 * check_px))
     direct = separated(lit, block, check_px)
     size, covered = lit.shape[1::-1], (direct.shape[1] * block, direct.shape[0] * block)

@@ -36,12 +36,12 @@ OUT = Path(__file__).resolve().parent / "tables" / "authors.csv"
 def scores_by_code(store: Any, captures: Captures, pairs: Pairs, case: str) -> dict[str, Values]:
     """Scores (N,) by attribute of the matcher ``thesis-code``, in the order of `pairs`."""
     table = store.scores(case, "thesis-code")
-    a, b = (captures.places(np.asarray(table[side].to_pylist())) for side in ("a", "b"))
+    a, b = (captures.places(table[side]) for side in ("a", "b"))
     count = len(captures.names)
     key = a * count + b
     order = np.argsort(key)
     place = order[np.searchsorted(key[order], pairs.a * count + pairs.b)]
-    return {name: table[f"score_{name}"].to_numpy(zero_copy_only=False)[place] for name in ATTRIBUTES}
+    return {name: table[f"score_{name}"][place] for name in ATTRIBUTES}
 
 
 def fused(scores: Mapping[str, Values]) -> Values:

@@ -1,15 +1,20 @@
 """Whether local binary patterns are the best descriptor, as section 5.2 says: HOG, Gabor energies, shape contexts.
 
-The features are those of ``thesis.feature``; alignment, gate and score (5.2) are the same for all.
+Alignment, gate and score (5.2) are the same for all.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 from compared import Extract, Way
 
-from splitknit_match.matching.features import gabor_features, hog_features, lbp_features, shape_context_features
+sys.path.append(str(Path(__file__).resolve().parents[1] / "published"))
+from image_features import gabor_features, hog_features, shape_context_features
+
+from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.thesis import ATTRIBUTES
 
 DESCRIPTORS: Mapping[str, Extract] = {

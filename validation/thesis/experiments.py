@@ -40,7 +40,7 @@ from tables import Row, write_csv
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
 FAMILY_CASES = ("kumar", "zheng", "lin")
-FAMILY_MATCHERS = ("ridge", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
+FAMILY_MATCHERS = ("ridge", "minutiae")
 ROLL_VARIANTS = (Variant("none", "single", "pairs"), Variant("gate", "averaged", "fingers"))
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
@@ -129,7 +129,7 @@ def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
 
 
 def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """The systems that SnK is measured against, by the established matchers and by those of their own."""
+    """The systems that SnK is measured against, by the established matchers."""
     cases = list(dict.fromkeys([*options.cases, *FAMILY_CASES]))
     return _by_matchers(options, store, truth, "family", cases, dict.fromkeys(FAMILY_MATCHERS, ""))
 
@@ -237,14 +237,14 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
             table = store.features(case, ["capture", "acquired", "failure", "area_mm2"])
         except ValueError:
             continue
-        acquired = np.asarray(table["acquired"].to_pylist(), dtype=bool)
+        acquired = np.asarray(table["acquired"], dtype=bool)
         reasons: dict[str, int] = {}
-        for words, good in zip(table["failure"].to_pylist(), acquired.tolist(), strict=True):
+        for words, good in zip(table["failure"].tolist(), acquired.tolist(), strict=True):
             if not good:
                 reasons[str(words)] = reasons.get(str(words), 0) + 1
-        names = [str(name) for name in table["capture"].to_pylist()]
+        names = [str(name) for name in table["capture"].tolist()]
         partial = np.array([bool(truth.get(name, {}).get("partial", False)) for name in names])
-        area = np.asarray(table["area_mm2"].to_pylist(), dtype=float)
+        area = np.asarray(table["area_mm2"], dtype=float)
         rows.append(
             {
                 "case": case, "captures": acquired.size, "failures": int((~acquired).sum()),

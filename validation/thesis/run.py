@@ -85,7 +85,7 @@ def _inputs(options: argparse.Namespace, part: str) -> str:
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
     stores = [] if store is None else [store, crossed_of(store)]
-    files = [path for one in stores for path in sorted(one.rglob("*.parquet")) if path.is_file()]
+    files = [path for one in stores for path in sorted(one.rglob("*.npz")) if path.is_file()]
     sizes = [[Path(os.path.relpath(path, store)).as_posix(), path.stat().st_size] for path in files]
     captures = len(list(options.population.glob("*/session_*/*/impression.json")))
     return settings_hash([given, _origin(options), sizes, captures])

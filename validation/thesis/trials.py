@@ -126,7 +126,7 @@ def read_captures(store: StoreLike, cases: Iterable[str]) -> Captures:
     for case in cases:
         table = _table(lambda case=case: store.features(case, list(columns)))
         if table is not None:
-            rows |= {row[0]: row for row in zip(*(table[name].to_pylist() for name in columns), strict=True)}
+            rows |= {row[0]: row for row in zip(*(table[name].tolist() for name in columns), strict=True)}
     if not rows:
         raise SystemExit(f"the store holds no captures of {', '.join(cases)}; run splitknit batch first.")
     ordered = [rows[name] for name in sorted(rows)]
@@ -172,7 +172,7 @@ def _overlap_case(store: StoreLike, captures: Captures, case: str, cases: Sequen
     the same area to the last bit.
     """
     areas = {one: _areas(store, captures, one) for one in cases}
-    made = {one: 0 if table is None else table.num_rows for one in cases for table in [_read_scores(store, one)]}
+    made = {one: 0 if table is None else len(table["a"]) for one in cases for table in [_read_scores(store, one)]}
     same = [one for one in cases if areas[one] is not None and np.array_equal(areas[one], areas[case])]
     best = max(same, key=lambda one: (made[one], one == case), default=None)
     return best if best is not None and made[best] > 0 else None
@@ -183,7 +183,7 @@ def _areas(store: StoreLike, captures: Captures, case: str) -> Values | None:
     if table is None:
         return None
     areas = np.full(captures.names.shape, -1.0)
-    areas[captures.places(np.asarray(table["capture"].to_pylist()))] = table["area_mm2"].to_numpy()
+    areas[captures.places(table["capture"])] = table["area_mm2"]
     return areas
 
 
@@ -217,17 +217,12 @@ def _trials(
 def _columns(store: StoreLike, captures: Captures, case: str, matcher: str) -> dict[str, NDArray[Any]] | None:
     """Columns of numbers by rising key, place of a times number of captures plus place of b."""
     table = _table(lambda: store.scores(case, matcher))
-    if table is None or table.num_rows == 0:
+    if table is None or len(table["a"]) == 0:
         return None
-    a, b = (captures.places(np.asarray(table[side].to_pylist())) for side in ("a", "b"))
+    a, b = (captures.places(table[side]) for side in ("a", "b"))
     key = a * len(captures.names) + b
     order = np.argsort(key, kind="stable")
-    names = [name for name in table.column_names if name not in ("a", "b")]
-    found = {
-        name: values[order]
-        for name in names
-        if (values := np.asarray(table[name].to_numpy(zero_copy_only=False))).dtype.kind in "fiub"
-    }
+    found = {name: values[order] for name, values in table.items() if values.dtype.kind in "fiub"}
     return {**found, "key": key[order]}
 
 

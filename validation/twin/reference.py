@@ -1,7 +1,7 @@
 """A slow reference for the twin: random walks in the skin's volume under its true, ridged surface.
 
 It shares no code with :mod:`splitknit_simulator.light.renderer`: a patch of skin becomes triangles, Mitsuba 3 finds
-where rays meet them, and every image is an average of random walks with a standard error. Needs the extra ``reference``
+where rays meet them, and every image is an average of random walks with a standard error. Needs the group ``reference``
 and Debian's ``libllvm19`` (other versions may abort). See ``docs/experiments/simulator-reference.md``.
 
 A walk starts where the camera sees the skin and looks for the lights. Between boundaries it takes exponential steps of
@@ -404,7 +404,7 @@ def _load(threads: int) -> tuple[Any, Any]:
             "the reference needs LLVM 19; install Debian's libllvm19, or name the library in DRJIT_LIBLLVM_PATH.",
         )
         os.environ["DRJIT_LIBLLVM_PATH"] = str(found[0])
-    with importing("the reference needs Mitsuba 3; install splitknit with its extra 'reference'."):
+    with importing("the reference needs Mitsuba 3; install the dependency group 'reference'."):
         dr, mi = (importlib.import_module(name) for name in ("drjit", "mitsuba"))
     mi.set_variant("llvm_ad_mono")
     dr.set_thread_count(threads)

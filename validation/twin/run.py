@@ -3,7 +3,7 @@
     python validation/twin/run.py            # about ten minutes of one core; a run that was stopped goes on
     python validation/twin/run.py --smoke    # one small case of each kind, into validation/out; two minutes at most
 
-Needs the extra ``reference`` and libllvm19. Every case lands in ``validation/out/twin`` under a hash of the sources it
+Needs the group ``reference`` and libllvm19. Every case lands in ``validation/out/twin`` under a hash of the sources it
 depends on; ``results.json`` holds all of them and the ranges that follow.
 ``docs/experiments/simulator-reference.md`` reads them.
 """

@@ -11,7 +11,7 @@ from batch_stores import EA, waves
 from splitknit.io.enrolment import open_enrolment
 from splitknit_match.batch.chunks import SUFFIX, write_chunk
 from splitknit_match.batch.engine import run_batch
-from splitknit_match.batch.features import BANDS, QUALITY, _feature_schema
+from splitknit_match.batch.features import BANDS, COLUMNS, QUALITY
 from splitknit_match.batch.population import read_population
 from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import open_store
@@ -47,17 +47,16 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     there = read_population(population)
     settings = BatchSettings(cases=preset_cases(("ea",)), matchers=())
     open_store(out, there, settings)
-    columns: dict[str, list[object]] = {name: [] for name in _feature_schema().names}
+    rows = []
     for number, capture in enumerate(there.captures):
         failed = capture.name == "S02/session_3/right_index"
         row = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
         row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
         row |= {"session": capture.session, "acquired": not failed, "failure": "no finger." if failed else ""}
         row |= {"area_mm2": 0.0 if failed else 70.0, "warnings": [], "input_sha256": f"{number:064x}"}
-        row |= {"template": b"" if failed else waves(capture.finger, number), "print": None, "images": None}
-        for name, value in row.items():
-            columns[name].append(value)
-    write_chunk(out / "features" / "ea" / f"00000-invented{SUFFIX}", columns, _feature_schema(), {"kind": "features"})
+        row |= {"template": b"" if failed else waves(capture.finger, number), "print": b"", "images": b""}
+        rows.append(row)
+    write_chunk(out / "features" / "ea" / f"00000-invented{SUFFIX}", rows, COLUMNS, {"kind": "features"})
     return population, out
 
 

@@ -16,13 +16,18 @@ EA = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=2)
 
 
 def chunks(out: Path) -> dict[str, bytes]:
-    """Every Parquet file of a store by its place."""
+    """Every table of a store by its place."""
     return {file.relative_to(out).as_posix(): file.read_bytes() for file in sorted(out.rglob(f"*{SUFFIX}"))}
+
+
+def rows_of(table: dict[str, np.ndarray]) -> list[dict[str, object]]:
+    """Rows of a table of the store."""
+    return [dict(zip(table, row, strict=True)) for row in zip(*(one.tolist() for one in table.values()), strict=True)]
 
 
 def pairs_of(out: Path, matcher: str) -> list[tuple[str, str]]:
     table = Store(out).scores("ea", matcher)
-    return list(zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True))
+    return list(zip(table["a"].tolist(), table["b"].tolist(), strict=True))
 
 
 def waves(finger: str, number: int) -> bytes:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from splitknit_match.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
+from splitknit_match.prints.unroll_grid import SurfaceGrid, surface_grid
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.surface import SimulatedSurface
 
@@ -29,9 +28,8 @@ class Twin:
     def frame(self) -> tuple[np.ndarray, tuple[int, int]]:
         return np.eye(3), self.seen.mask.shape
 
-    def grid(self, **settings: Any) -> SurfaceGrid:
-        chosen = GridSettings(**{"pitch_mm": 0.5, **settings})
-        return surface_grid(self.seen.shape_mm, self.seen.mask, self.seen.camera.pitch_mm, *self.frame, settings=chosen)
+    def grid(self) -> SurfaceGrid:
+        return surface_grid(self.seen.shape_mm, self.seen.mask, self.seen.camera.pitch_mm, *self.frame, node_mm=0.5)
 
 
 def plane_points(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -42,8 +40,7 @@ def plane_points(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     return np.broadcast_to(x, size), np.broadcast_to(y, size)
 
 
-def body_grid(height: np.ndarray, mask: np.ndarray, pitch_mm: float = 0.4) -> SurfaceGrid:
+def body_grid(height: np.ndarray, mask: np.ndarray) -> SurfaceGrid:
     """Nodes of a body, upright as it lies."""
     shape = np.where(mask, height, np.nan).astype(np.float32)
-    settings = GridSettings(pitch_mm=pitch_mm)
-    return surface_grid(shape, mask, 1 / PX_PER_MM, np.eye(3), mask.shape, settings=settings)
+    return surface_grid(shape, mask, 1 / PX_PER_MM, np.eye(3), mask.shape)

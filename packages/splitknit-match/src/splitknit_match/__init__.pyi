@@ -2,9 +2,9 @@
 
 from splitknit_match.evaluation.evaluate_job import evaluate as evaluate
 from splitknit_match.evaluation.pair import compare_results as compare_results
+from splitknit_match.gallery.gallery import Gallery as Gallery
+from splitknit_match.gallery.gallery import enroll as enroll
 from splitknit_match.gallery.identify_job import identify as identify
-from splitknit_match.gallery.warm import OpenGallery as OpenGallery
-from splitknit_match.gallery.warm import enroll as enroll
 from splitknit_match.matching.match_job import make_template as make_template
 from splitknit_match.matching.match_job import match as match
 from splitknit_match.prints.print_job import make_print as make_print
@@ -12,6 +12,6 @@ from splitknit_match.prints.print_job import make_print as make_print
 __version__: str
 
 __all__ = [
-    "OpenGallery", "__version__", "compare_results", "enroll", "evaluate", "identify", "make_print", "make_template",
+    "Gallery", "__version__", "compare_results", "enroll", "evaluate", "identify", "make_print", "make_template",
     "match",
 ]  # fmt: skip

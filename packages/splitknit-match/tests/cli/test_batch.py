@@ -81,7 +81,7 @@ def test_of_damaged_copies_alone_nothing_is_kept(
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert "4 of 4 captures cannot be read" in err and "not compared" in err
-    assert list(tmp_path.rglob("*.parquet")) == []
+    assert list((tmp_path / "store").rglob("*.npz")) == []
 
 
 def test_cases_of_ones_own() -> None:

@@ -11,7 +11,6 @@ from splitknit.errors import BadInput
 from splitknit_match.evaluation.protocol import (
     Exclusion,
     average_sessions,
-    by_session_pair,
     comparisons,
     exclude,
     pair_up,
@@ -100,21 +99,12 @@ def test_the_earlier_session_comes_first_whatever_the_file_says() -> None:
 
     other = replace(scores, finger=turned(scores.finger), session=turned(scores.session))
     np.testing.assert_array_equal(average_sessions(other).score, average_sessions(scores).score)
-    assert list(by_session_pair(other)) == [("1", "2"), ("1", "3"), ("2", "3")]
 
 
 def test_failures_are_left_out_of_an_average() -> None:
     nan = float("nan")
     averaged = average_sessions(small([nan, nan, 2, 3, nan, nan, 6, 7, 8, nan, 10, 11]))
     np.testing.assert_array_equal(averaged.score, [8.0, np.nan, 6.0, 7.0])
-
-
-def test_session_pairs_apart() -> None:
-    parts = by_session_pair(small())
-    assert [part.score.tolist() for part in parts.values()] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
-    nan = float("nan")
-    assert len(by_session_pair(small([nan, 1, 2, nan, *range(4, 12)]))) == 2
-    assert by_session_pair(replace(small(), session=None)) == {}
 
 
 def test_exclusions() -> None:

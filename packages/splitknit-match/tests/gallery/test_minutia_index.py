@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import splitknit_match
-from splitknit_match.gallery.enrol import templates_hash
 from splitknit_match.gallery.entry import Entry, NewCapture
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.identify import templates_hash
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.minutia_pairs import pair_minutiae
@@ -87,35 +86,17 @@ def test_few_minutiae_are_compared_always(gallery) -> None:
     assert len(empty) == 0 and empty.nearest(cylinders(gallery[0]), 5) == []
 
 
-def test_a_search_ends_with_the_first_match(tmp_path: Path, monkeypatch) -> None:
-    file = tmp_path / "g.skg"
-    for number, name in enumerate(("ann", "bob", "cid"), start=1):
-        splitknit_match.enroll(file, press(number), name, "right_index", resolution_ppi=PPI, duplicates="allow")
+def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path: Path, monkeypatch) -> None:
+    """The exhaustive search, the reference, finds the same who is there."""
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
-    probe = splitknit_match.make_template(press(3, 9, 12.0), resolution_ppi=PPI).payload
-    found = splitknit_match.identify(file, probe)
-    every = splitknit_match.identify(file, probe, search="exhaustive")
-    assert (found.searched.method, found.searched.captures, found.searched.compared) == ("minutiae", 3, 1)
-    assert every.searched.compared == 3 and "first that matched" in found.searched.note
-    assert found.candidates[0] == every.candidates[0] and found.decision == every.decision
-    nobody = splitknit_match.make_template(press(9), resolution_ppi=PPI).payload
-    assert splitknit_match.identify(file, nobody).searched.compared == 2
-
-
-def test_an_absent_finger_is_compared_with_few(gallery, tmp_path: Path, monkeypatch) -> None:
-    """By default with a part of the list; the exhaustive search, the reference, finds the same who is there."""
-    monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
-    monkeypatch.setattr("splitknit_match.gallery.identify.LIST", 16)
-    monkeypatch.setattr("splitknit_match.gallery.identify.SHORTER", 8)
-    with Gallery.create(tmp_path / "g.skg", templates_hash(MatchingSettings())) as made:
-        made.add(NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
-    with splitknit_match.OpenGallery.open(tmp_path / "g.skg") as opened:
-        absent = opened.identify(seen(4000))
+    with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
+        captures = (NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
+        opened.add(captures, templates_hash(MatchingSettings()))
+        absent = opened.identify(seen(4000), top=2)
         assert absent.answer != "match" and absent.searched.compared == 2
         assert "about 1 in 100 matches is lost" in absent.searched.note
-        assert opened.identify(seen(4000), search="minutiae").searched.compared == 16
-        found = [opened.identify(seen(7, 0.4, again=2), search=how) for how in ("auto", "exhaustive")]
-    assert found[1].searched.compared == 20
+        found = [opened.identify(seen(7, 0.4, again=2), search=how, top=2) for how in ("auto", "exhaustive")]
+    assert [one.searched.compared for one in found] == [2, 20]
     assert {one.candidates[0].person for one in found} == {"P7"}
     assert found[0].candidates[0].similarity == found[1].candidates[0].similarity
 

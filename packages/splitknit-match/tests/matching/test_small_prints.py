@@ -1,4 +1,4 @@
-"""Small prints: what overlaps decides what is said, and touches become one template."""
+"""Small prints: what overlaps decides what is said."""
 
 from __future__ import annotations
 
@@ -19,10 +19,8 @@ from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae
-from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import own_rates_document, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
-from splitknit_match.matching.touches import join_touches
 from splitknit_match.records.templates import write_template
 
 
@@ -195,30 +193,6 @@ def ridges(seed: int) -> Template:
     noise = np.random.default_rng(seed).normal(size=(140, 140)).astype(np.float32)
     value = cv2.GaussianBlur(noise, (0, 0), 1.1) - cv2.GaussianBlur(noise, (0, 0), 1.8)
     return leveled(value / value.std(), np.ones(value.shape, np.bool_), 0.1)
-
-
-def test_touches_become_one_template(tmp_path: Path, capsys) -> None:
-    """Parts that overlap are joined where they lie; a stranger's stands beside them."""
-    whole = ridges(1)
-    parts = [cut(whole, 20, 20, 60), cut(whole, 20, 50, 60), cut(whole, 45, 35, 60)]
-    joined, count = join_touches(parts)
-    assert count == 3
-    assert joined.valid.shape == pytest.approx((85, 90), abs=2)
-    assert joined.area_mm2 == pytest.approx(54 + 15, abs=2)
-    alone, count = join_touches([parts[0], cut(ridges(2), 40, 40, 50)])
-    assert count == 1
-    assert alone.area_mm2 == pytest.approx(36 + 25, abs=1)
-    assert fused_match(Prepared(cut(ridges(2), 45, 45, 40)), Prepared(alone)).similarity > 2
-    folder = tmp_path / "touches"
-    folder.mkdir()
-    for k, one in enumerate(parts):
-        write_template(folder / f"{k}.skt", pack(one), VERSION)
-    write_template(tmp_path / "probe.skt", pack(cut(whole, 30, 30, 70)), VERSION)
-    words = [str(folder), str(tmp_path / "probe.skt"), "--template", str(tmp_path / "wide.skt")]
-    assert main(["match", *words]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("Match")
-    assert "3 touches, 3 joined" in said
 
 
 @pytest.mark.external

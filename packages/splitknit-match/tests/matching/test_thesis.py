@@ -1,11 +1,9 @@
-"""The thesis's matcher: alignment, gate, score, and the other features."""
+"""The thesis's matcher: alignment, gate, score."""
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +12,7 @@ from hypothesis import strategies as st
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit_match.matching import thesis
-from splitknit_match.matching.features import gabor_features, hog_features, lbp_features, shape_context_features
+from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.thesis import (
     FingerImages,
     ThesisSettings,
@@ -25,8 +23,6 @@ from splitknit_match.matching.thesis import (
     thesis_match,
     to_box,
 )
-
-FEATURES = ("lbp", "hog", "gabor", "shape_context")
 
 
 def ellipse(rows: int, columns: int) -> np.ndarray:
@@ -78,10 +74,9 @@ def test_the_gate_keeps_unlike_outlines_apart() -> None:
     assert thesis_match(wide, slim, ThesisSettings(gate=0.0)).compared
 
 
-@pytest.mark.parametrize("feature", FEATURES)
-def test_same_fingers_are_more_similar(impressions, feature: str) -> None:
+def test_same_fingers_are_more_similar(impressions) -> None:
     """Poses that differ little: that is what this matcher can take."""
-    chosen = ThesisSettings(gate=0.0, feature=feature)
+    chosen = ThesisSettings(gate=0.0)
     fingers = [impressions[k].images() for k in (0, 3, 6)]
     for k, one in zip((0, 3, 6), fingers, strict=True):
         again = finger_images(
@@ -146,70 +141,8 @@ def test_boxes_are_made_equal_in_size() -> None:
     assert wide[7, 20] == pytest.approx(9.75, abs=0.01)
 
 
-def test_hog_knows_the_direction_of_stripes() -> None:
-    stripes = np.sin(np.arange(128) * 0.4).astype(np.float32)[None, :] * np.ones((128, 1), np.float32)
-    upright, across = hog_features(stripes, 75.7), hog_features(np.ascontiguousarray(stripes.T), 75.7)
-    assert upright.shape == (4 * 9,)
-    assert np.linalg.norm(upright - across) > 0.9
-    assert np.linalg.norm(upright - hog_features(3 * stripes + 1, 75.7)) < 1e-4
-    # gradients lie along the columns: directions near 0 and 180 deg, the first and the last bin
-    assert set(np.argsort(upright[:9])[-2:]) == {0, 8}
-
-
-def test_hog_agrees_with_scikit_image() -> None:
-    """It shares a gradient between two directions, which that one does not."""
-    feature = pytest.importorskip("skimage.feature")
-    y, x = np.mgrid[:384, :320]
-    rings = np.sin(0.2 * np.hypot(x - 100, y - 150)).astype(np.float32)
-    theirs = feature.hog(rings, 9, (64, 64), (2, 2), block_norm="L2-Hys")
-    assert np.corrcoef(hog_features(rings, 75.7), theirs)[0, 1] > 0.97
-
-
-def test_gabor_magnitudes_are_those_of_all_pixels() -> None:
-    """They are taken at as few points as the filters need."""
-    image = cv2.GaussianBlur(np.random.default_rng(3).standard_normal((384, 320)).astype(np.float32), (0, 0), 5.0)
-    smaller = cv2.resize(image, (107, 128), interpolation=cv2.INTER_AREA)  # eight pixels of the shortest period
-    v, u = np.fft.fftfreq(160)[:, None], np.fft.fftfreq(144)[None, :]
-    spectrum = np.fft.fft2(smaller, s=(160, 144))
-    parts = []
-    for wave, turn in itertools.product((1 / 8, 1 / 11, 1 / 15), np.pi * np.arange(6) / 6):
-        away = (u - wave * np.cos(turn)) ** 2 + (v - wave * np.sin(turn)) ** 2
-        answer = np.abs(np.fft.ifft2(spectrum * np.exp(-away / (2 * (wave / np.pi) ** 2))))[:128, :107]
-        parts.append(cv2.resize(answer, (5, 6), interpolation=cv2.INTER_AREA))
-    cells = np.stack(parts, axis=-1)
-    cells /= np.linalg.norm(cells, axis=-1, keepdims=True)
-    difference = gabor_features(image, 75.7).reshape(6, 5, 18) - cells
-    assert np.abs(difference).max() < 0.08
-    assert np.abs(difference).mean() < 0.01
-
-
-def test_gabor_knows_direction_and_period() -> None:
-    def stripes(period: float, turn: float) -> np.ndarray:
-        y, x = np.mgrid[0:192, 0:192]
-        return np.sin(2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn))).astype(np.float32)
-
-    for place, period in enumerate((24.0, 33.0, 45.0)):
-        for k in (0, 2):
-            cells = gabor_features(stripes(period, np.pi * k / 6), 75.7).reshape(9, 3, 6)
-            assert np.unravel_index(int(cells[4].argmax()), (3, 6)) == (place, k)
-
-
-def test_shape_contexts_see_where_flanks_lie() -> None:
-    image = np.zeros((192, 192), np.float32)
-    image[:, 130:] = 1.0  # one flank, to the right of the middle cell's middle
-    cells = shape_context_features(image, 75.7).reshape(3, 3, 5, 12)
-    middle = cells[1, 1]
-    assert middle.sum() == pytest.approx(1.0, abs=1e-5)
-    right = middle[:, [0, 1, 2, 9, 10, 11]].sum()
-    assert right > 0.9
-
-
-def test_sizes_and_settings_are_checked(impressions) -> None:
-    small = np.zeros((20, 20), np.float32)
-    for feature in (hog_features, gabor_features, shape_context_features):
-        with pytest.raises(BadInput, match="smaller than a cell"):
-            feature(small, 75.7)
-    for change in ({"gate": 2}, {"feature": "sift"}, {"attributes": ("colour",)}, {"attributes": ()}):
+def test_scales_and_settings_are_checked(impressions) -> None:
+    for change in ({"gate": 2}, {"attributes": ("colour",)}, {"attributes": ()}):
         with pytest.raises(BadInput):
             ThesisSettings(**change)
     one = impressions[0].images()

@@ -172,10 +172,6 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
         match(file, sound, template=tmp_path / "scan.skt")
     array = match(spiral_print(), sound, resolution_ppi=ppi)
     assert array.answer == "undecided" and array.a.doubt is not None
-    (tmp_path / "touches").mkdir()
-    for name, stated in (("1.png", 500), ("2.png", 1000)):
-        (tmp_path / "touches" / name).write_bytes(saved(spiral_print(), "PNG", stated))
-    assert "2.png: at 1000 ppi" in match(tmp_path / "touches", sound).undecided
     assert not (tmp_path / "scan.skt").exists() and match(sound, sound).answer == "match"
 
 

@@ -8,8 +8,8 @@ import pytest
 from bodies import PX_PER_MM, Twin, body_grid, plane_points
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit_match.prints.unroll import KINDS, UnrollSettings, distortion, unroll
-from splitknit_match.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
+from splitknit_match.prints.unroll import KINDS, distortion, unroll
+from splitknit_match.prints.unroll_grid import SurfaceGrid, surface_grid
 
 RADIUS = 8.0
 
@@ -37,7 +37,7 @@ def _cap() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
     grid = body_grid(*_cylinder())
-    laid = unroll(grid, UnrollSettings(kind=kind))
+    laid = unroll(grid, kind)
     figures = laid.distortion.figures()
     assert figures["length_p95_percent"] < 1.5
     assert figures["length_centre_p95_percent"] < 0.3
@@ -49,7 +49,7 @@ def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
 
 def test_equal_distances_along_and_across() -> None:
     grid = body_grid(*_cylinder())
-    flat = unroll(grid, UnrollSettings(kind="arc")).flat_mm
+    flat = unroll(grid, "arc").flat_mm
     both = grid.inside[:, 1:] & grid.inside[:, :-1]
     steps = np.linalg.norm(np.diff(grid.points_mm, axis=1), axis=2)[both]
     assert np.allclose(np.diff(flat[..., 0], axis=1)[both], steps, atol=1e-9)
@@ -58,11 +58,11 @@ def test_equal_distances_along_and_across() -> None:
 def test_a_dome_is_relaxed() -> None:
     """No map of a dome is free of distortion; relaxing takes much of it, the more of it from the middle."""
     grid = body_grid(*_cap())
-    arc = unroll(grid, UnrollSettings(kind="arc")).distortion.figures()
-    free = unroll(grid, UnrollSettings(kind="free")).distortion.figures()
+    arc = unroll(grid, "arc").distortion.figures()
+    free = unroll(grid, "free").distortion.figures()
     assert free["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
     assert free["length_p95_percent"] > 3.0  # Gauss's theorem: something must give
-    even = unroll(grid, UnrollSettings(centre_weight=0.0, iterations=60)).distortion.figures()
+    even = unroll(grid, centre_weight=0.0).distortion.figures()
     assert even["length_centre_median_percent"] > free["length_centre_median_percent"]
 
 
@@ -83,7 +83,7 @@ def test_ridge_spacing_on_the_twin(twin: Twin) -> None:
     assert figures["length_centre_p95_percent"] < 2.0
     assert figures["length_centre_median_percent"] < 1.0
     assert figures["length_slant_60_median_percent"] < 10.0
-    arc = unroll(twin.grid(), UnrollSettings(kind="arc")).distortion.figures()
+    arc = unroll(twin.grid(), "arc").distortion.figures()
     assert figures["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
 
 
@@ -97,7 +97,7 @@ def test_yaw_and_perspective_do_not_matter() -> None:
     turned_mask = (np.abs(across) < RADIUS * np.sin(np.deg2rad(70))) & (np.abs(along) < 8)
     turned = np.where(turned_mask, np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01)), np.nan).astype(np.float32)
     frame = rotation_about((179.5, 179.5), angle)
-    grid = surface_grid(turned, turned_mask, 1 / PX_PER_MM, frame, (360, 360), settings=GridSettings(pitch_mm=0.4))
+    grid = surface_grid(turned, turned_mask, 1 / PX_PER_MM, frame, (360, 360), node_mm=0.4)
     laid = unroll(grid)
     assert laid.distortion.figures()["length_p95_percent"] < 1.5
     assert _off_arc(grid, laid.flat_mm, 55) < 0.05
@@ -110,15 +110,13 @@ def test_yaw_and_perspective_do_not_matter() -> None:
     near = surface_grid(
         z.astype(np.float32), seen, 1 / PX_PER_MM, np.eye(3), mask.shape,
         xy_mm=((x * (1 - z / 60)).astype(np.float32), (y * (1 - z / 60)).astype(np.float32)),
-        settings=GridSettings(pitch_mm=0.4),
+        node_mm=0.4,
     )  # fmt: skip
     laid = unroll(near)
     assert _off_arc(near, laid.flat_mm, 55) < 0.05
 
 
 def test_nonsense_is_refused() -> None:
-    with pytest.raises(BadInput, match=r"unroll\.kind"):
-        UnrollSettings(kind="apple")  # type: ignore[arg-type]
     flat = np.zeros((40, 40), np.float32)
     mask = np.zeros((40, 40), bool)
     mask[:4, :4] = True

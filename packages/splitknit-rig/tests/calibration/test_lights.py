@@ -11,18 +11,23 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera
-from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import (
     BANDS,
     COLUMNS,
     Circle,
     Tip,
+    _largest_angle_deg,
     by_circle,
     read_tips,
     write_tips,
 )
-from splitknit_rig.calibration.lights_found import find_leds
-from splitknit_rig.calibration.nail import Nail
+from splitknit_rig.calibration.lights_found import (
+    check_nails,
+    check_tips,
+    copied_leds,
+    judge,
+    refusal,
+)
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
 CAMERA = Camera(px_per_mm=75.7, image_size=(2200, 3200))
@@ -43,12 +48,6 @@ def cast(places, *, leds=7, height=20.0, circle=CIRCLE, camera=CAMERA):
             )
             tips.append(Tip("white", k, number, nail_px, tip_px))
     return tuple(tips)
-
-
-def judged(tips, camera=CAMERA, circle=CIRCLE):
-    """Verdicts by LED, as the circle's construction has them, and why some are refused."""
-    _, facts, sentence = find_leds(tips, camera, circle, LightsJob(table="tips.csv", method="circle"), Nail())
-    return {(one["band"], one["led"]): one["verdict"] for one in facts["leds"]}, sentence
 
 
 def table(tips):
@@ -96,12 +95,15 @@ def test_the_thesiss_table(thesis):
     assert [round(one, 1) for one in apart[:7]] == [8.9, 1.1, 6.3, 0.8, 4.1, 6.9, 6.8]
     assert [round(one) for one in apart[8:11]] == [32, 19, 15]
     assert [apart[7], *apart[11:]] == pytest.approx([7.0, 2.5, 9.9, 9.0], abs=0.06)  # NIR 0: 6.947
+    assert copied_leds(tips, CAMERA) == {("nir", k) for k in range(1, 7)}
     assert 19 < height < 20
-    verdicts, sentence = judged(tips, circle=circle)
+    named = {(one.band, one.led): one for one in found}
+    verdicts = judge(named, copied_leds(tips, CAMERA), set(), 5.0)
     assert list(verdicts.values()) == [
         *("disagrees", "ok", "disagrees", "ok", "ok", "disagrees", "disagrees"),
         *("disagrees", *("copied",) * 6),
     ]
+    sentence = refusal(verdicts, named, 5.0)
     assert sentence is not None
     for name in ("white 0 (8.9", "white 2", "white 5", "white 6", "NIR 0 (6.9", *(f"NIR {k}" for k in range(1, 7))):
         assert name in sentence
@@ -118,22 +120,30 @@ def test_directions_are_the_thesiss(thesis):
         assert np.hypot(arms[:, 0], arms[:, 1]) == pytest.approx(50.0)
 
 
+def test_largest_angle_of_several():
+    directions = np.array([[0, 0, 1], [0, np.sin(0.1), np.cos(0.1)], [0, -np.sin(0.2), np.cos(0.2)]])
+    assert _largest_angle_deg(directions) == pytest.approx(np.degrees(0.3))
+    assert _largest_angle_deg(directions[:1]) is None
+
+
 def test_copies_scale_with_the_image():
     """A repeated tip is found at any scale, a true one is not taken for a copy, however small the image."""
     for scale in (1.0, 0.1):
         camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
         tips = list(cast([(-3, 0), (3, 0)], camera=camera))
-        assert set(judged(tips, camera)[0].values()) == {"ok"}
+        assert copied_leds(tips, camera) == set()
         x, y = tips[4].tip_px
         tips[5] = replace(tips[5], tip_px=(x + 17 * scale, y))
-        assert [name for name, verdict in judged(tips, camera)[0].items() if verdict == "copied"] == [("white", 2)]
+        assert copied_leds(tips, camera) == {("white", 2)}
 
 
 def test_one_position_is_unchecked():
     found, _ = by_circle(cast([(5, 5)]), CAMERA, CIRCLE)
     assert found[0].disagreement_deg is None
-    verdicts, sentence = judged(cast([(5, 5)]))
-    assert set(verdicts.values()) == {"unchecked"} and sentence is None
+    named = {(one.band, one.led): one for one in found}
+    verdicts = judge(named, set(), set(), 5.0)
+    assert set(verdicts.values()) == {"unchecked"}
+    assert refusal(verdicts, named, 5.0) is None
 
 
 def test_perspective_moves_the_nails_tip():
@@ -200,13 +210,14 @@ def test_a_table_that_cannot_be_read(change, words):
 )
 def test_an_incomplete_table(change, words):
     tips = list(cast([(-6, -4), (7, 5)]))
+    check_tips(tips, CAMERA.image_size)
     with pytest.raises(BadInput, match=words):
-        judged(change(tips))
+        check_tips(change(tips), CAMERA.image_size)
 
 
 def test_a_third_position_may_lack_a_shadow():
     tips = cast([(-6, -4), (7, 5), (0, 0)])
-    assert judged([tip for tip in tips if (tip.led, tip.nail) != (3, 2)])[1] is None
+    check_tips([tip for tip in tips if (tip.led, tip.nail) != (3, 2)], CAMERA.image_size)
 
 
 def test_no_shadow_and_outside_the_circle():
@@ -220,15 +231,9 @@ def test_no_shadow_and_outside_the_circle():
 
 def test_a_nail_number_is_one_place():
     tips = list(cast([(-6, -4), (7, 5)]))
+    check_nails(tips, CAMERA)
     x, y = tips[4].nail_px
     with pytest.raises(BadInput, match=r"nail 1 .* one position"):
-        judged([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]])
+        check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
     with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
-        judged(cast([(-6, -4), (-6, -3.9)]))
-
-
-def test_limits_are_checked():
-    with pytest.raises(BadInput):
-        LightsJob(table="tips.csv", limit_deg=0.0)
-    with pytest.raises(BadInput):
-        Circle(0.0, 140.0)
+        check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)

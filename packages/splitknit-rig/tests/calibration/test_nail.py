@@ -80,7 +80,7 @@ def test_a_known_nail_needs_no_circle():
     """The circle is wrong by a tenth in radius and by a twentieth in height, and the LEDs come out all the same."""
     leds = rig(1, sd=1.0)
     wrong = Circle(57.0, 147.0, (3.0, -2.0))
-    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, Nail(20.0))
+    fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, Nail(height_mm=20.0))
     found = np.array([one.position_mm for one in fit.leds])
     assert np.abs(found - in_order(leds)).max() < 0.3
     free = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong)
@@ -133,3 +133,8 @@ def test_the_nail_may_stand_elsewhere_under_the_other_band():
 def test_one_position_is_not_enough():
     with pytest.raises(BadInput, match="two nail positions"):
         by_joint_fit(seen(rig(0), ORTHOGRAPHIC, [(3, 3)]), ORTHOGRAPHIC, CIRCLE)
+
+
+def test_a_nails_height_is_checked():
+    with pytest.raises(BadInput, match=r"between 0\.5 and 500 mm"):
+        Nail(height_mm=-1.0)

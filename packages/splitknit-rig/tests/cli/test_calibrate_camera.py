@@ -29,7 +29,7 @@ def photograph(scene, number):
 
 @pytest.fixture(scope="session")
 def photos(tmp_path_factory):
-    """Folder `boards` of photographs by hand, plane.png, disc.png, oblique.png; and the rig that took them."""
+    """Folder `boards` of photographs by hand, plane.png, plane2.png, oblique.png; and the rig that took them."""
     place = tmp_path_factory.mktemp("photos")
     (place / "boards").mkdir()
     rig = built_rig(SEED, scale=SCALE)
@@ -39,8 +39,9 @@ def photos(tmp_path_factory):
     tilt = rig.provenance["base_tilt_deg"]
     turn = (*np.deg2rad(tilt), 0.0)
     write_image(place / "plane.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100))
-    write_image(place / "disc.png", photograph(flat.DiscScene(**common, tilt_deg=tilt, rotation_deg=9.0), 101))
-    write_image(place / "oblique.png", photograph(flat.DiscScene(**common, tilt_deg=(2.0, 0.0)), 102))
+    write_image(place / "plane2.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 101))
+    slant = (*np.deg2rad((2.0, 0.0)), 0.0)
+    write_image(place / "oblique.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=slant), 102))
     return place, rig
 
 
@@ -68,8 +69,7 @@ def calibrated(photos, tmp_path_factory):
     job = CameraJob(
         out=out,
         folder=place / "boards",
-        plane=(place / "plane.png",),
-        disc=place / "disc.png",
+        plane=(place / "plane.png", place / "plane2.png"),
         calibrated_at="2026-01-02",
     )
     return camera_facts(calibrate_to_rig(job)), out
@@ -92,7 +92,7 @@ def test_the_camera_that_took_the_photographs_is_found(photos, calibrated):
 
 
 def test_the_rig_file_says_what_was_measured(calibrated):
-    facts, out = calibrated
+    _, out = calibrated
     rig = read_rig(out)
     assert [led.band for led in rig.leds] == ["white"] * 7 + ["nir"] * 7
     origin = rig.provenance["camera"]
@@ -113,9 +113,7 @@ def test_the_rig_file_says_what_was_measured(calibrated):
     assert fit["images"] == COUNT == len(fit["per_image_px"])
     assert fit["rejected_px"] == {}
     assert fit["rms_px"] < 0.1
-    assert origin["residuals"]["plane"]["per_image"].keys() == {"plane.png", "disc.png"}
-    assert facts["depth_of_field"]["binning"] == 7
-    assert facts["depth_of_field"]["fits"] is False
+    assert origin["residuals"]["plane"]["per_image"].keys() == {"plane.png", "plane2.png"}
 
 
 def test_same_photographs_same_bytes(photos, calibrated, tmp_path):
@@ -124,8 +122,7 @@ def test_same_photographs_same_bytes(photos, calibrated, tmp_path):
     job = CameraJob(
         out=again,
         folder=place / "boards",
-        plane=(place / "plane.png",),
-        disc=place / "disc.png",
+        plane=(place / "plane.png", place / "plane2.png"),
         calibrated_at="2026-01-02",
     )
     calibrate_to_rig(job)
@@ -143,8 +140,8 @@ def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     out = tmp_path / "after.json"
     folder = tmp_path / "boards"
     shutil.copytree(place / "boards", folder)
-    shutil.copy(place / "disc.png", folder / "x.png")
-    words = (folder, "--rig", before, "--disc", place / "disc.png", "--binning", 6.67, "--aperture", 8, "--out", out)
+    write_image(folder / "x.png", np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
+    words = (folder, "--rig", before, "--plane", place / "plane.png", "--out", out)
     code, printed, message = run(capsys, *words)
     assert (code, message) == (0, "")
     assert f"from {COUNT} of {COUNT + 1} photographs" in printed
@@ -152,7 +149,6 @@ def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     assert "focal length 15" in printed
     assert "Finger plane: 1" in printed
     assert "deg obliquely; the base comes nearer towards the picture's" in printed
-    assert "Depth of field at f/8" in printed
     assert "Taken over: nothing" in printed
     after = read_rig(out)
     assert after.leds == rig.leds and after.mirrors == mirrors
@@ -161,21 +157,12 @@ def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     assert after.provenance["lights"] == {"method": "nail"}
 
 
-def test_the_disc_alone(photos, tmp_path, capsys):
-    """Without a lens calibration: the scale of an orthographic camera; with one: a new height for its lens."""
+def test_the_plane_alone_measures_the_height_again(photos, tmp_path, capsys):
     place, rig = photos
-    out = tmp_path / "flat.json"
-    code, printed, _ = run(capsys, "--disc", place / "disc.png", "--out", out, "--json")
-    facts = json.loads(printed)
-    assert code == 0
-    assert facts["model"] == read_rig(out).camera.model == "orthographic"
-    assert facts["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=0.004)
-    assert facts["matrix"] is None
-    assert facts["depth_of_field"] is None
-    assert facts["measured"] == ["camera.px_per_mm"]
-    moved = tmp_path / "moved.json"
+    out, moved = tmp_path / "flat.json", tmp_path / "moved.json"
+    assert "`plane`" not in refused(capsys, out, "--plane", place / "plane.png")
     write_rig(replace(rig, camera=replace(rig.camera, height_mm=150.0, px_per_mm=11.0)), moved)
-    code, printed, _ = run(capsys, "--disc", place / "disc.png", "--rig", moved, "--out", out, "--json")
+    _, printed, _ = run(capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out, "--json")
     facts = json.loads(printed)
     assert facts["height_mm"] == pytest.approx(rig.camera.height_mm, rel=1e-3)
     assert facts["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=1e-3)
@@ -188,13 +175,13 @@ def test_an_oblique_camera_is_warned_about(photos, tmp_path, capsys):
     known = tmp_path / "known.json"
     write_rig(rig, known)
     out = tmp_path / "rig.json"
-    _, printed, _ = run(capsys, "--disc", place / "oblique.png", "--rig", known, "--out", out, "--json")
+    _, printed, _ = run(capsys, "--plane", place / "oblique.png", "--rig", known, "--out", out, "--json")
     facts = json.loads(printed)
     assert facts["plane"]["tilt_xy_deg"] == pytest.approx([2.0, 0.0], abs=0.1)
     assert facts["plane"]["nearer_at"] == "top"
     assert any("obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words for words in facts["warnings"])
     _, printed, _ = run(
-        capsys, "--disc", place / "oblique.png", "--plane", place / "plane.png", "--rig", known, "--out", out, "--json"
+        capsys, "--plane", place / "oblique.png", "--plane", place / "plane.png", "--rig", known, "--out", out, "--json"
     )
     assert any("the finger plane disagree" in words for words in json.loads(printed)["warnings"])
 
@@ -262,23 +249,18 @@ def test_a_board_of_another_size_is_named(photos, tmp_path, capsys, size):
 
 def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
     place, rig = photos
-    out, plane, disc = tmp_path / "rig.json", place / "plane.png", place / "disc.png"
-    known = tmp_path / "known.json"
+    out, plane, known = tmp_path / "rig.json", place / "plane.png", tmp_path / "known.json"
     write_rig(rig, known)
-    assert "disc.png shows no checkerboard of 9 x 6" in refused(capsys, out, "--plane", disc)
-    assert "plane.png: " in refused(capsys, out, "--disc", plane)
-    assert "does not exist" in refused(capsys, out, "--disc", tmp_path / "none.png")
-    black = tmp_path / "black.png"
+    grey, black, small = (tmp_path / f"{name}.png" for name in ("grey", "black", "small"))
+    write_image(grey, np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
+    assert "grey.png shows no checkerboard of 9 x 6" in refused(capsys, out, "--plane", grey)
+    assert "does not exist" in refused(capsys, out, "--plane", tmp_path / "none.png")
     write_image(black, np.zeros((330, 480), np.uint8))
-    assert "black.png: an image is of one brightness all over" in refused(capsys, out, "--disc", black)
-    small = tmp_path / "small.png"
+    assert "black.png: an image is of one brightness all over" in refused(capsys, out, "--plane", black)
     write_image(small, np.zeros((100, 200), np.uint8))
-    assert f"but {known} has 330 x 480" in refused(capsys, out, "--disc", small, "--rig", known)
+    assert f"but {known} has 330 x 480" in refused(capsys, out, "--plane", small, "--rig", known)
     assert "such as 9x6" in refused(capsys, out, "--plane", plane, "--board", "nine")
     assert "side of a square" in refused(capsys, out, "--plane", plane, "--square-mm", 0)
-    assert "spacing must be" in refused(capsys, out, "--disc", disc, "--dot-mm", "nan")
-    for option, value in (("aperture", 0), ("sensor-pixel-um", "nan"), ("binning", 0.5), ("finger-depth-mm", 200)):
-        assert f"--{option} must be" in refused(capsys, out, "--disc", disc, "--rig", known, f"--{option}", value)
 
 
 @pytest.mark.parametrize("square_mm", [30, 0.3])

@@ -74,10 +74,8 @@ def test_the_facts_are_printed_all_the_same(capsys, tmp_path):
     assert code == 2 and err.count("\n") == 1
     facts = json.loads(out)
     assert facts["method"] == "circle" and facts["written"] is False and list(tmp_path.iterdir()) == []
-    assert facts["totals"] == {
-        **{"leds": 14, "ok": 3, "disagrees": 5, "copied": 6, "off_the_circle": 0, "unchecked": 0},
-        **{"refused": 11, "kept": 3},
-    }
+    verdicts = [one["verdict"] for one in facts["leds"]]
+    assert [verdicts.count(word) for word in ("ok", "disagrees", "copied")] == [3, 5, 6]
     names = [(one["band"], one["led"]) for one in facts["leds"]]
     assert names == [(band, k) for band in ("white", "nir") for k in range(7)]
     for one in facts["leds"]:
@@ -91,7 +89,7 @@ def test_keep_keeps_both_kinds(capsys, tmp_path):
     out = tmp_path / "rig.json"
     code, said, _ = run(capsys, "--table", THESIS, *RIG, "--out", out, "--keep", "--json")
     facts = json.loads(said)
-    assert code == 0 and facts["written"] and facts["totals"]["kept"] == 14
+    assert code == 0 and facts["written"] and all(one["kept"] for one in facts["leds"])
     rig = read_rig(out)
     assert len(rig.leds) == 14 and rig.camera.px_per_mm == 75.7 and rig.camera.image_size == (2200, 3200)
     for led, one in zip(rig.leds, facts["leds"], strict=True):
@@ -122,7 +120,6 @@ def test_several_positions_are_fitted_together(capsys, tmp_path):
     assert facts["nail_height_mm"] == pytest.approx(15.0, abs=0.01)
     for one, truth in zip(facts["leds"], default_rig().leds, strict=True):
         assert one["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
-        assert one["circle"]["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
         assert 0 < one["interval_deg"] < 1.0 and 0 < one["interval_mm"] < 4.0
 
 
@@ -145,7 +142,7 @@ def test_one_position_is_not_checked(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4)], bands=("nir",))
     code, said, _ = run(capsys, "--table", table, *GOOD, "--json")
     facts = json.loads(said)
-    assert code == 0 and len(facts["leds"]) == 7 and facts["joint"] is None
+    assert code == 0 and len(facts["leds"]) == 7
     assert all(one["disagreement_deg"] is None and one["verdict"] == "unchecked" for one in facts["leds"])
     assert "one place only" in facts["warnings"][0]
     assert "two at least" in refused(capsys, "--table", table, *GOOD, "--method", "joint")
@@ -247,8 +244,6 @@ def test_photographs_that_are_wrong(capsys, tmp_path, nail_photographs):
     assert not (tmp_path / "rig.json").exists()
     assert "is not a folder" in refused(capsys, "--images", tmp_path / "absent", *words[2:])
     assert "leave --nail-seen base away" in refused(capsys, *words, "--nail-seen", "base")
-    (copy / "nails.json").write_text('{"nails": [{"white": ["a.png"]}]}')
-    assert "nails[0].white" in refused(capsys, *words)
 
 
 def test_photographs_of_a_ball(capsys, tmp_path):

@@ -72,9 +72,8 @@ def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureF
         assert np.rad2deg(np.arccos(led.axis @ true.axis)) < 1
     assert sum(rig.camera.shading) == pytest.approx(sum(truth.camera.shading), abs=0.02)
     stored = rig.provenance["radiometry"]
-    assert stored["camera"]["response"]["encoding"] == "linear" == facts["camera"]["response"]["encoding"]
-    assert stored["camera"]["dark"]["hot_pixels"] == 0
-    assert set(stored["inputs"]) >= {"white_0.png", "nir_6.png", "dark.png", "step_3.png", "radiometry.json"}
+    assert stored["response"]["encoding"] == "linear" == facts["response"]["encoding"]
+    assert set(stored["inputs"]) >= {"white_0.png", "nir_6.png", "step_3.png", "radiometry.json"}
     assert facts["files"] == [str(out), str(picture)]
     assert facts["warnings"] == []
     shown = read_image(picture)
@@ -149,31 +148,7 @@ def test_processed_pictures_are_refused(own: Path, tmp_path: Path, capsys: pytes
 def test_the_card_alone_will_do(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (own / "radiometry.json").unlink()
     assert run(own, "--out", tmp_path / "rig.json", "--json") == 0
-    camera = json.loads(capsys.readouterr().out)["camera"]
-    assert camera["dark"] is None and camera["response"] is None
-
-
-def test_dark_frames_and_black_level(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A pedestal of 2000 in all images, two dark frames, and a capture that says 3000."""
-    for file in own.glob("*.png"):
-        repaint(file, lambda pixels: (pixels.astype(int) + 2000).clip(max=65535).astype(np.uint16))
-    shutil.copy(own / "dark.png", own / "dark_1.png")
-    edit(own / "radiometry.json", lambda document: document.update(dark=["dark.png", "dark_1.png"]))
-    assert run(own, "--out", tmp_path / "rig.json", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["camera"]["dark"]["frames"] == 2
-    assert facts["camera"]["dark"]["black_level_percent"] == pytest.approx([100 * 2000 / 65535] * 3, abs=0.03)
-    assert facts["camera"]["response"]["black_level_percent"] == pytest.approx(100 * 2000 / 65535, abs=0.3)
-
-    def says(document: Any) -> None:
-        for band in document["bands"].values():
-            band["images"] = [{**entry, "black_level": 3000} for entry in band["images"]]
-            band["ambient"]["black_level"] = 3000
-
-    edit(own / "capture.json", says)
-    assert run(own, "--out", tmp_path / "rig.json", "--json") == 0
-    warnings = json.loads(capsys.readouterr().out)["warnings"]
-    assert any("black level of 3000, but the dark frames show 20" in warning for warning in warnings)
+    assert json.loads(capsys.readouterr().out)["response"] is None
 
 
 @pytest.mark.parametrize(
@@ -182,12 +157,6 @@ def test_dark_frames_and_black_level(own: Path, tmp_path: Path, capsys: pytest.C
         ({"darks": "dark.png"}, "the field 'darks' is not known"),
         ({"version": 2}, "version must be 1"),
         ({"format": "splitknit-rig"}, 'format must be "splitknit-radiometry"'),
-        ({"dark": []}, "dark names no file"),
-        ({"dark": "../dark.png"}, "leaves the capture folder"),
-        ({"dark": "light.png"}, "light.png, which radiometry.json names, does not exist"),
-        ({"dark": ["dark.png", "dark.png"]}, "names dark.png twice"),
-        ({"dark": "white_0.png"}, "white_0.png is not dark"),
-        ({"dark": "small.png"}, "small.png has 8 x 9 pixels, 1 channels of 8 bits, but the card's images have"),
         ({"exposures": [{"file": "step_0.png", "exposure_s": 1}]}, "names 1 images, but at least 4"),
         (
             {"exposures": [{"file": f"step_{k}.png"} for k in range(4)]},

@@ -1,5 +1,5 @@
-"""Simulated fingers with known truth: captures, populations, photographs of a calibration bench, other scanners, and
-the training of the networks. What stands in ``__init__.pyi`` may be imported.
+"""Simulated fingers with known truth: captures, populations, photographs of a calibration bench.
+What stands in ``__init__.pyi`` may be imported.
 
 >>> import splitknit_simulator
 >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.12})

@@ -72,7 +72,6 @@ def draw_width(image: np.ndarray) -> float:
     [
         (["--pattern", "whorl"], "leave out the pattern"),
         (["--bench"], "--print does not go with --bench"),
-        (["--scanner", "hull", "--rolled"], "does not go with --scanner"),
         (["population"], "--print does not go with a population"),
         ([], "no ridges"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from splitknit.model import Camera, default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import StackSettings
-from splitknit_simulator.finger.palm import PalmSettings, draw_palm, palm_surface
+from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
 from splitknit_simulator.light.skin import SkinOptics
@@ -20,16 +20,16 @@ UNBOUNDED = StackSettings(clip_level=None)
 
 @pytest.fixture(scope="module")
 def skin():
-    """25 images (N, H, W, 3) of 5 x 4 mm of a ridged palm, the states of its pixels, and the truth, white = 1."""
-    settings = PalmSettings(size_mm=(8.0, 7.0), ridge_depth_um=(60.0, 60.0), radius_mm=(35.0, 35.0))
-    palm = palm_surface(draw_palm(11, settings), Camera(PX_PER_MM, (80, 100)))
+    """25 images (N, H, W, 3) of 5 x 4 mm of a finger's pad, the states of its pixels, and the truth, white = 1."""
+    camera = Camera(PX_PER_MM, (80, 100))
+    pad = finger_surface(draw_finger(11, "whorl"), FingerPose(insertion_mm=10.0), camera, workers=1)
     led, pattern = default_rig().leds[1], Checkerboard(CHECK_MM)
     options = {"settings": RenderSettings(reach_mm=3.0)}
-    truth = separate_truth(palm, led, SkinOptics(), check_mm=CHECK_MM, **options)
+    truth = separate_truth(pad, led, SkinOptics(), check_mm=CHECK_MM, **options)
     white = float(truth.white.max())
-    stack = checkerboard_stack(palm, led, SkinOptics(), pattern, **options).transpose(0, 2, 3, 1) / white
+    stack = checkerboard_stack(pad, led, SkinOptics(), pattern, **options).transpose(0, 2, 3, 1) / white
     direct, global_ = (part.transpose(1, 2, 0) / white for part in (truth.direct, truth.global_))
-    return stack, pattern_states(palm, led, pattern), direct, global_
+    return stack, pattern_states(pad, led, pattern), direct, global_
 
 
 def decibels(found, truth):

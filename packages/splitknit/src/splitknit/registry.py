@@ -28,7 +28,6 @@ VERBS = {
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
     "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
-    "train": (SIMULATOR, "train a network on simulated skin (needs torch)"),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
     "rig": (RIG, "draw the targets that calibrate a rig"),
@@ -37,8 +36,7 @@ VERBS = {
     "match": (MATCH, "report how similar two fingers are"),
     "enroll": (MATCH, "put fingers into a gallery, which is made where there is none"),
     "identify": (MATCH, "find a finger in a gallery, or check whose it is said to be"),
-    "gallery": (MATCH, "look into a gallery, remove from it, export, import, check and encrypt it"),
-    "forget": (MATCH, "erase all that is kept of a person in galleries and folders"),
+    "gallery": (MATCH, "look into a gallery, remove from it, export, import and check it"),
     "export": (MATCH, "write fingers as records, images and meshes that other systems read"),
     "records": (MATCH, "what a file of another system is, and what it holds"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
@@ -51,6 +49,12 @@ VERBS = {
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 GONE: dict[str, str] = {
+    "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
+    "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
+    "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",
+    "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
+    "gallery repair": "use 'gallery check', and 'gallery remove --row' for what it names.",
+    "identify --shards": "leave it out: an index in memory serves up to some 100,000 captures.",
     "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
     "reconstruct --frames": "reconstruct each colour photograph by itself.",
     "reconstruct --level": "it was for gel sensors.",
@@ -64,8 +68,15 @@ GONE: dict[str, str] = {
     "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
     "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
+    "match --method voted": "use 'python validation/published/voted.py A B' from a checkout.",
+    "match --method minutiae3d": "use 'python validation/published/minutiae3d.py A B' from a checkout.",
+    "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
+    "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
+    "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
+    "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }
-"""Verbs and options that left (``forget``, ``view --live``), each with what to use instead, as one sentence."""
+"""Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:

@@ -91,8 +91,7 @@ InputPpi = Annotated[
     Help("pixels per inch of prints whose files do not state it; where they do, N is taken all the same", "N"),
 ]
 KEY_FILE = Help(
-    "key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY); "
-    "FILE.counter, where it is there, remembers the last change, so that older copies of a gallery are refused",
+    "key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY)",
     "FILE",
     option="--key-file",
     secret=True,

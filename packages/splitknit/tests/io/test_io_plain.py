@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_light_list, read_named_lights, write_light_list
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import PhotographOptions, _assembled, _distant_rig, capture_from_photographs
+from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.steps import IN_MEMORY, large_array
@@ -37,12 +36,14 @@ LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
 def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any) -> Any:
-    files = [plain / f"{k}.png" for k in range(count)]
-    rig = _distant_rig(np.asarray(lights, dtype=np.float64))
+    for k in range(count, 4):
+        (plain / f"{k}.png").unlink()
+    lights = np.asarray(lights, dtype=np.float64)
     if intensities is not None:
-        leds = (replace(led, intensity=one) for led, one in zip(rig.leds, intensities, strict=True))
-        rig = replace(rig, leds=tuple(leds))
-    return _assembled(files, rig, 12.5, PhotographOptions(**{"encoding": "linear", **options}))[0]
+        np.savetxt(plain / "list.txt", np.column_stack([lights, intensities]))
+        lights = plain / "list.txt"
+    known = PhotographOptions(**{"encoding": "linear", **options})
+    return capture_from_photographs(plain / "{light}.png", lights, 12.5, known).capture
 
 
 def test_plain_images_become_a_capture(plain: Path) -> None:
@@ -50,12 +51,12 @@ def test_plain_images_become_a_capture(plain: Path) -> None:
     np.testing.assert_allclose(
         [led.direction for led in capture.rig.leds], LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
     )
-    assert [led.intensity for led in capture.rig.leds] == [1, 2, 3, 4]
+    assert [led.intensity for led in capture.rig.leds] == pytest.approx([0.4, 0.8, 1.2, 1.6])
     assert capture.rig.camera.px_per_mm == 12.5
     assert capture.shape == (25, 35)
     assert (capture.material, capture.encoding, capture.tip_direction_deg) == ("opaque", "linear", 90)
     assert capture.mask.sum() == 25
-    assert len(capture.hashes) == 5
+    assert len(capture.hashes) == 6
     band = capture.bands["white"]
     np.testing.assert_allclose(linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6)
     write_capture(capture, plain / "capture")
@@ -73,7 +74,7 @@ def test_an_image_as_background(plain: Path) -> None:
     ("options", "words"),
     [
         ({"count": 2, "lights": LIGHTS[:2]}, "at least three"),
-        ({"lights": LIGHTS[:3]}, "differ in number"),
+        ({"lights": LIGHTS[:3]}, "4 photographs .* has 3 lights"),
         ({"lights": LIGHTS * [1, 0, 1]}, "coplanar"),
         ({"lights": LIGHTS * [0, 0, 1]}, "three different light directions"),
         ({"lights": [[0, 0, 1], [1, 0, 1], [2, 0, 1], [3, 0, 1]]}, "coplanar"),
@@ -327,7 +328,7 @@ def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
 def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
     (plain / "3.png").unlink()
     (plain / "3.png").symlink_to("3.png")
-    with pytest.raises(BadInput, match=r"3\.png"):
+    with pytest.raises(BadInput, match="has 4 lights"):
         convert(plain)
     (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
     with pytest.raises(BadInput, match=r"3\.png"):

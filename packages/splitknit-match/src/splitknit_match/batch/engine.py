@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import (
     BadInput,
     Progress,
     Refused,
+    atomic_file,
     check_file,
     given_folders,
     hold,
@@ -31,11 +31,10 @@ from splitknit import (
     require,
     sweep,
 )
-from splitknit_match.batch.chunks import load, read_chunk
+from splitknit_match.batch.chunks import Table, read_chunk
 from splitknit_match.batch.execution import Cluster, connected, run_tasks
-from splitknit_match.batch.features import FeatureTask, reconstruct_group
+from splitknit_match.batch.features import FeatureTask, MinutiaeTask, extract_minutiae, reconstruct_group
 from splitknit_match.batch.matchers import READY, Matcher, matcher
-from splitknit_match.batch.objects import MEMORY, Location, Objects, location, whole_file
 from splitknit_match.batch.population import (
     Block,
     CaptureRef,
@@ -48,7 +47,6 @@ from splitknit_match.batch.population import (
 from splitknit_match.batch.reading import Place, drop_cached, stored_places
 from splitknit_match.batch.scores import ScoreTask, score_block
 from splitknit_match.batch.settings import BatchSettings, Case
-from splitknit_match.batch.solids import SOLIDS, ExtractionTask, extract_features
 from splitknit_match.batch.store import Store, check_store_target, open_store
 from splitknit_match.evaluation.protocol import Comparisons
 from splitknit_match.evaluation.scores import Scores, ids_of, score_table
@@ -57,30 +55,30 @@ _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
 
-def to_scores(table: Any, column: str = "similarity") -> Scores:
-    """Comparisons of the store, a ``pyarrow.Table`` of :meth:`splitknit_match.batch.store.Store.scores`, to be
-    evaluated. `column`: what is the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
+def to_scores(table: Table, column: str = "similarity") -> Scores:
+    """Comparisons of the store (:meth:`~splitknit_match.batch.store.Store.scores`), to be evaluated. `column`: what is
+    the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
     """
-    require(column in table.column_names, f"the scores hold no column '{column}'; they have {table.column_names}.")
-    score = np.array(table.column(column).to_numpy(), dtype=np.float64)
+    require(column in table, f"the scores hold no column '{column}'; they have {list(table)}.")
+    score = np.array(table[column], dtype=np.float64)
     score = 1.0 - score if column.startswith("dissimilarity") else score
-    score[~_flags(table, "compared")] = np.nan
-    sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
+    score[~table["compared"]] = np.nan
+    sides = [[_names_of(one) for one in table[side].tolist()] for side in ("a", "b")]
     ids = {kind: ids_of(*([names[kind] for names in side] for side in sides)) for kind in _KINDS}
-    return Scores(_flags(table, "genuine"), score, **ids, name=column)
+    return Scores(table["genuine"], score, **ids, name=column)
 
 
-def _write_csv(path: Location, table: Any) -> None:
+def _write_csv(path: Path, table: Table) -> None:
     """Write comparisons as a score file, with the matcher's own columns; blank where nothing was compared."""
-    sides = [[_names_of(one) for one in table.column(side).to_pylist()] for side in ("a", "b")]
-    own = [name for name in table.column_names if name not in ("a", "b", "genuine", "similarity", "compared")]
-    numbers = {name: np.array(table.column(name).to_numpy(), dtype=np.float64) for name in ("similarity", *own)}
+    sides = [[_names_of(one) for one in table[side].tolist()] for side in ("a", "b")]
+    own = [name for name in table if name not in ("a", "b", "genuine", "similarity", "compared")]
+    numbers = {name: np.array(table[name], dtype=np.float64) for name in ("similarity", *own)}
     for values in numbers.values():
-        values[~_flags(table, "compared")] = np.nan
+        values[~table["compared"]] = np.nan
     scores = {"score": numbers.pop("similarity").tolist(), **{name: each.tolist() for name, each in numbers.items()}}
     names = {kind: ([one[kind] for one in sides[0]], [one[kind] for one in sides[1]]) for kind in _KINDS}
-    with whole_file(path) as stream:
-        stream.write(score_table(_flags(table, "genuine").tolist(), names, scores))
+    with atomic_file(path) as stream:
+        stream.write(score_table(table["genuine"].tolist(), names, scores))
 
 
 @lru_cache(maxsize=4096)
@@ -94,10 +92,6 @@ def _names_of(capture: str) -> dict[str, str]:
     cure = "run the batch again."
     require(bool(subject), f"{capture[:60]!a} names no capture, such as S01/session_2/right_index; {cure}")
     return {"finger": f"{subject}/{finger}", "subject": subject, "session": session.removeprefix("session_")}
-
-
-def _flags(table: Any, column: str) -> NDArray[np.bool_]:
-    return np.array(table.column(column).to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +121,8 @@ class _Run:
 
 
 def run_batch(
-    population: str | Path | Objects,
-    out: str | Path | Objects,
+    population: str | Path,
+    out: str | Path,
     settings: BatchSettings | None = None,
     *,
     jobs: int = 2,
@@ -145,37 +139,31 @@ def run_batch(
     of something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
     must not be used.
 
-    population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
-    out : folder of the store, or the URL of its objects
+    population : folder of ``splitknit simulate population`` or of an enrolment
+    out : folder of the store
     cluster : its workers do it instead, and must see both places under the same names
     csv : folder for score files that ``splitknit evaluate`` reads; ``csv`` in the store where it is missing
     device : on which networks run, see :func:`splitknit.networks.unet.use_device`
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
-    load("pyarrow", "batch")
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
-    people, folder = location(population), location(out)
-    for one in (people, folder):
-        fault = f"'{one}' is known to this process alone; take `jobs` 1 and no cluster,"
-        require(not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None), f"{fault} or another place.")
+    people, folder = Path(population), Path(out)
     into = folder / "csv" if csv is None else csv
     every = [(case.name, name) for case in settings.cases for name in settings.matchers]
     tables = {(case, name): into / f"{case}_{name}.csv" for case, name in every}
     with contextlib.ExitStack() as stack:
-        stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
+        stack.enter_context(given_folders(one for one in (people, folder, csv) if one is not None))
         for table in tables.values():
-            if isinstance(table, Path):
-                check_file(table, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
+            check_file(table, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
         there = read_population(people)
         client = None if cluster is None else stack.enter_context(connected(cluster))
         check_store_target(folder)
-        if isinstance(folder, Path):
-            folder = folder.resolve()
-            stack.enter_context(alone(folder))
-            sweep(folder)
-            stack.callback(sweep, folder)  # of a worker that an interrupt ended
+        folder = folder.resolve()
+        stack.enter_context(alone(folder))
+        sweep(folder)
+        stack.callback(sweep, folder)  # of a worker that an interrupt ended
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
         facts = {"out": str(out), **_reconstruct(run)}
         try:
@@ -225,8 +213,8 @@ def _match(run: _Run) -> list[dict[str, Any]]:
             started = time.perf_counter()
             using = matcher(name, run.settings.matching)
             if using.source != "features":
-                chunks = _extraction_tasks(run, case, using.source)
-                run.done(extract_features, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
+                chunks = _extraction_tasks(run, case)
+                run.done(extract_minutiae, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = _score_tasks(run.store, run.population, run.settings, case, using)
             sizes = tasks.sizes()
@@ -274,7 +262,6 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     size = settings.chunk_captures or min(max(population.planned // 32, 1), 10)
     for capture in population.captures:
         groups.setdefault(capture.place // size, []).append(capture)
-    solids = {matcher(name, settings.matching).source for name in settings.matchers} & set(SOLIDS)
     tasks = []
     for group, captures in sorted(groups.items()):
         names = [capture.name for capture in captures]
@@ -285,30 +272,23 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
             tasks.append(
                 FeatureTask(
                     group,
-                    _anywhere(population.folder),
+                    population.folder.resolve(),
                     population.sha256,
                     store.folder,
                     tuple(capture for capture in captures if capture.name in named),
                     missing,
                     settings.matching,
                     images=settings.surfaces,
-                    solids=tuple(sorted(solids)),
                 )
             )
     return tasks
 
 
-def _anywhere(folder: Location) -> Location:
-    """A place by a name that every process knows."""
-    return folder.resolve() if isinstance(folder, Path) else folder
-
-
-def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
-    """Chunks of features beside which there is none of `kind`."""
-    there = {file.stem for file in run.store.files(kind, case.name)}
-    place, matching = _anywhere(run.population.folder), run.settings.matching
+def _extraction_tasks(run: _Run, case: Case) -> list[MinutiaeTask]:
+    """Chunks of features beside which there are no minutiae."""
+    there = {file.stem for file in run.store.files("minutiae", case.name)}
     files = [file for file in run.store.files("features", case.name) if file.stem not in there]
-    return [ExtractionTask(run.store.folder, place, case, file.stem, kind, matching) for file in files]
+    return [MinutiaeTask(run.store.folder, case.name, file.stem) for file in files]
 
 
 def _score_tasks(
@@ -366,7 +346,7 @@ def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> 
     found: list[int] = []
     for file in store.files(f"scores/{case}", matcher):
         table = read_chunk(file, ["a", "b"])
-        for a, b in zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True):
+        for a, b in zip(table["a"].tolist(), table["b"].tolist(), strict=True):
             if a in number and b in number:
                 found.append(number[a] * len(captures) + number[b])
     return np.array(found, dtype=np.int64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -11,19 +10,17 @@ from typing import Any
 
 from splitknit import FINGERS, Progress, Refused, no_progress, require, run_jobs
 from splitknit_match.gallery.enrol import (
-    MINUTIAE_HASH,
     Enrolling,
     Made,
     content_of,
-    known_finger,
     made_or_failed,
     new_capture,
-    opened,
+    settings_of,
     source_hash,
-    templates_hash,
 )
-from splitknit_match.gallery.entry import check_session, session_order
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.entry import Entry, check_session, known_finger, session_order
+from splitknit_match.gallery.file import GalleryFile
+from splitknit_match.gallery.identify import MINUTIAE_HASH
 from splitknit_match.gallery.key import Key
 
 _SESSION = "session_"
@@ -56,14 +53,10 @@ def enroll_population(
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
     progress("looking", 0.0)
     places = _found_in(folder)
-    with contextlib.ExitStack() as stack:
-        target = opened(gallery, key, settings.matching)
-        cure = "enrol a population into a gallery of its own."
-        require(target is None or target.settings_sha256 != MINUTIAE_HASH, f"'{gallery}' keeps minutiae; {cure}")
-        created = target is None
-        if target is not None:
-            stack.enter_context(target)
-        waiting = _waiting(target, places, replace=settings.replace)
+    with GalleryFile(gallery, key) as target:
+        created, sha256 = not target.there, settings_of(target, settings)
+        require(sha256 != MINUTIAE_HASH, f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.")
+        waiting = _waiting([] if created else target.entries(), places, replace=settings.replace)
         unread: list[dict[str, str]] = []
         failures: list[dict[str, str]] = []
         enrolled = 0
@@ -72,15 +65,13 @@ def enroll_population(
             if isinstance(made, str):
                 unread.append({"path": str(place.path), "reason": made})
             else:
-                if target is None:
-                    target = Gallery.create(gallery, templates_hash(settings.matching), key)
-                    stack.enter_context(target)
                 new = new_capture(made, place.person, place.finger, place.session, settings)
-                enrolled += sum(target.add([new], replace=settings.replace))
+                enrolled += sum(target.add([new], sha256, replaces=settings.replace))
                 if not made.template:
                     failures.append({"path": str(place.path), "reason": made.failure})
             progress(f"{place.person} {place.finger}", done / len(waiting))
-        facts: dict[str, Any] = {} if target is None else asdict(content_of(target, created=created))
+        there = target.there
+        facts: dict[str, Any] = asdict(content_of(target, created=created)) if there else {}
     facts |= {
         "population": str(folder),
         "found": len(places),
@@ -90,7 +81,7 @@ def enroll_population(
         "unreadable": unread,
     }
     if unread:
-        kept = "nothing was enrolled" if target is None else "the others are enrolled"
+        kept = "nothing was enrolled" if not there else "the others are enrolled"
         first = unread[0]["reason"].rstrip(".")
         fault = f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {first})"
         raise Refused(f"{fault}; repair or remove them, and run the same again.", facts)
@@ -116,10 +107,9 @@ def _found_in(folder: Path) -> list[_Source]:
     return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
 
 
-def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: bool) -> list[_Source]:
+def _waiting(entries: Sequence[Entry], places: Sequence[_Source], *, replace: bool) -> list[_Source]:
     """What is not in the gallery; of what is, the files are compared by their hash."""
-    entries = [] if gallery is None else [one.entry for one in gallery.entries()]
-    earlier = {(one.person, one.finger, one.session): one.source_sha256 for one in entries}
+    earlier = {one.names: one.source_sha256 for one in entries}
     waiting = []
     for place in places:
         known = earlier.get((place.person, place.finger, place.session))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import ipaddress
 import re
 import sys
@@ -13,8 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splitknit import BadInput, provenance, require, run_jobs, running, use_device, with_given_folders
-from splitknit_match.batch.chunks import load
+from splitknit import BadInput, importing, provenance, require, run_jobs, running, use_device, with_given_folders
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
@@ -53,10 +53,15 @@ class Cluster:
         )
 
 
+def _distributed() -> Any:
+    with importing("a cluster needs distributed, which is missing ({error}); install 'splitknit-match[cluster]'."):
+        return importlib.import_module("distributed")
+
+
 @contextlib.contextmanager
 def connected(cluster: Cluster) -> Iterator[Any]:
     """Give the client of a cluster that has a worker; BadInput if it cannot be reached, or certificates do not fit."""
-    distributed = load("distributed", "cluster")
+    distributed = _distributed()
     security = _security(distributed, cluster)
     try:
         client = _client(distributed, cluster.address, security)
@@ -184,7 +189,7 @@ def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any
     """Tasks of a worker that dies are done by another; a task's result is yielded once. The scheduler holds a few tasks
     for each thread of its workers, however many there are in all.
     """
-    distributed = load("distributed", "cluster")
+    distributed = _distributed()
     version = provenance()["version"]
     rest = iter(tasks)
     waiting: dict[str, Any] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,23 +13,26 @@ from splitknit import (
     BadExposure,
     BadInput,
     Memory,
+    decode_png,
     encode_print_png,
+    inside,
     provenance,
     provenance_texts,
     read_capture,
     reconstruct,
+    require,
     running,
     settings_hash,
     surface_of,
     surface_print,
 )
-from splitknit_match.batch.chunks import SUFFIX, chunk_name, column_type, load, write_chunk, write_timings
+from splitknit_match.batch.chunks import SUFFIX, chunk_name, read_chunk, read_origin, write_chunk, write_timings
 from splitknit_match.batch.execution import TaskDone
-from splitknit_match.batch.objects import Location, captures_at_hand
 from splitknit_match.batch.population import CaptureRef
 from splitknit_match.batch.settings import Case
-from splitknit_match.batch.solids import solid_payload, write_extracted
 from splitknit_match.batch.surfaces import pack_surface
+from splitknit_match.matching.minutiae import extract
+from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
 from splitknit_match.matching.surface import MatchingSettings, surface_template
 from splitknit_match.matching.template import pack
 
@@ -44,23 +48,21 @@ class FeatureTask:
     """Captures that are reconstructed together, and where they go."""
 
     group: int
-    population: Location
+    population: Path
     population_sha256: str
-    store: Location
+    store: Path
     captures: tuple[CaptureRef, ...]
     cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
     matching: MatchingSettings
     images: bool
-    solids: tuple[str, ...] = ()  # features in space that are made at once, of :data:`.solids.SOLIDS`
 
 
-def _feature_schema() -> Any:
-    names = [
-        "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
-        *(f"{name}_{band}" for band in BANDS for name in QUALITY),
-        "warnings", "input_sha256", "template", "print", "images",
-    ]  # fmt: skip
-    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
+COLUMNS = (
+    "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
+    *(f"{name}_{band}" for band in BANDS for name in QUALITY),
+    "warnings", "input_sha256", "template", "print", "images",
+)  # fmt: skip
+"""Of every chunk of features."""
 
 
 def reconstruct_group(task: FeatureTask) -> TaskDone:
@@ -74,32 +76,30 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
     failures: list[str] = []
     unreadable: list[tuple[str, str]] = []
     threads = running().threads
-    with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
-        for ref, folder in zip(task.captures, folders, strict=True):
-            memory: Memory | str
-            try:
-                memory = Memory(read_capture(folder / ref.name, threads=threads))
-            except BadInput as error:
-                memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
-                if not isinstance(error, BadExposure):
-                    unreadable.append((ref.name, memory))
-                    continue
-            cases = [case for case, wanted in task.cases if ref.name in wanted]
-            for case in cases:
-                started = time.perf_counter()
-                row = _row(ref, memory, case, task, case is cases[-1])
-                seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
-                rows[case.name].append(row)
-                if not row["acquired"]:
-                    failures.append(f"{case.name}, {ref.name}: {row['failure']}")
-            del memory  # before the next capture is read
-    schema = _feature_schema()
+    for ref in task.captures:
+        memory: Memory | str
+        try:
+            folder = inside(task.population, ref.name, f"'{task.population}'", "the name of a capture")
+            memory = Memory(read_capture(folder, threads=threads))
+        except BadInput as error:
+            memory = str(error).replace(f"{task.population}/", "")  # wherever the population lies, the row is the same
+            if not isinstance(error, BadExposure):
+                unreadable.append((ref.name, memory))
+                continue
+        cases = [case for case, wanted in task.cases if ref.name in wanted]
+        for case in cases:
+            started = time.perf_counter()
+            row = _row(ref, memory, case, task, case is cases[-1])
+            seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
+            rows[case.name].append(row)
+            if not row["acquired"]:
+                failures.append(f"{case.name}, {ref.name}: {row['failure']}")
+        del memory  # before the next capture is read
     for case, _ in task.cases:
         document, names = case.document(), [row["capture"] for row in rows[case.name]]
         if not names:
             continue
         name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], names])
-        columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
         if running().device != "cpu":
@@ -107,11 +107,7 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
         templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
         origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
-        for kind in task.solids:  # before the features, by which a later run knows what is finished
-            file = task.store / kind / case.name / f"{name}{SUFFIX}"
-            found = [(row["capture"], bool(row.get(kind)), row.get(kind, b"")) for row in rows[case.name]]
-            write_extracted(file, kind, found, origin)
-        write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
+        write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", rows[case.name], COLUMNS, origin)
     return TaskDone(sum(map(len, rows.values())), failures=tuple(failures), unreadable=tuple(unreadable))
 
 
@@ -121,7 +117,7 @@ def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, l
         "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
         "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
         **{f"{name}_{band}": None for band in BANDS for name in QUALITY},
-        "template": b"", "print": None, "images": None,
+        "template": b"", "print": b"", "images": b"",
     }  # fmt: skip
     if isinstance(memory, str):
         return row | {"failure": memory}
@@ -144,7 +140,43 @@ def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, l
         "template": pack(template),
         # as ``splitknit reconstruct`` writes it
         "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin)),
-        "images": pack_surface(surface, result.height_mm) if task.images else None,
-        **{kind: solid_payload(kind, surface, task.matching) for kind in task.solids},
+        "images": pack_surface(surface, result.height_mm) if task.images else b"",
         **{name: None if value is None else float(value) for name, value in quality.items()},
     }
+
+
+# Minutiae of the prints of a chunk, kept beside it under the same name, for the matcher of minutiae.
+
+_MINUTIAE_VERSION = 2
+"""Version of the content. Minutiae of version 1 included ends at the outline."""
+
+
+@dataclass(frozen=True, slots=True)
+class MinutiaeTask:
+    """A chunk of features beside which minutiae are wanted."""
+
+    store: Path
+    case: str
+    name: str
+
+
+def extract_minutiae(task: MinutiaeTask) -> TaskDone:
+    """Find the minutiae of all captures of a chunk."""
+    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
+    rows, seconds, started = [], {}, time.perf_counter()
+    table = read_chunk(file, ["capture", "print"])
+    for capture, data in zip(table["capture"].tolist(), table["print"].tolist(), strict=True):
+        found = no_minutiae()
+        if data:
+            name = f"the print of '{capture}' in '{file}'"
+            pixels = decode_png(data, name)
+            require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+            found = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
+        rows.append({"capture": capture, "acquired": found.acquired, "minutiae": pack_minutiae(found)})
+        seconds[capture] = round(time.perf_counter() - started, 3)
+        started = time.perf_counter()
+    write_timings(task.store / "timings" / task.case / "extraction", task.name, seconds)
+    origin = {**read_origin(file), "kind": "minutiae", "kind_version": _MINUTIAE_VERSION}
+    target = task.store / "minutiae" / task.case / file.name
+    write_chunk(target, rows, ("capture", "acquired", "minutiae"), origin)
+    return TaskDone(1)

@@ -13,18 +13,9 @@ from typing import Any
 from splitknit_match.batch.population import Blocks
 from splitknit_match.batch.reading import Place, images_of, small_column
 from splitknit_match.matching.minutiae import EDGE_MM, minutiae_match
-from splitknit_match.matching.minutiae3d import (
-    PreparedMinutiae3D,
-    PreparedTetrahedra,
-    SpaceMatch,
-    minutiae3d_match,
-    tetrahedra_match,
-)
-from splitknit_match.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
+from splitknit_match.matching.minutiae_record import unpack_minutiae
 from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
-from splitknit_match.matching.space_features import SLOPE_SIGMA_MM
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
 from splitknit_match.matching.template import unpack
 from splitknit_match.matching.thesis import ATTRIBUTES, ThesisSettings, finger_features, thesis_match
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
@@ -56,17 +47,9 @@ def matcher(name: str, settings: MatchingSettings) -> Matcher:
         "ridge": lambda: _by_ridges(settings.ridge),
         "thesis": lambda: _by_thesis(settings.thesis),
         "thesis-code": _by_thesis_code,
-        "surface-code": lambda: _by_surface_codes(settings),
+        "minutiae": _by_minutiae,
     }
-    if name in own:
-        return own[name]()
-    if name in ("minutiae", "voted"):
-        votes = {"leave_one_out": settings.leave_one_out, "voted": settings.voted}
-        edges = votes if name == "voted" else {"edge_mm": EDGE_MM}
-        return _by_minutiae(name, {"extraction": "mindtct", "comparison": "bozorth3", **edges})
-    if name == "minutiae3d":
-        return _by_space_minutiae(name, "agreeing", PreparedMinutiae3D, settings.minutiae3d, minutiae3d_match)
-    return _by_space_minutiae(name, "agreeing alike", PreparedTetrahedra, settings.tetrahedra, tetrahedra_match)
+    return own[name]()
 
 
 def _values(found: Any, columns: tuple[str, ...]) -> Values:
@@ -125,8 +108,8 @@ def _by_thesis_code() -> Matcher:
     return Matcher("thesis-code", columns, "features", Blocks(128, 16), {}, ready, ready, compare)
 
 
-def _by_minutiae(source: str, document: Any) -> Matcher:
-    """Minutiae of prints, or those on which sets of images agree, compared by bozorth3."""
+def _by_minutiae() -> Matcher:
+    """Minutiae of prints, compared by bozorth3."""
 
     def ready(place: Place) -> Any:
         found = unpack_minutiae(small_column(place, "minutiae"))
@@ -136,41 +119,8 @@ def _by_minutiae(source: str, document: Any) -> Matcher:
         score = minutiae_match(a, b)
         return {"similarity": score, "bozorth3": score}
 
-    return Matcher(source, ("bozorth3",), source, Blocks(128, 8), document, ready, ready, compare)
-
-
-def _by_space_minutiae(
-    name: str, columns: str, prepared: Callable[..., Any], settings: Any, match: Callable[..., SpaceMatch]
-) -> Matcher:
-    """Minutiae in space, aligned by reference pairs or by tetrahedra; a side that is ready takes up to 1 MB."""
-    names = tuple(columns.split())
-
-    def ready(place: Place) -> Any:
-        found = unpack_space_minutiae(small_column(place, "minutiae3d"))
-        return prepared(found, settings) if found.acquired else None
-
-    def compare(a: Any, b: Any) -> Values:
-        found = match(a, b)
-        values = {"agreeing": float(found.agreeing), "alike": float(found.proposals)}
-        return {"similarity": found.similarity, **{one: values[one] for one in names}}
-
-    document = {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, name: settings}
-    return Matcher(name, names, "minutiae3d", Blocks(128, 16), document, ready, ready, compare)
-
-
-def _by_surface_codes(settings: MatchingSettings) -> Matcher:
-    """Finger surface codes; a side that is ready takes up to 15 MB."""
-    columns = ("distance", "overlap_mm2", "rotation_deg")
-
-    def ready(place: Place) -> Any:
-        found = unpack_surface_code(small_column(place, "surface_code"))
-        return None if found.empty else PreparedSurface(found, settings.surface_match)
-
-    def compare(a: Any, b: Any) -> Values:
-        return _values(surface_code_match(a, b), columns)
-
-    document = {"surface_code": settings.surface_code, "surface_match": settings.surface_match}
-    return Matcher("surface-code", columns, "surface_codes", Blocks(48, 43), document, ready, ready, compare)
+    document = {"extraction": "mindtct", "comparison": "bozorth3", "edge_mm": EDGE_MM}
+    return Matcher("minutiae", ("bozorth3",), "minutiae", Blocks(128, 8), document, ready, ready, compare)
 
 
 class _Ready(threading.local):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import MAX_JSON_BYTES, PLAN_FILE, BadInput, Fields, PlannedCapture, open_enrolment, read_json, require
-from splitknit_match.batch.objects import Location, files_below, stored_bytes
+from splitknit import PLAN_FILE, Fields, PlannedCapture, open_enrolment, read_json, require
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
 _SIMULATED = "population.json"
@@ -32,39 +30,25 @@ class CaptureRef:
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """A population on disk, or among objects."""
+    """A population on disk."""
 
-    folder: Location
+    folder: Path
     sha256: str  # hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``
     planned: int
     captures: tuple[CaptureRef, ...]  # those that are complete, in the order of the plan
 
 
-def read_population(folder: Location) -> Population:
+def read_population(folder: Path) -> Population:
     """List the complete captures of an enrolment or a simulated population, even while it is still being filled. Raises
     BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
-    if isinstance(folder, Path):
-        return _population(folder, folder, lambda name: (folder / name).is_file())
-    names = frozenset(files_below(folder, deep=True))
-    with tempfile.TemporaryDirectory(prefix="splitknit-") as copy:
-        for name in names & {PLAN_FILE, _SIMULATED}:
-            (Path(copy) / name).write_bytes(stored_bytes(folder / name, MAX_JSON_BYTES))
-        try:
-            return _population(folder, Path(copy), names.__contains__)
-        except BadInput as error:
-            raise BadInput(str(error).replace(copy, str(folder))) from error
-
-
-def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool]) -> Population:
-    """A population whose plan lies in `plan_folder`, and of whose files `has` knows the names."""
     try:
-        known = has(PLAN_FILE)
+        known = (folder / PLAN_FILE).is_file()
     except (OSError, ValueError):
         known = False
     cure = "name a folder of 'splitknit simulate population' or of an enrolment."
     require(known, f"'{folder}' is not a population: it holds no {PLAN_FILE}; {cure}")
-    plan = open_enrolment(plan_folder).plan
+    plan = open_enrolment(folder).plan
     captures = []
     for number, (subject, finger, session) in enumerate(
         (subject, finger, session)
@@ -73,11 +57,11 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
         for session in range(1, plan.sessions + 1)
     ):
         place = PlannedCapture(subject, session, finger)
-        if has(f"{place.folder}/capture.json"):
+        if (folder / place.folder / "capture.json").is_file():
             who = subject, f"{subject}/{finger}", str(session)
             captures.append(CaptureRef(place.folder, *who, number, number // plan.sessions))
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
-    return Population(folder, _hash(plan_folder), plan.total, tuple(captures))
+    return Population(folder, _hash(folder), plan.total, tuple(captures))
 
 
 def _hash(folder: Path) -> str:

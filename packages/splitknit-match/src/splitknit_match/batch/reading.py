@@ -5,14 +5,14 @@ Each process keeps the small ones; a surface is unpacked when it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from splitknit import BadInput, Surface, naming, require
 from splitknit_match.batch.chunks import read_chunk
-from splitknit_match.batch.objects import Location, Objects
 from splitknit_match.batch.surfaces import unpack_surface
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.thesis import FingerImages
@@ -22,7 +22,7 @@ from splitknit_match.matching.thesis import FingerImages
 class Place:
     """Where a capture lies in the store."""
 
-    file: Location
+    file: Path
     row: int
 
 
@@ -34,7 +34,7 @@ def small_column(place: Place, column: str) -> Any:
 def surface_of(place: Place) -> Surface | None:
     """The surface, to the last bit; None where the capture could not be acquired."""
     payload = _surfaces(place.file, _version(place.file))[place.row]
-    if payload is None:
+    if not payload:
         fault = f"'{place.file}' holds no surfaces: it was made without them"
         require(small_column(place, "area_mm2") == 0.0, f"{fault}; delete it and run the same again with them.")
         return None
@@ -47,11 +47,11 @@ def images_of(place: Place) -> FingerImages | None:
     return None if surface is None else surface_images(surface)
 
 
-def stored_places(files: list[Location]) -> Mapping[str, Place]:
+def stored_places(files: Sequence[Path]) -> Mapping[str, Place]:
     """Where each capture lies; of one that lies in two chunks, the first."""
     found: dict[str, Place] = {}
     for file in files:
-        for row, name in enumerate(read_chunk(file, ["capture"]).column("capture").to_pylist()):
+        for row, name in enumerate(read_chunk(file, ["capture"])["capture"].tolist()):
             found.setdefault(name, Place(file, row))
     return found
 
@@ -62,10 +62,8 @@ def drop_cached() -> None:
     _surfaces.cache_clear()
 
 
-def _version(file: Location) -> int:
-    """Distinguish a file that was made anew from what is kept of the old one; an object's name says enough."""
-    if isinstance(file, Objects):
-        return 0
+def _version(file: Path) -> int:
+    """Distinguish a file that was made anew from what is kept of the old one."""
     try:
         return file.stat().st_mtime_ns
     except OSError as error:
@@ -73,10 +71,10 @@ def _version(file: Location) -> int:
 
 
 @lru_cache(maxsize=512)
-def _column(file: Location, column: str, version: int) -> list[Any]:
-    return list(read_chunk(file, [column]).column(column).to_pylist())
+def _column(file: Path, column: str, version: int) -> list[Any]:
+    return list(read_chunk(file, [column])[column].tolist())
 
 
 @lru_cache(maxsize=1)
-def _surfaces(file: Location, version: int) -> list[bytes | None]:
-    return list(read_chunk(file, ["images"]).column("images").to_pylist())
+def _surfaces(file: Path, version: int) -> list[bytes]:
+    return list(read_chunk(file, ["images"])["images"].tolist())

@@ -6,24 +6,26 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from splitknit import canonical_json, provenance
-from splitknit_match.batch.chunks import SUFFIX, chunk_name, column_type, load, write_chunk, write_timings
+from splitknit_match.batch.chunks import SUFFIX, chunk_name, write_chunk, write_timings
 from splitknit_match.batch.execution import TaskDone
 from splitknit_match.batch.matchers import READY, matcher
-from splitknit_match.batch.objects import Location
 from splitknit_match.batch.reading import Place, small_column
 from splitknit_match.matching.surface import MatchingSettings
 
 VERSION = 1  # version of a chunk's columns
+COLUMNS = ("a", "b", "genuine", "similarity", "compared")
+"""Of every chunk of scores, before the matcher's own."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreTask:
     """Comparisons that are made together, and where they go."""
 
-    store: Location
+    store: Path
     case: str
     case_sha256: str
     population_sha256: str
@@ -35,12 +37,6 @@ class ScoreTask:
     places: Mapping[str, Place]  # where the matcher's input is
     origins: Mapping[str, Place]  # where the features came from, for the hashes of the input
     seed: int
-
-
-def score_schema(columns: tuple[str, ...]) -> Any:
-    """Columns of a chunk of scores."""
-    names = ("a", "b", "genuine", "similarity", "compared", *columns)
-    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
 def score_block(task: ScoreTask) -> TaskDone:
@@ -59,7 +55,6 @@ def score_block(task: ScoreTask) -> TaskDone:
         values = using.compare(left, right) if compared else missing
         rows.append({"a": a, "b": b, "genuine": genuine, "compared": compared, **values})
     rows.sort(key=lambda row: (row["a"], row["b"]))
-    schema = score_schema(using.columns)
     captures = sorted({name for a, b, _ in task.pairs for name in (a, b)})
     origin = provenance(using.document, {name: small_column(task.origins[name], "input_sha256") for name in captures})
     origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
@@ -69,6 +64,6 @@ def score_block(task: ScoreTask) -> TaskDone:
     seconds = time.thread_time() - started
     facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
     write_timings(task.store / "timings" / task.case / task.matcher, name, facts)
-    columns = {column: [row[column] for row in rows] for column in schema.names}
-    write_chunk(task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}", columns, schema, origin)
+    file = task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}"
+    write_chunk(file, rows, (*COLUMNS, *using.columns), origin)
     return TaskDone(len(rows), seconds)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from splitknit import Checked, Limits, PipelineSettings, check_fields, override, preset_settings, require, settings_hash
 from splitknit_match.matching.surface import MatchingSettings
 
-MATCHERS = ("ridge", "thesis", "thesis-code", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
+MATCHERS = ("ridge", "thesis", "thesis-code", "minutiae")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,43 +7,46 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from splitknit import (
     MAX_JSON_BYTES,
     BadInput,
     as_number,
+    atomic_file,
     differing,
     json_text,
     make_folder,
     parse_json,
     plain_json,
     provenance,
+    read_bytes,
     refusing,
     require,
     settings_hash,
 )
-from splitknit_match.batch.chunks import SUFFIX, load, read_chunk
+from splitknit_match.batch.chunks import SUFFIX, Table, read_chunk
 from splitknit_match.batch.matchers import matcher
-from splitknit_match.batch.objects import Location, files_below, stored_bytes, there, whole_file
 from splitknit_match.batch.population import Population
 from splitknit_match.batch.reading import images_of, stored_places
-from splitknit_match.batch.scores import score_schema
+from splitknit_match.batch.scores import COLUMNS
 from splitknit_match.batch.settings import BatchSettings
 from splitknit_match.matching.thesis import FingerImages
 
 STORE_FILE = "store.json"
-FORMAT, VERSION = "splitknit-batch", 2
+FORMAT, VERSION = "splitknit-batch", 3
 
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A folder of results, or objects of :func:`splitknit_match.batch.objects.location`."""
+    """A folder of results."""
 
-    folder: Location
+    folder: Path
 
     def document(self) -> dict[str, Any]:
         """The store's own record. Raises BadInput if there is no store, it is damaged or of another version."""
         file = self.folder / STORE_FILE
-        require(there(file), f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}.")
+        require(file.is_file(), f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}.")
         damaged = f"'{file}' is damaged; name another folder for the store."
         document = _json(file, damaged)
         with refusing(damaged):
@@ -56,25 +59,24 @@ class Store:
             float(pairs.get("impostors", 0.0))
         require(known, damaged)
         fault = f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}"
-        require(version == VERSION, f"{fault}; use the splitknit that wrote it, or name another folder.")
+        require(version == VERSION, f"{fault}; run the batch again into another folder.")
         return dict(document)
 
-    def files(self, kind: str, name: str) -> list[Location]:
-        """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
+    def files(self, kind: str, name: str) -> list[Path]:
+        """Finished chunks of ``features`` or ``minutiae`` of a case, or of ``scores/CASE`` of a matcher."""
         folder = self.folder / kind / name  # what is being written there begins with a dot
-        return [folder / one for one in files_below(folder) if one.endswith(SUFFIX) and not one.startswith(".")]
+        return sorted(file for file in folder.glob(f"*{SUFFIX}") if file.is_file() and not file.name.startswith("."))
 
     def captures(self, case: str) -> set[str]:
         """Names of the captures that are finished in a case."""
         found: set[str] = set()
         for file in self.files("features", case):
-            found.update(read_chunk(file, ["capture"]).column("capture").to_pylist())
+            found.update(read_chunk(file, ["capture"])["capture"].tolist())
         return found
 
-    def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
-        """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, with columns as in
-        ``docs/reference/files.md``; ``seconds`` only where it is named. Raises BadInput if there is nothing of this
-        case, or a chunk is damaged.
+    def features(self, case: str, columns: Sequence[str] | None = None) -> Table:
+        """Columns of all captures of a case by their names, ordered by capture, see ``docs/reference/files.md``;
+        ``seconds`` only where it is named. Raises BadInput if there is nothing of this case, or a chunk is damaged.
         """
         files = self.files("features", case)
         require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
@@ -85,23 +87,18 @@ class Store:
         if columns is None:
             return table
         if "seconds" in columns:
-            known, pa = self.seconds(case), load("pyarrow", "batch")
-            taken = [known.get(name) for name in table.column("capture").to_pylist()]
-            table = table.append_column("seconds", pa.array(taken, pa.float64()))
-        return table.select(list(columns))
+            known = self.seconds(case)
+            table["seconds"] = np.array([known.get(name, np.nan) for name in table["capture"].tolist()])
+        return {name: table[name] for name in columns}
 
-    def scores(self, case: str, matcher: str) -> Any:
-        """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once. Raises
-        BadInput if there are none, or a chunk is damaged.
+    def scores(self, case: str, matcher: str) -> Table:
+        """Columns of the comparisons of a case by a matcher, ordered by both captures, every pair once. Raises BadInput
+        if there are none, or a chunk is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
         none = f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher '{matcher}'."
         require(len(files) > 0, none)
-        table = _joined([read_chunk(file, None, score_schema(()).names) for file in files], ["a", "b"])
-        fault = f"comparisons of case '{case}' by matcher '{matcher}' in '{self.folder}' lack numbers"
-        cure = "delete them and run the same again."
-        require(all(column.null_count == 0 for column in table.columns), f"{fault}; {cure}")
-        return table
+        return _joined([read_chunk(file, None, COLUMNS) for file in files], ["b", "a"])
 
     def images(self, case: str, capture: str) -> FingerImages:
         """Channels of a capture for the thesis's matcher, as reconstruction gives them; BadInput without a surface."""
@@ -114,8 +111,7 @@ class Store:
     def seconds(self, case: str) -> dict[str, float]:
         """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
         found: dict[str, float] = {}
-        folder = self.folder / "timings" / case
-        for file in (folder / name for name in files_below(folder) if name.endswith(".json")):
+        for file in sorted((self.folder / "timings" / case).glob("*.json")):
             damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
             times = _json(file, damaged)
             require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
@@ -123,28 +119,26 @@ class Store:
         return found
 
 
-def _json(file: Location, damaged: str) -> Any:
-    data = stored_bytes(file, MAX_JSON_BYTES)
+def _json(file: Path, damaged: str) -> Any:
+    data = read_bytes(file, MAX_JSON_BYTES)
     try:
         return parse_json(data, str(file))
     except BadInput as error:
         raise BadInput(damaged) from error
 
 
-def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
-    """The tables as one, ordered by `keys`, of rows with equal keys the first; its bytes may be more than 2 GB."""
-    pa, pc = load("pyarrow", "batch"), load("pyarrow.compute", "batch")
-    with refusing("chunks of the store have different columns; delete the older ones and run the same again."):
-        table = pa.concat_tables(tables)
-    wide = [field.with_type(pa.large_binary()) if pa.types.is_binary(field.type) else field for field in table.schema]
-    table = table.cast(pa.schema(wide))
-    order = pc.sort_indices(table.select(keys), sort_keys=[(key, "ascending") for key in keys])
-    names = table.select(keys).take(order).to_pylist()
-    kept = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
-    return table.take(order.take(pa.array(kept, pa.int64())))
+def _joined(tables: Sequence[Table], keys: list[str]) -> Table:
+    """The tables as one, ordered by `keys`, the last first; of rows with equal keys the first."""
+    other = "chunks of the store have different columns; delete the older ones and run the same again."
+    require(all(table.keys() == tables[0].keys() for table in tables), other)
+    whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    order = np.lexsort([whole[key] for key in keys])
+    again = np.zeros(len(order), dtype=np.bool_)
+    again[1:] = np.all([whole[key][order][1:] == whole[key][order][:-1] for key in keys], axis=0)
+    return {name: column[order[~again]] for name, column in whole.items()}
 
 
-def open_store(folder: Location, population: Population, settings: BatchSettings) -> Store:
+def open_store(folder: Path, population: Population, settings: BatchSettings) -> Store:
     """Open a store for writing, or start one; the caller holds its lock. Raises BadInput if the folder holds something
     else, or a store of another population or with other settings.
     """
@@ -162,7 +156,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
         document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}
     store = Store(folder)
     file = folder / STORE_FILE
-    if there(file):
+    if file.is_file():
         earlier = store.document()
         _check_same(folder, earlier, document)
         document["cases"] = earlier["cases"] | document["cases"]
@@ -171,17 +165,13 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
         document |= {"pairs": pairs} if pairs else {}
         if document == earlier:
             return store
-    with whole_file(file) as stream:
+    with atomic_file(file) as stream:
         stream.write(json_text(document).encode("ascii"))
     return store
 
 
-def check_store_target(folder: Location) -> None:
+def check_store_target(folder: Path) -> None:
     """Refuse a folder that holds something else than a store. Raises BadInput."""
-    if not isinstance(folder, Path):
-        fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is not a store"
-        require(there(folder / STORE_FILE) or not files_below(folder, deep=True), f"{fault}; name another place.")
-        return
     try:
         require(not folder.exists() or folder.is_dir(), f"'{folder}' is a file; name a folder for the store.")
         names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
@@ -200,7 +190,7 @@ def _hashed(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"settings_sha256": settings_hash(plain), "settings": plain}
 
 
-def _check_same(folder: Location, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     fault = f"the store '{folder}' is of another population"
     cure = "name another folder, or the population that it is of."
     require(earlier["population"].get("sha256") == wanted["population"]["sha256"], f"{fault}; {cure}")
@@ -212,7 +202,7 @@ def _check_same(folder: Location, earlier: Mapping[str, Any], wanted: Mapping[st
     _check_settings(folder, "templates", earlier["matching"], wanted["matching"])
 
 
-def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
+def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
     """Which comparisons: a later run may request more of them, drawn the same way."""
     if not earlier or not wanted:
         return wanted or earlier
@@ -221,7 +211,7 @@ def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
     return wanted | {"impostors": max(wanted["impostors"], float(earlier.get("impostors", 0.0)))}
 
 
-def _check_settings(folder: Location, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     names = differing(earlier.get("settings", {}), wanted["settings"])
     where = f" ({', '.join(names[:4])})" if names else ""
     fault = f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name,"

@@ -13,18 +13,16 @@ class BatchJob(Job):
     """Reconstruct and compare a whole population, or what of it is missing."""
 
     # fmt: off
-    population: Annotated[str, Help(
-        "folder of 'splitknit simulate population' or an enrolment, or its URL", "POPULATION", positional=True)]
+    population: Annotated[AnyPath, Help(
+        "folder of 'splitknit simulate population' or an enrolment", "POPULATION", positional=True)]
     _: KW_ONLY
-    out: Annotated[str, Help("folder of the results, or its URL (s3://BUCKET/PLACE); may be there", "STORE")]
+    out: Annotated[AnyPath, Help("folder of the results; may be there", "STORE")]
     cases: Annotated[str | None, Help("presets with commas (default: metric,snk,pr,ea)", "LIST")] = None
     case: Annotated[tuple[str, ...], Help(
         "a case of your own: a preset with settings changed; may be repeated",
         "NAME=PRESET:STAGE.FIELD=VALUE,...")] = ()
     matchers: Annotated[str, Help(
-        "ridge (default), thesis, thesis-code, minutiae, voted, minutiae3d, surface-code, tetrahedra, with commas; or "
-        "none",
-        "LIST")] = "ridge"
+        "ridge (default), thesis, thesis-code, minutiae, with commas; or none", "LIST")] = "ridge"
     impostors: Annotated[Fraction, Help("of the comparisons of two fingers", "FRACTION")] = 1.0
     seed: Annotated[Natural, Help("which of them", "N")] = 0
     surfaces: Annotated[bool, Help(
@@ -57,7 +55,7 @@ class BatchJob(Job):
             surfaces=self.surfaces,
         )
         return run_batch(
-            self.population, self.out, settings,
+            path(self.population), path(self.out), settings,
             jobs=self.jobs, cluster=cluster, csv=path(self.csv), device=self.device, progress=progress,
         )  # fmt: skip
 

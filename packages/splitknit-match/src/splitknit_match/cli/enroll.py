@@ -86,7 +86,7 @@ class EnrollJob(Job):
 
     def _sources(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
         from splitknit import known_json
-        from splitknit_match.gallery.warm import enroll
+        from splitknit_match.gallery.gallery import enroll
 
         require(self.workers is None, "`workers` is for `population`.")
         cure = "name one source."

@@ -48,11 +48,8 @@ def _words(found: Identification, raw: bool) -> list[str]:
         lines.append(f"A match has a score of {decision.threshold:.5g} or more.")
     searched = found.searched
     how = {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched.compared_by, "ridge by ridge")
-    whose = ""
-    if searched.people is not None and searched.fingers is not None:
-        whose = f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
-    chosen = " (chosen by their codes)" if searched.method in ("codes", "shards") else ""
-    lines.append(f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}{chosen}.")
+    whose = f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
+    lines.append(f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}.")
     if found.candidates and decision is not None:
         first = found.candidates[0].expected_false_matches or 0.0
         lines.append(
@@ -60,9 +57,6 @@ def _words(found: Identification, raw: bool) -> list[str]:
             "expected as similar as the first candidate, "
             f"and {decision.expected_false_matches:.2g} beyond the limit."
         )
-    if searched.without_code:
-        lacking = f"{searched.without_code} captures had no code of this version, or none in the shards"
-        lines.append(f"Please note: {lacking}; 'splitknit gallery index' keeps them for the next search.")
     if found.probe.note:
         lines.append(f"Please note: {found.probe.path}: {found.probe.note}")
     if searched.note:

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
         TemplateMade,
     )
 
-_MINUTIAE = ("minutiae", "voted")
-_DIGITS = {"minutiae": 0, "voted": 0, "fusion": 2}
-_IN_SPACE = ("minutiae3d", "tetrahedra")
+_DIGITS = {"minutiae": 0, "fusion": 2}
 _NULLS = {"fusion": ("similarity_of_minutiae",), "minutiae": ("nfiq2",)}
 """Fields that ``--json`` has even where the method found none."""
 
@@ -111,7 +109,7 @@ def _template_words(made: TemplateFile) -> str:
 def _verdict(found: Match) -> str:
     if not found.compared and not (found.a.doubt or found.b.doubt):
         both = found.a.acquired and found.b.acquired
-        apart = found.method in ("thesis", "fusion") or (found.method == "surface-code" and both)
+        apart = found.method in ("thesis", "fusion")
         word = "Undecided" if both else "Not acquired"
         return f"{word}, not compared: {'too little overlap' if both and apart else 'failure to acquire'}."
     if found.answer == "undecided":
@@ -134,18 +132,13 @@ def _raw_words(found: Match) -> list[str]:
         score = found.similarity_of_minutiae
         minutiae = "too few" if score is None else f"{score:.1f}"
         lines.append(f"Its parts: ridges {found.similarity_of_ridges:.4f}, minutiae {minutiae}.")
-    if found.distance is not None and found.compared:
-        lines.append(f"{found.distance:.1%} of the bits differ.")
     return lines
 
 
 def _how(found: Match) -> list[str]:
     """What was compared: places and counts."""
-    if found.method in _MINUTIAE:
-        return [_print_words(side, found.method == "voted") for side in (found.a, found.b)]
-    if found.method in _IN_SPACE:
-        both = f"{found.a.minutiae} and {found.b.minutiae}"
-        return [f"{found.agreeing} minutiae agree in place and direction, of {both}"]
+    if found.method == "minutiae":
+        return [_print_words(side) for side in (found.a, found.b)]
     laid = found.alignment
     assert laid is not None
     if found.method in ("thesis", "thesis-code") and laid.right_mm is not None:
@@ -155,13 +148,11 @@ def _how(found: Match) -> list[str]:
     if not found.compared:
         return []
     turned = f"overlap {found.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
-    if laid.right_mm is None or laid.up_mm is None:
-        return [turned]
     return [f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"]
 
 
 def _failure_notes(method: str, *sides: ComparedSide) -> list[str]:
-    lacks = "fewer than ten minutiae" if method in (*_MINUTIAE, *_IN_SPACE) else "no ridges"
+    lacks = "fewer than ten minutiae" if method == "minutiae" else "no ridges"
 
     def note(side: ComparedSide) -> str:
         if side.note is not None and side.note.startswith("no print of a finger"):
@@ -178,18 +169,12 @@ _SCALES = {
     "thesis": "1 = equal, 0 = as dissimilar as possible",
     "thesis-code": "1 = equal, negative for most others",
     "minutiae": "bozorth3: about how many pairs of minutiae fit together",
-    "minutiae3d": "fraction of minutiae that agree, squared",
-    "tetrahedra": "fraction of minutiae that agree, squared",
-    "surface-code": "fraction of equal bits; other fingers have about two thirds",
-    "voted": "bozorth3: about how many pairs of minutiae fit together",
 }
 """What the method's own score means."""
 
 
-def _print_words(side: ComparedSide, voted: bool) -> str:
+def _print_words(side: ComparedSide) -> str:
     if side.kind == "minutiae":
         return f"{side.path}: {side.minutiae} minutiae"
-    if voted:
-        return f"{side.path}: {side.minutiae} voted minutiae"
     quality = "unknown" if side.nfiq2 is None else f"{side.nfiq2} of 100"
     return f"{side.path}: {side.minutiae} minutiae, quality (NFIQ 2) {quality}"

@@ -16,8 +16,6 @@ def _words(facts: dict[str, Any]) -> list[str]:
         "plane": "on the finger plane, seen straight from above",
         "free": "on the skin laid flat with the least distortion",
         "arc": "on the skin laid flat row by row",
-        "tube": "on the best-fit tube, unrolled",
-        "cylinder": "on the best-fit cylinder, unrolled",
         "paper": "as it was pressed",
     }[facts["surface"]]
     period = facts["ridge_period_mm"]["median"]
@@ -39,10 +37,6 @@ def _words(facts: dict[str, Any]) -> list[str]:
         lines.append(f"{minutiae['count']} minutiae.")
     else:
         lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
-    if "pores" in facts:
-        pores = facts["pores"]
-        lines.append(f"{pores['count']} pores, sought in the {pores['sought_in']}.")
-        lines += [f"Please note: {pores['warning']}"] if "warning" in pores else []
     lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines

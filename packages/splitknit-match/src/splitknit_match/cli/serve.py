@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import sys
 from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
-from splitknit import AnyPath, Help, Job, KeyFile, Limits, Outcome, Progress, Verb, path, printable, require
+from splitknit import (
+    AnyPath,
+    BadInput,
+    Help,
+    Job,
+    KeyFile,
+    Limits,
+    Outcome,
+    Progress,
+    Verb,
+    importing,
+    path,
+    printable,
+    require,
+)
 
 LOCAL = ("127.0.0.1", "::1", "localhost")
 
@@ -31,10 +48,8 @@ class ServeJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Serve until a signal ends it."""
-        from splitknit_match.gallery.key import key_of  # verbs import what they need
-        from splitknit_match.gallery.listen import serve
+        from splitknit_match.gallery.gallery import Gallery  # verbs import what they need
         from splitknit_match.gallery.serve import make_app, read_token
-        from splitknit_match.gallery.warm import OpenGallery
 
         good = (self.certificate is None) == (self.certificate_key is None)
         require(good, "`certificate` and `certificate_key` go together.")
@@ -43,54 +58,57 @@ class ServeJob(Job):
         token = read_token(path(self.token_file))
         scheme = "http" if self.certificate is None else "https"
 
-        def ready() -> None:
-            for what, file in (("token", self.token_file), ("key file", self.key_file), ("key", self.certificate_key)):
-                if file is not None and os.name == "posix" and path(file).stat().st_mode & 0o077:
-                    fault = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
-                    print(printable(f"Please note: {fault}"), file=sys.stderr)
-            words = f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it."
-            print(printable(words), file=sys.stderr, flush=True)
-
-        with OpenGallery.open(path(self.gallery), key_of(path(self.key_file))) as gallery:
+        with Gallery(path(self.gallery), path(self.key_file)) as gallery:
+            if gallery.there:
+                gallery.people()
             app, tls = make_app(gallery, token, path(self.audit)), (path(self.certificate), path(self.certificate_key))
-            serve(app, impatient(), (self.host, self.port), tls, ready)
+            server = server_of(app, tls)
+            with _listening(self.host, self.port) as door, contextlib.suppress(KeyboardInterrupt):
+                for what, file in (
+                    ("token", self.token_file),
+                    ("key file", self.key_file),
+                    ("key", self.certificate_key),
+                ):
+                    if file is not None and os.name == "posix" and path(file).stat().st_mode & 0o077:
+                        fault = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
+                        print(printable(f"Please note: {fault}"), file=sys.stderr)
+                words = f"Serving {self.gallery} at {scheme}://{self.host}:{self.port}; Ctrl-C ends it."
+                print(printable(words), file=sys.stderr, flush=True)
+                server.run(sockets=[door])
         return {}, []
 
 
-def impatient() -> type:
-    """Uvicorn's HTTP/1.1 protocol; connections that bring no whole request for 20 to 40 s, or take no answer for 20 s,
-    are closed.
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens there. Raises BadInput if it cannot."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server(address[:2], family=family)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(
+            f"cannot listen at port {port} of '{host}' ({reason}); give another `port` or `host`."
+        ) from error
+
+
+def server_of(app: Any, tls: tuple[Path | None, Path | None] = (None, None)) -> Any:
+    """A server of an ASGI application; `tls`: certificate chain and private key. Raises BadInput if these do not fit.
+
+    Connections that bring no whole request for 20 to 40 s are closed, and more than 64 at a time are refused.
     """
-    import h11
-    from uvicorn.protocols.http.h11_impl import H11Protocol
+    with importing("serving needs uvicorn: pip install 'splitknit-match[serve]'."):
+        import uvicorn
+        from uvicorn.protocols.http.h11_impl import H11Protocol
 
     from splitknit_match.gallery import serve
 
     class Impatient(H11Protocol):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self.untaken: Any = None
             self.loop.call_later(serve.PATIENCE_S, self._look, None)
 
-        def data_received(self, data: bytes) -> None:
-            if not self.transport.is_closing():
-                super().data_received(data)
-                if self.conn.their_state is h11.DONE and self.conn.trailing_data[0]:
-                    self.cycle.keep_alive = False  # more was asked before the answer: one is given, not thousands
-
-        def pause_writing(self) -> None:
-            super().pause_writing()
-            self.untaken = self.loop.call_later(serve.PATIENCE_S, self.transport.abort)
-
-        def resume_writing(self) -> None:
-            super().resume_writing()
-            self.untaken.cancel()
-
         def shutdown(self) -> None:
-            """End without a request that has not come as a whole, or an answer that is not taken."""
-            cycle: Any = self.cycle  # None before the first request
-            coming = cycle is not None and cycle.more_body and not cycle.response_complete
-            if coming or self.transport.get_write_buffer_size():
+            cycle: Any = self.cycle
+            if cycle is not None and cycle.more_body and not cycle.response_complete:  # it has not come as a whole
                 self.transport.abort()
             else:
                 super().shutdown()
@@ -102,7 +120,18 @@ def impatient() -> type:
             if not self.transport.is_closing():
                 self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
 
-    return Impatient
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, server_header=False, limit_concurrency=64, http=Impatient,
+        timeout_keep_alive=5, timeout_graceful_shutdown=10, h11_max_incomplete_event_size=65_536,
+        ssl_certfile=tls[0], ssl_keyfile=tls[1],
+        ssl_keyfile_password="none",  # else OpenSSL asks at the terminal
+    )  # fmt: skip
+    try:
+        config.load()
+    except (OSError, ValueError) as error:  # OpenSSL's are OSErrors
+        reason = f"'{tls[0]}' and '{tls[1]}' cannot be used for TLS ({error})"
+        raise BadInput(f"{reason}; name PEM files that belong together, of a key without a passphrase.") from error
+    return uvicorn.Server(config)
 
 
 SERVE = Verb(ServeJob)

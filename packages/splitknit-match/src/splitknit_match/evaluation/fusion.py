@@ -30,12 +30,10 @@ class FusionSettings(Checked):
     """How scores are fused."""
 
     method: Literal["linear", "trained", "llr"] = "trained"
-    """``linear``: weighted sum of normalised scores; ``trained``: logistic regression; ``llr``: sum of log-likelihood
+    """``linear``: mean of normalised scores; ``trained``: logistic regression; ``llr``: sum of log-likelihood
     ratios."""
     normalisation: Literal["z", "minmax"] = "z"
     """How ``linear`` normalises scores: ``z`` or ``minmax``, fitted on the training folds."""
-    weights: tuple[float, ...] = ()
-    """Weights of ``linear``, one for each system; none: equal ones (the thesis does not state its own)."""
     folds: Annotated[int, Limits(3)] = 5
     """At most; fewer where there are fewer subjects."""
     seed: Annotated[int, Limits(0)] = 0
@@ -90,8 +88,6 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     settings = settings or FusionSettings()
     aligned = _aligned(systems)
     first = aligned[0]
-    good = settings.weights == () or len(settings.weights) == len(aligned)
-    require(good, f"{len(aligned)} systems need as many weights, but there are {len(settings.weights)}.")
     table = np.stack([one.score for one in aligned], axis=1)
     by, ids = _named(first)
     fold = _deal(ids, settings.folds, settings.seed)
@@ -143,8 +139,7 @@ def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], _M
         return fit_ratios
     if settings.method == "trained":
         return lambda table, genuine: fit_logistic(table, genuine, _PENALTY)
-    weights = np.array(settings.weights) if settings.weights else None
-    return lambda table, genuine: fit_linear(table, weights, settings.normalisation)
+    return lambda table, genuine: fit_linear(table, settings.normalisation)
 
 
 def _aligned(systems: Sequence[Scores]) -> list[Scores]:
@@ -224,24 +219,19 @@ def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _Model:
     return _Model(np.ones(len(ratio)), scored)
 
 
-def fit_linear(scores: Table, weights: Table | None = None, normalisation: str = "z") -> _Model:
+def fit_linear(scores: Table, normalisation: str = "z") -> _Model:
     """Normalise `scores` (N, S) of S systems, NaN where there is none, by what is known of a training part.
 
-    `weights`: (S,), equal without; only their ratio matters. `normalisation`: ``z`` (mean 0 and standard deviation 1 of
-    the training part) or ``minmax`` (its least score 0, its largest 1). Raises BadInput if a system's scores do not
-    vary, or weights are negative or of another number. Source: A. Ross and A. Jain, "Information fusion in biometrics",
-    Pattern Recognition Letters 24, 2003 (sum rule); R. Snelick et al., "Large-scale evaluation of multimodal biometric
-    authentication using state-of-the-art systems", IEEE TPAMI 27, 2005 (min-max and z-score).
+    `normalisation`: ``z`` (mean 0 and standard deviation 1 of the training part) or ``minmax`` (its least score 0, its
+    largest 1). All systems weigh the same. Raises BadInput if a system's scores do not vary. Source: A. Ross and A.
+    Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003 (sum rule); R. Snelick et al.,
+    "Large-scale evaluation of multimodal biometric authentication using state-of-the-art systems", IEEE TPAMI 27, 2005.
     """
-    systems = scores.shape[1]
-    weight = np.ones(systems) if weights is None else np.asarray(weights, dtype=np.float64)
-    fits = weight.shape == (systems,) and bool(np.isfinite(weight).all()) and bool((weight >= 0).all())
-    require(fits and weight.sum() > 0, f"{systems} systems need as many weights, none negative and not all zero.")
     offset, scale = _spread(scores)
     if normalisation == "minmax":
         offset = np.nanmin(scores, axis=0)
         scale = np.nanmax(scores, axis=0) - offset
-    weight = weight / weight.sum()
+    weight = np.full(scores.shape[1], 1 / scores.shape[1])
 
     def scored(table: Table) -> Table:  # a missing score's weight goes to the others
         known = ~np.isnan(table)

@@ -15,7 +15,7 @@ from splitknit import BadInput, Progress, file_hash, no_progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.entry import session_order
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.key import Key
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.minutiae import minutiae_match
@@ -41,23 +41,20 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     """Compare all sessions of a gallery with each other; people of an encrypted one are numbered by enrolment (P001
     ...). Raises BadInput if the gallery cannot be read, or holds fewer than two sessions or fingers.
     """
-    with Gallery.open(path, key) as opened:
-        opened.require_comparable(opened.settings_sha256)
-        rows = opened.entries()
-        templates = opened.templates()
-        encrypted = opened.encrypted
-        sha256 = file_hash(path)
-    rows = [one for one in rows if one.row in templates]
-    names = list(dict.fromkeys(one.entry.person for one in rows))
+    with GalleryFile(path, key) as opened:
+        people = opened.people()
+    sha256, encrypted = file_hash(path), key is not None
+    rows, templates = list(people.entries.values()), people.templates
+    names = list(dict.fromkeys(one.person for one in rows))
     shown = {name: f"P{number:03d}" if encrypted else name for number, name in enumerate(names, start=1)}
-    persons = [shown[one.entry.person] for one in rows]
-    sessions = sorted({one.entry.session for one in rows}, key=session_order)
-    when = [sessions.index(one.entry.session) for one in rows]
-    fingers = [f"{person}/{one.entry.finger}" for person, one in zip(persons, rows, strict=True)]
+    persons = [shown[one.person] for one in rows]
+    sessions = sorted({one.session for one in rows}, key=session_order)
+    when = [sessions.index(one.session) for one in rows]
+    fingers = [f"{person}/{one.finger}" for person, one in zip(persons, rows, strict=True)]
     try:
         pairs = comparisons(fingers, when, within=True)
         score, note, method = _similarities([templates[one.row] for one in rows], pairs, progress)
-        session_names = [one.entry.session for one in rows]
+        session_names = [one.session for one in rows]
         scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
     except BadInput as error:
         raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
@@ -67,7 +64,7 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
         notes.append(note)
     if encrypted:
         notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
-    named = {"finger": [one.entry.finger for one in rows], "subject": persons, "session": session_names}
+    named = {"finger": [one.finger for one in rows], "subject": persons, "session": session_names}
     sides = pairs.a.tolist(), pairs.b.tolist()
     both = {kind: ([own[n] for n in sides[0]], [own[n] for n in sides[1]]) for kind, own in named.items()}
     table = score_table(pairs.genuine.tolist(), both, {"score": score.tolist()})

@@ -29,9 +29,7 @@ from splitknit import (
 from splitknit_match.evaluation import rates
 from splitknit_match.evaluation.facts import Cmc, Result, cmc, rank_one_interval
 from splitknit_match.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval
-from splitknit_match.evaluation.protocol import by_session_pair
 from splitknit_match.evaluation.rates import Roc, histograms, roc
-from splitknit_match.evaluation.scores import Scores
 from splitknit_match.evaluation.study import Difference, Evaluation
 
 FORMAT = "splitknit-evaluation"
@@ -130,7 +128,6 @@ def _system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]
             for method, found in result.by_method.items()
         },
         "roc": _curve(result),
-        "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
         "cmc": _cmc_facts(cmc(scores), settings),
     }
 
@@ -158,17 +155,6 @@ def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any]
         "probes_left_out": found.left_out,
         "rank_1": {"value": float(found.rate[0]), "low": low, "high": high},
         "rate": found.rate[:100].tolist(),
-    }
-
-
-def _session_pair(names: tuple[str, str], part: Scores, settings: BootstrapSettings) -> dict[str, Any]:
-    genuine, impostor = np.sort(part.genuine), np.sort(part.impostor)
-    return {
-        "sessions": list(names),
-        "genuine": genuine.size,
-        "impostor": impostor.size,
-        "eer": rates.equal_error(genuine, impostor).value,
-        "gar_at_far": {f"{far:g}": rates.gar_at_far(genuine, impostor, far).gar for far in settings.targets},
     }
 
 

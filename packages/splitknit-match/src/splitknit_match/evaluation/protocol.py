@@ -153,22 +153,6 @@ def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> tuple[Scores, in
     return kept, int(gone.sum()), tuple(unknown)
 
 
-def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:
-    """The comparisons of each pair of sessions, whichever side came first; pairs without both classes are left out."""
-    if scores.session is None:
-        return {}
-    low, high = scores.session.codes.min(axis=1), scores.session.codes.max(axis=1)
-    count = len(scores.session.names)
-    parts = {}
-    for key in np.unique(low * count + high):
-        chosen = low * count + high == key
-        known = chosen & ~np.isnan(scores.score)
-        if bool((known & scores.label).any()) and bool((known & ~scores.label).any()):
-            names = scores.session.names[key // count], scores.session.names[key % count]
-            parts[names] = scores.taken(chosen, f"{names[0]} - {names[1]}")
-    return parts
-
-
 # Which comparison of one system is which of another.
 
 

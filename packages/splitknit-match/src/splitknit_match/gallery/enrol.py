@@ -6,7 +6,6 @@ came first, minutiae: the two cannot be compared.
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import hashlib
 import io
@@ -14,13 +13,12 @@ import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from splitknit import (
-    FINGERS,
     BadInput,
     Capture,
     Progress,
@@ -31,22 +29,31 @@ from splitknit import (
     read_bytes,
     read_capture,
     require,
-    settings_hash,
     surface_print,
 )
-from splitknit_match.gallery.entry import Enrolled, Entry, NewCapture, check_person, check_session
-from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.key import Key
-from splitknit_match.matching.code import CODE_VERSION, code_of
+from splitknit_match.gallery.entry import Entry, NewCapture, check_person, check_session, known_finger
+from splitknit_match.gallery.file import GalleryFile
+from splitknit_match.gallery.identify import (
+    MINUTIAE_HASH,
+    Identification,
+    RankedCandidate,
+    identify_finger,
+    templates_hash,
+)
+from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.matching.inputs import Held, Pixels, Side, is_of_minutiae, read_side, undoubted
 from splitknit_match.matching.methods import side_minutiae
-from splitknit_match.matching.minutiae_record import MINUTIAE_VERSION, holds_minutiae, pack_minutiae
+from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.template import VERSION, unpack
+from splitknit_match.matching.template import mirrored
 
-if TYPE_CHECKING:
-    from splitknit_match.gallery.identify import RankedCandidate
+Duplicates = Literal["refuse", "warn", "allow"]
+_UNLIKE_FMR = 0.01
+"""Of captures that are called unlike each other: so often other fingers are at least as similar, or more often."""
+_THUMBNAIL_PPI = 250.0
+_NOT_INPUTS = ("truth.npz", ".splitknit")
+LARGEST_RAW = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,73 +121,53 @@ class Enrolment:
     """Other fingers, also of the same person, that match what was enrolled, best first: is one of them named wrong?"""
 
 
-def enroll_files(
-    gallery: Path,
+def enroll_fingers(
+    gallery: GalleryFile,
     sources: Sequence[Path | Held],
     person: str,
     finger: str,
-    session: str | None,
+    session: str | None = None,
     *,
-    settings: Enrolling,
-    key: Key | None = None,
+    how: Enrolling,
+    duplicates: Duplicates = "warn",
+    put_down: Callable[[], object] = lambda: None,
     progress: Progress = no_progress,
-    examine: Callable[[Sequence[Side]], Sequence[str]] | None = None,
-    put_down: Callable[[], None] = lambda: None,
 ) -> Enrolment:
     """Enrol sources of one finger, as :func:`splitknit_match.enroll` does.
 
-    `session`: by default that of the very same source if it is enrolled already, else the next number. `examine`:
-    called with the fingers before anything is written, once beforehand and once while no other program can change the
-    gallery; may refuse them, and returns a note on each. `put_down`: called before what was written is final. A source
-    other than a template from which nothing was acquired is refused.
+    `session`: by default that of the very same source if it is enrolled already, else the next number. `put_down`:
+    called before what was written is final. A source other than a template from which nothing was acquired is refused.
     """
+    require(duplicates in ("refuse", "warn", "allow"), f"`duplicates` is refuse, warn or allow, not '{duplicates}'.")
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
     require(len(sources) == 1 or session is None, "`session` goes with one source; several are numbered by themselves.")
     name, finger = check_person(person), known_finger(finger)
     if session is not None:
         check_session(session)
-    earlier: list[Enrolled] = []
-    with contextlib.ExitStack() as stack:
-        of_minutiae = any(is_of_minutiae(source) for source in sources)
-        found = opened(gallery, key, settings.matching, of_minutiae=of_minutiae)
-        if found is not None:
-            earlier = stack.enter_context(found).entries(name, finger)
-            of_minutiae = found.settings_sha256 == MINUTIAE_HASH
-        made, sides = [], list[Side]()
-        for k, source in enumerate(sources):
-            made.append(
-                _made_of(
-                    source, settings, of_minutiae,
-                    lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
-                    None if examine is None else sides.append,
-                )
-            )  # fmt: skip
-            lacks = made[-1].failure
-            require(
-                not lacks or made[-1].kind == "template",
-                f"{_name_of(source)} holds {lacks} (failure to acquire), so nothing was enrolled; capture it again.",
-            )
-        new = []
-        taken = {one.entry.session: one.entry.source_sha256 for one in earlier}
-        for one in made:
-            after = 1 + max((int(number) for number in taken if number.isascii() and number.isdigit()), default=0)
-            same = (number for number, source in taken.items() if source == one.source_sha256)  # the very same source
-            chosen = session or next(same, str(after))
-            taken[chosen] = one.source_sha256
-            new.append(new_capture(one, name, finger, chosen, settings))
-        sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching)
-        target = found or stack.enter_context(Gallery.create(gallery, sha256, key))
-        target.require_comparable(sha256)
-        notes: Sequence[str] = [""] * len(made)
-        if examine is not None:
-            notes = examine(sides)  # the first look may take long, and holds nobody up
-        added = target.add(
-            new,
-            replace=settings.replace,
-            first=lambda: None if examine is None else examine(sides),
-            last=put_down,
+    created = not gallery.there
+    of_minutiae = settings_of(gallery, how, of_minutiae=any(is_of_minutiae(one) for one in sources)) == MINUTIAE_HASH
+    taken = {} if created else {one.session: one.source_sha256 for one in gallery.entries(name, finger)}
+    made, new = [], []
+    for k, source in enumerate(sources):
+        one = made_of(
+            source, how, of_minutiae,
+            lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
+        )  # fmt: skip
+        require(
+            not one.failure or one.kind == "template",
+            f"{_name_of(source)} holds {one.failure} (failure to acquire), so nothing was enrolled; capture it again.",
         )
-        content = content_of(target, created=found is None)
+        after = 1 + max((int(number) for number in taken if number.isascii() and number.isdigit()), default=0)
+        same = (number for number, sha256 in taken.items() if sha256 == one.source_sha256)  # the very same source
+        chosen = session or next(same, str(after))
+        taken[chosen] = one.source_sha256
+        made.append(one)
+        new.append(new_capture(one, name, finger, chosen, how))
+    looks = _Looks(gallery, [one.side for one in made if one.side is not None], (name, finger), how, duplicates)
+    looks.look()  # the first look may take long, and holds nobody up
+    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    added = gallery.add(new, sha256, replaces=how.replace, first=looks.look, last=put_down)
+    content = content_of(gallery, created=created)
     progress("done", 1.0)
     enrolled = tuple(
         EnrolledCapture(
@@ -188,72 +175,115 @@ def enroll_files(
             bool(one.template), len(one.template), one.entry.images or "none", one.entry.source_sha256, is_new,
             " ".join(filter(None, (of.note, note))) or None,
         )
-        for one, is_new, of, note in zip(new, added, made, notes, strict=True)
+        for one, is_new, of, note in zip(new, added, made, looks.notes or [""] * len(made), strict=True)
     )  # fmt: skip
-    return Enrolment(content, enrolled)
+    return Enrolment(content, enrolled, tuple(looks.alike))
 
 
-def opened(gallery: Path, key: Key | None, settings: MatchingSettings, *, of_minutiae: bool = False) -> Gallery | None:
-    """Open a gallery that can be changed and takes templates of these settings, or `of_minutiae`.
+class _Looks:
+    """For the same finger under another name, and another one under the same name."""
 
-    Returns None if there is no such file. A gallery of minutiae takes everything, for minutiae can be found in it.
-    """
-    if not gallery.exists():
-        require(gallery.parent.is_dir(), f"there is no folder '{gallery.parent}' for the gallery; make it first.")
-        return None
-    found = Gallery.open(gallery, key)
-    try:
-        found.require_version()
-        if found.settings_sha256 != MINUTIAE_HASH:
-            require(
-                not of_minutiae,
-                f"'{gallery}' keeps templates of ridges, which records of minutiae cannot be compared with; enrol them "
-                "into a gallery of their own.",
+    def __init__(
+        self, gallery: GalleryFile, sides: list[Side], who: tuple[str, str], how: Enrolling, duplicates: Duplicates
+    ) -> None:
+        self.gallery, self.sides, self.who, self.duplicates = gallery, sides, who, duplicates
+        self.able = duplicates != "allow" and how.matching == MatchingSettings()  # else no rates are known
+        self.alike: list[RankedCandidate] = []
+        self.notes: list[str] = []
+        self._seen: object = None
+
+    def look(self) -> None:
+        """Look, unless nobody changed the gallery since the last look; may refuse."""
+        if not self.able or not self.gallery.there or self.gallery.people() is self._seen:
+            return
+        people = self._seen = self.gallery.people()
+        of_minutiae = people.settings_sha256 == MINUTIAE_HASH
+        others = any((one.person, one.finger) != self.who for one in people.entries.values())
+        mine = [one for one in people.entries.values() if (one.person, one.finger) == self.who and one.template_bytes]
+        self.alike, self.notes = [], []
+        for side in self.sides:
+            if others and (of_minutiae or side.template is not None):
+                self.alike += self._like_others(side)
+            unlike = mine and not of_minutiae and side.template is not None
+            self.notes.append(self._unlike_itself(side, len(mine)) if unlike else "")
+
+    def _asked(self, side: Side, **how: object) -> Identification:
+        job = IdentifyJob(self.gallery.path, b"", **how)  # type: ignore[arg-type]
+        return identify_finger(job, gallery=self.gallery, side=side)
+
+    def _like_others(self, side: Side) -> list[RankedCandidate]:
+        """Candidates beyond the limit that are other fingers."""
+        found = self._asked(side, merge="finger")
+        limit = found.decision.threshold if found.decision is not None else float("inf")
+        alike = [one for one in found.candidates if (one.person, one.finger) != self.who and one.similarity >= limit]
+        others = [one for one in alike if one.person != self.who[0]]
+        if others and self.duplicates == "refuse":
+            raise BadInput(
+                f"{side.path} matches {others[0].finger.replace('_', ' ')} of another person, '{others[0].person}', at "
+                "a false match rate of 1 in 10,000 a comparison; enrol it under that name, or give `duplicates` allow."
             )
-            found.require_comparable(templates_hash(settings))
-    except BaseException:
-        found.close()
-        raise
-    return found
+        return alike
+
+    def _unlike_itself(self, side: Side, count: int) -> str:
+        """A note where a finger matches none of its earlier captures."""
+        found = self._asked(side, person=self.who[0], finger=self.who[1])
+        best = found.candidates[0].fmr if found.candidates else None
+        if found.answer != "no match" or best is None or best < _UNLIKE_FMR:
+            return ""
+        assert side.template is not None
+        turned = replace(side, template=mirrored(side.template))
+        if self._asked(turned, person=self.who[0], finger=self.who[1]).answer == "match":
+            return "it matches its earlier captures only in a mirror: the picture is mirrored; turn it round."
+        return f"it is unlike the {count} earlier captures of this finger: is it another finger?"
 
 
-def known_finger(finger: str) -> str:
-    """Return `finger` if it is one of the ten."""
-    require(finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
-    return finger
+def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
+    """Hash of the settings of templates to enrol, `of_minutiae` where a source is a record of them.
+
+    A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the gallery is of other
+    settings, or its folder is missing.
+    """
+    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    if not gallery.there:
+        folder = gallery.path.parent
+        require(folder.is_dir(), f"there is no folder '{folder}' for the gallery; make it first.")
+        return sha256
+    own = gallery.settings_sha256
+    if own == MINUTIAE_HASH:
+        return own
+    require(
+        not of_minutiae,
+        f"'{gallery.path}' keeps templates of ridges, which records of minutiae cannot be compared with; enrol them "
+        "into a gallery of their own.",
+    )
+    gallery.require_comparable(own, sha256)
+    return own
 
 
-def new_capture(made: Made, person: str, finger: str, session: str, settings: Enrolling) -> NewCapture:
+def new_capture(made: Made, person: str, finger: str, session: str, how: Enrolling) -> NewCapture:
     """Give what was made its names."""
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if settings.with_time else ""
-    images = "" if made.images is None else settings.keep
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if how.with_time else ""
+    images = "" if made.images is None else how.keep
     entry = Entry(
         person, finger, session, made.kind, made.source_sha256, made.area_mm2, failure=made.failure, enrolled_at=now,
         images=images,
     )  # fmt: skip
-    code = code_of_payload(made.template)
-    return NewCapture(entry, made.template, code, None if code is None else CODE_VERSION, made.images)
+    return NewCapture(entry, made.template, made.images)
 
 
-def content_of(gallery: Gallery, *, created: bool) -> GalleryContent:
+def content_of(gallery: GalleryFile, *, created: bool) -> GalleryContent:
     """Return what a gallery holds after an enrolment."""
-    rows = gallery.entries()
-    entries = [one.entry for one in rows]
+    entries = gallery.entries()
     return GalleryContent(
         gallery=str(gallery.path),
         created=created,
-        encrypted=gallery.encrypted,
+        encrypted=gallery.key is not None,
         captures=len(entries),
         fingers=len({(one.person, one.finger) for one in entries}),
         people=len({one.person for one in entries}),
-        failures=sum(one.template_bytes == 0 for one in rows),
+        failures=sum(one.template_bytes == 0 for one in entries),
         settings_sha256=gallery.settings_sha256,
     )
-
-
-_THUMBNAIL_PPI = 250.0
-_NOT_INPUTS = ("truth.npz", ".splitknit")
-LARGEST_RAW = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,43 +297,36 @@ class Made:
     failure: str = ""
     images: bytes | None = None
     note: str | None = None
+    side: Side | None = None
+    """What is compared of it."""
 
 
-def _made_of(
-    path: Path | Held,
-    settings: Enrolling,
-    of_minutiae: bool = False,
-    progress: Progress = no_progress,
-    examine: Callable[[Side], None] | None = None,
-) -> Made:
+def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
-    side = undoubted(
-        read_side(path, settings.preset, settings.matching, progress, settings.input_ppi, where=settings.where)
-    )
-    kept = None if settings.keep == "none" else _kept(path, side, settings.keep)
+    side = undoubted(read_side(path, how.preset, how.matching, progress, how.input_ppi, where=how.where))
+    kept = None if how.keep == "none" else _kept(path, side, how.keep)
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
-    if examine is not None:  # of the finger, what is compared
-        examine(replace(side, surface=None, picture=None, minutiae=minutiae))
+    compared = replace(side, surface=None, picture=None, minutiae=minutiae)
     if of_minutiae:
         assert minutiae is not None
         failure = "" if minutiae.acquired else "fewer than ten minutiae"
         payload = pack_minutiae(minutiae) if minutiae.acquired else b""
-        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, side.note)
+        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept, side.note, compared)
     if side.template is None:
         raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
     empty = side.template.empty
     area = 0.0 if empty else round(side.template.area_mm2, 2)
     failure = (side.template.lacks or "too little skin with ridges") if empty else ""
-    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, side.note)
+    return Made(side.kind, side.payload, area, source_hash(path), failure, kept, side.note, compared)
 
 
-def made_or_failed(path: Path, settings: Enrolling) -> Made | str:
-    """As :func:`_made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
+def made_or_failed(path: Path, how: Enrolling) -> Made | str:
+    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
 
     Returns a sentence, and no row, where the files themselves are unusable.
     """
     try:
-        return _made_of(path, settings)
+        return replace(made_of(path, how), side=None)
     except BadInput as error:
         if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
             return str(error)
@@ -369,18 +392,3 @@ def _zipped(path: Path) -> bytes:
             name = file.name if file == path else file.relative_to(path).as_posix()
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), read_bytes(file, LARGEST_RAW))
     return stream.getvalue()
-
-
-def templates_hash(settings: MatchingSettings) -> str:
-    """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
-    return settings_hash(document)
-
-
-MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
-"""The same of galleries that keep minutiae."""
-
-
-def code_of_payload(payload: bytes) -> bytes | None:
-    """Search code of a row's template; None for a failure to acquire, and for minutiae, which have none."""
-    return None if not payload or holds_minutiae(payload) else code_of(unpack(payload)).tobytes()

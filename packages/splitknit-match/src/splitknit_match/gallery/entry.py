@@ -1,17 +1,13 @@
-"""One enrolled capture of a gallery: whose it is, what it came from, and how that is written."""
+"""One enrolled capture of a gallery: whose it is, and what it came from."""
 
 from __future__ import annotations
 
-import json
 import re
 import unicodedata
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
-from splitknit import BadInput, require
+from splitknit import FINGERS, require
 
-_STEP = 256
-"""Names are padded to multiples of this, so that their length does not reveal them."""
 LONGEST_NAME = 100
 """Characters of a person's name, at most."""
 
@@ -32,14 +28,16 @@ class Entry:
     """Hash of the files that it was made from."""
     area_mm2: float = 0.0
     """Area of skin in the template; 0 for a failure to acquire."""
-    template_bytes: int = 0
-    """Size of the template, 0 for a failure to acquire; the gallery fills it in."""
     failure: str = ""
     """Why nothing could be acquired, where that is known."""
     enrolled_at: str = ""
     """ISO 8601, UTC; blank where it was not to be kept."""
     images: str = ""
     """``thumbnail`` (a PNG) or ``raw`` (a ZIP of the source), where one is kept."""
+    template_bytes: int = 0
+    """Size of the template, 0 for a failure to acquire; the gallery fills it in, and what follows."""
+    template_sha256: str = ""
+    row: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "person", check_person(self.person))
@@ -48,32 +46,18 @@ class Entry:
             f"{self.finger[:60]!a} cannot be a finger: small letters, digits and _ are expected, such as right_index.",
         )
         check_session(self.session)
-        require(self.images in ("", "thumbnail", "raw"), f"images are 'thumbnail' or 'raw', not '{self.images}'.")
+        require(0 <= self.area_mm2 <= 1e6, f"area_mm2 must be a number from 0 to a million, not {self.area_mm2}.")
+        require(self.images in ("", "thumbnail", "raw"), f"images are 'thumbnail' or 'raw', not {self.images[:60]!a}.")
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """By which a capture is found; no two captures of a gallery share them."""
+        return self.person, self.finger, self.session
 
     @property
     def words(self) -> str:
         """For people."""
         return f"{self.person}, {self.finger.replace('_', ' ')}, session {self.session}"
-
-    @property
-    def names(self) -> bytes:
-        """By which a capture is found; no two captures of a gallery share them."""
-        return json.dumps([self.person, self.finger, self.session], ensure_ascii=True).encode("ascii")
-
-
-@dataclass(frozen=True, slots=True)
-class Enrolled:
-    """A row of a gallery."""
-
-    row: int
-    entry: Entry
-    code_version: int | None
-    """None where no search code is kept."""
-
-    @property
-    def template_bytes(self) -> int:
-        """Size of the template; 0 for a failure to acquire."""
-        return self.entry.template_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +67,6 @@ class NewCapture:
     entry: Entry
     template: bytes
     """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
-    code: bytes | None = None
-    code_version: int | None = None
     images: bytes | None = None
 
 
@@ -99,31 +81,17 @@ def check_person(text: str) -> str:
 
 def check_session(text: str) -> str:
     """Return `text` if it can be a session's name."""
-    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text)
     require(
-        sound is not None,
+        re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
         f"{text[:60]!a} cannot be a session: up to 32 letters, digits, - and _ are expected, such as 1.",
     )
     return text
 
 
-def encode_entry(entry: Entry) -> bytes:
-    """JSON in ASCII, padded with spaces."""
-    text = json.dumps(asdict(entry), sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
-    return text.ljust(-(-len(text) // _STEP) * _STEP)
-
-
-def decode_entry(content: bytes) -> Entry:
-    """Read what :func:`encode_entry` wrote. Raises BadInput if it is something else."""
-    try:
-        document: dict[str, Any] = json.loads(content.decode("ascii"))
-        kinds: dict[str, type] = {item.name: str for item in fields(Entry)}
-        kinds |= {"area_mm2": float, "template_bytes": int}
-        require(set(document) == set(kinds), "other fields")
-        require(all(isinstance(document[name], kind) for name, kind in kinds.items()), "other kinds")
-        return Entry(**document)
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise BadInput("the names of an enrolled finger cannot be read.") from error
+def known_finger(finger: str) -> str:
+    """Return `finger` if it is one of the ten."""
+    require(finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
+    return finger
 
 
 def session_order(session: str) -> tuple[int, int, str]:

@@ -1,239 +1,113 @@
-"""A gallery: enrolled fingers in one file, encrypted if a key is given.
-
-Every capture is a row: names and facts, the template, and where kept its search code and images, each wrapped so that
-a changed byte is noticed (:mod:`splitknit_match.gallery.key`), and all together so that an older, a missing or an
-exchanged row is (:mod:`splitknit_match.gallery.rows`). Several programs may read while one writes; a writer waits
-for another, and every change happens whole or not at all, also under ``kill -9``.
-"""
+"""A gallery to enrol into and to search: :class:`splitknit_match.Gallery`, :func:`splitknit_match.enroll`."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace as replace_field
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from splitknit import require
-from splitknit_match.gallery.entry import Enrolled, NewCapture, encode_entry
-from splitknit_match.gallery.file import VERSION, WAIT_S, connect, create_file, place_of
-from splitknit_match.gallery.key import Key, ScryptSettings, box_of, document_of, lock
-from splitknit_match.gallery.rows import GalleryRows, GalleryState, Row
-from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
-
-if TYPE_CHECKING:
-    from splitknit_match.gallery.minutia_index import MinutiaIndex
-
-__all__ = ["Enrolled", "Gallery", "NewCapture"]
+from splitknit import AnyPath, Progress, no_progress
+from splitknit_match.gallery.enrol import Duplicates, Enrolling, Enrolment, enroll_fingers
+from splitknit_match.gallery.file import GalleryFile
+from splitknit_match.gallery.identify import Identification, identify_finger
+from splitknit_match.gallery.identify_job import IdentifyJob
+from splitknit_match.gallery.key import Key
+from splitknit_match.matching.inputs import Side, held
+from splitknit_match.matching.match_job import Finger
 
 
-class Gallery(GalleryRows):
-    """An open gallery; a context manager. Get one from :meth:`open` or :meth:`create`."""
+class Gallery(GalleryFile):
+    """A gallery that stays open, in memory; threads and forked processes may use one object.
 
-    @classmethod
-    def open(
-        cls, path: str | os.PathLike[str], key: Key | None = None, *, wait_s: float = WAIT_S, shared: bool = False
-    ) -> Gallery:
-        """Open an existing gallery, with its `key` if it is encrypted; wait so long for another program's change.
+    Each call sees what the file holds at that time, also what other programs changed, and whichever file has the name
+    then; one that was there and is gone is refused. One that is not there yet appears with its first finger.
 
-        `shared`: whether threads share it, one at a time.
-
-        Raises BadInput if it is not a gallery, damaged, of an unknown version, or the key is missing, wrong, or not
-        wanted.
-        """
-        file = Path(path)
-        place = place_of(file)
-        database = connect(file, wait_s=wait_s, shared=shared)
-        try:
-            opened = cls(file, database, key)
-            opened.place = place
-            return opened
-        except BaseException:
-            database.close()
-            raise
-
-    @classmethod
-    def create(
-        cls,
-        path: str | os.PathLike[str],
-        settings_sha256: str,
-        key: Key | None = None,
-        scrypt: ScryptSettings | None = None,
-    ) -> Gallery:
-        """Make a gallery (mode 0600) for templates of these settings, or open the one that is there.
-
-        Raises BadInput if it cannot be written, or as :meth:`open`.
-        """
-        file = Path(path)
-        if not file.exists():
-            about = {"settings_sha256": settings_sha256, "template_version": TEMPLATE_VERSION, **lock(key, scrypt)}
-            create_file(file, document_of(about), GalleryState().sealed(box_of(about, key, file), about))
-        return cls.open(path, key)
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> with splitknit_match.Gallery("people.skg") as gallery:  # doctest: +SKIP
+    ...     gallery.enroll(pixels, "Ann", "right_index", resolution_ppi=500)
+    ...     found = gallery.identify(other_pixels, resolution_ppi=500)
+    """
 
     def __enter__(self) -> Gallery:
         return self
 
-    def __exit__(self, *unused: object) -> None:
-        self.close()
+    def identify(self, probe: Finger, *, side: Side | None = None, **how: Any) -> Identification:
+        """Who is it? `how`: as of :func:`splitknit_match.identify` (``resolution_ppi``, ``top``, ``fmr``, ``person``
+        for verification ...). Raises BadInput as it.
+        """
+        return identify_finger(IdentifyJob(self.path, probe, **how), gallery=self, side=side)
 
-    def close(self) -> None:
-        """Let go of the file."""
-        self.database.close()
-
-    @property
-    def encrypted(self) -> bool:
-        """Whether a key is needed."""
-        return bool(self.about["box"] != "plain")
-
-    @property
-    def settings_sha256(self) -> str:
-        """Hash of the settings that all its templates were made with."""
-        return str(self.about["settings_sha256"])
-
-    @property
-    def template_version(self) -> int:
-        """Version of all its templates."""
-        return int(self.about["template_version"])
-
-    def require_comparable(self, settings_sha256: str) -> None:
-        """Raise BadInput if its templates are of another version, or made with other settings: nothing is mixed."""
-        require(
-            self.template_version == TEMPLATE_VERSION,
-            f"the templates in '{self.path}' are of version {self.template_version}, but this program makes version "
-            f"{TEMPLATE_VERSION}; enrol the fingers again in a new gallery.",
-        )
-        require(
-            self.settings_sha256 == settings_sha256,
-            f"the templates in '{self.path}' were made with other settings (band, template); give the same "
-            "`settings`, or enrol the fingers again in a new gallery.",
-        )
-
-    def __len__(self) -> int:
-        with self.reading(verified=False) as database:
-            return int(database.execute("SELECT count(*) FROM finger NOT INDEXED").fetchone()[0])
-
-    def add(
+    def enroll(
         self,
-        captures: Iterable[NewCapture],
+        finger_of: Finger | Sequence[Finger],
+        person: str,
+        finger: str,
         *,
-        replace: bool = False,
-        first: Callable[[], object] = lambda: None,
-        last: Callable[[], None] = lambda: None,
-    ) -> list[bool]:
-        """Put captures in, all or none; of each, whether it is new (False: the very same is there already).
+        session: str | None = None,
+        resolution_ppi: float | None = None,
+        duplicates: Duplicates = "warn",
+        how: Enrolling | None = None,
+        put_down: Callable[[], object] = lambda: None,
+        progress: Progress = no_progress,
+    ) -> Enrolment:
+        """Put a finger, or several sessions of one, in; as :func:`splitknit_match.enroll`.
 
-        `first` and `last` are called while no other program can change it, before anything is written, and before what
-        was written is final: what they raise undoes it.
-
-        Raises BadInput if another capture has these names (person, finger, session) and `replace` is false.
-        """
-        new, replaced = [], False
-        with self.changing():
-            first()
-            for one in captures:
-                for earlier in self.rows("tag = ?", self.box.tag(one.entry.names)):
-                    if self._is_same(earlier, one):
-                        new.append(False)
-                        break
-                    require(
-                        replace,
-                        f"{one.entry.words} is in '{self.path}' already, made from something else; name another "
-                        "session, or give `replace`.",
-                    )
-                    replaced = self.delete(earlier.id)
-                else:
-                    entry = encode_entry(replace_field(one.entry, template_bytes=len(one.template)))
-                    contents = {"entry": entry, "template": one.template, "code": one.code, "images": one.images}
-                    self.insert(one.entry.names, contents, one.code_version)
-                    new.append(True)
-            if replaced:
-                self.rewrite()
-            last()
-        return new
-
-    def _is_same(self, row: Row, one: NewCapture) -> bool:
-        if self.entry(row).source_sha256 != one.entry.source_sha256:
-            return False
-        (cell,) = self.database.execute("SELECT content FROM template WHERE id = ?", (row.id,)).fetchone() or [0]
-        return self.opened(row, "template", cell) == one.template
-
-    def entries(
-        self, person: str | None = None, finger: str | None = None, session: str | None = None
-    ) -> list[Enrolled]:
-        """All rows in the order of enrolment, or those of a person, finger or session.
-
-        Raises BadInput if a row is damaged.
-        """
-        found = self._all()
-        wanted = {"person": person, "finger": finger, "session": session}
-        wanted = {name: value for name, value in wanted.items() if value is not None}
-        return [one for one in found if all(getattr(one.entry, name) == value for name, value in wanted.items())]
-
-    def _all(self) -> list[Enrolled]:
-        with self.reading():
-            rows = self.rows()
-        return [self._enrolled(row) for row in rows]
-
-    def entries_at(self, rows: Sequence[int]) -> dict[int, Enrolled]:
-        """Some rows, without a look at the others; those that were removed meanwhile are missing."""
-        with self.reading():
-            found = [one for row in rows for one in self.rows("id = ?", row)]
-        return {one.id: self._enrolled(one) for one in found}
-
-    def _enrolled(self, row: Row) -> Enrolled:
-        return Enrolled(row.id, self.entry(row), row.code_version)
-
-    def without_code(self, version: int) -> list[int]:
-        """Rows that have no search code of this version; failures to acquire never have one."""
-        query = "SELECT id FROM finger WHERE code IS NULL OR code_version IS NOT ? ORDER BY id"
-        with self.reading() as database:
-            return [row for (row,) in database.execute(query, (version,)).fetchall()]
-
-    def templates(self, rows: Sequence[int] | None = None) -> dict[int, bytes]:
-        """Templates (payloads) by row, of all or of those named; rows that were removed meanwhile are missing."""
-        return self._contents_at("template", rows)
-
-    def minutia_index(self) -> MinutiaIndex:
-        """Index of the minutiae of all its templates."""
-        from splitknit_match.gallery.minutia_index import MinutiaIndex  # a list of names needs none of it
-
-        return MinutiaIndex(self.templates(), self.path)
-
-    def codes(self, version: int) -> dict[int, bytes]:
-        """Search codes of this version by row."""
-        return self.contents("code", "code_version = ?", [(version,)])
-
-    def images(self, rows: Sequence[int] | None = None) -> dict[int, bytes]:
-        """What was kept of the pictures, by row."""
-        return self._contents_at("images", rows)
-
-    def _contents_at(self, content: str, rows: Sequence[int] | None) -> dict[int, bytes]:
-        return self.contents(content) if rows is None else self.contents(content, "id = ?", [(row,) for row in rows])
-
-    def remove(self, rows: Sequence[int]) -> int:
-        """Remove rows so that nothing of them remains in the file or its journal; return how many there were."""
-        with self.changing():
-            gone = sum(self.delete(row) for row in set(rows))
-            if gone:
-                self.rewrite()
-        return gone
-
-    def rekey(self, key: Key | None, scrypt: ScryptSettings | None = None) -> int:
-        """Wrap everything anew under `key` (None: no longer encrypted), all or nothing; return the number of rows."""
-        return self._rewrap(key, scrypt, VERSION)
-
-    def migrate(self) -> int:
-        """Make a gallery of version 1 one of version 2, under the same key, all or nothing; return the number of rows.
-
-        Raises BadInput if it is of version 2 already, or damaged: what is damaged is removed by the program that wrote
+        `put_down`: called before what was written is final, such as to write a line into a log; what it raises undoes
         it.
         """
-        about = self.about
-        scrypt = ScryptSettings(about["log2_n"], about["r"], about["p"]) if "log2_n" in about else None
-        return self._rewrap(self.key, scrypt, 1)
+        several = isinstance(finger_of, list | tuple)
+        fingers: Sequence[Any] = finger_of if several else [finger_of]  # type: ignore[assignment]
+        return enroll_fingers(
+            self, [held(one, resolution_ppi) for one in fingers], person, finger, session, how=how or Enrolling(),
+            duplicates=duplicates, put_down=put_down, progress=progress,
+        )  # fmt: skip
 
-    def _rewrap(self, key: Key | None, scrypt: ScryptSettings | None, version: int) -> int:
-        kept = {"settings_sha256": self.settings_sha256, "template_version": self.template_version}
-        about = {**kept, **lock(key, scrypt)}
-        with self.changing(version=version):
-            return self.rewrite(about, key)
+
+def enroll(
+    gallery: AnyPath,
+    finger_of: Finger | Sequence[Finger],
+    person: str,
+    finger: str,
+    *,
+    session: str | None = None,
+    key: Key | AnyPath | None = None,
+    resolution_ppi: float | None = None,
+    duplicates: Duplicates = "warn",
+    how: Enrolling | None = None,
+    progress: Progress = no_progress,
+) -> Enrolment:
+    """Put a finger, or several sessions of one, into a gallery, which is made where there is none; all or none.
+
+    Parameters
+    ----------
+    gallery : path
+    finger_of : path, array (H, W) uint8 of a print, or bytes of a template; or a list of them
+    person, finger, session : str
+        Finger: such as ``right_index``; session: by default the next number.
+    key : path, optional
+        File with the key of an encrypted gallery.
+    resolution_ppi : float, optional
+        Pixels per inch of arrays.
+    duplicates : {"refuse", "warn", "allow"}
+        What to do about one that matches another person's (of the person's own fingers it is only said),
+        at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the default), or not look. Of more
+        than 200 captures those whose minutiae agree best are compared, so that about 1 in 100 such fingers is missed.
+    how : Enrolling, optional
+        Preset, settings and what is kept.
+    progress : callable, optional
+
+    Returns
+    -------
+    Enrolment
+
+    Raises
+    ------
+    BadInput
+        Naming what is at fault; the gallery is then as before.
+    """
+    with Gallery(gallery, key) as opened:
+        return opened.enroll(
+            finger_of, person, finger, session=session, resolution_ppi=resolution_ppi, duplicates=duplicates, how=how,
+            progress=progress,
+        )  # fmt: skip

@@ -65,11 +65,9 @@ class IdentifyJob(Job):
     fmr: Annotated[float, Help("false match rate of one comparison at which is decided (default: 1e-4)", "RATE")] = 1e-4
     merge: Annotated[Literal["person", "finger", "none"], Help(
         "one candidate for each person (default), each finger, or each enrolled capture")] = "person"
-    search: Annotated[Literal["auto", "exhaustive", "minutiae", "codes"], Help(
-        "compare all, or only those that minutiae or short codes choose, which is quicker and loses some (default: "
-        "auto, by the gallery's size)")] = "auto"
-    shards: Annotated[AnyPath | None, Help(
-        "compare the codes that 'splitknit gallery index --shards' keeps here, with the gallery's key", "DIR")] = None
+    search: Annotated[Literal["auto", "exhaustive"], Help(
+        "compare all, or of more than 200 captures those whose minutiae agree best, which is quicker and loses some "
+        "(default: auto)")] = "auto"
     input_ppi: InputPpi = None
     resolution_ppi: ResolutionPpi = None
     preset: HowReconstructed = "metric"

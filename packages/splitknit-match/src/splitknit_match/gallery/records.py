@@ -32,7 +32,6 @@ from splitknit import (
     json_text,
     naming,
     no_progress,
-    open_file,
     path,
     photographs_hint,
     provenance,
@@ -47,7 +46,7 @@ from splitknit import (
 )
 from splitknit_match.gallery.entry import Entry
 from splitknit_match.gallery.export_job import ExportJob
-from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.file import GalleryFile, is_gallery
 from splitknit_match.gallery.key import Key, key_of
 from splitknit_match.matching.minutiae import extract
 from splitknit_match.matching.minutiae_record import PPI, holds_minutiae, no_minutiae, unpack_minutiae
@@ -71,7 +70,6 @@ SURFACES = (*KINDS, "lp")
 """Formats of surfaces, and of lights."""
 _FORMAT = "splitknit-export"
 _PARAMETERS = ("to", "finger", "impression", "compression", "device", "owner", "minutiae", "input_ppi", "preset")
-_SQLITE = b"SQLite format 3\0"
 _KEPT_PPI = (500, 1000)
 """Resolutions that records have; prints of others are resampled to 500."""
 _INK = 70.0
@@ -183,9 +181,7 @@ def _items(source: Path, settings: ExportJob, key: Key | None, hashes: dict[str,
         yield _of_surface(source, name, settings, hashes)
     else:
         hashes[source.name] = file_hash(source)
-        with open_file(source, 1 << 50) as (stream, _):
-            first = stream.read(len(_SQLITE))
-        if first == _SQLITE:
+        if is_gallery(source):
             yield from _of_gallery(source, key)
         elif source.suffix.lower() == ".skt":
             payload = read_template(source, VERSION)
@@ -277,14 +273,13 @@ def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Item:
 
 
 def _of_gallery(source: Path, key: Key | None) -> Iterator[_Item]:
-    with Gallery.open(source, key) as opened:
-        rows = opened.entries()
-        templates = opened.templates()
-    for one in rows:
-        payload = templates.get(one.row, b"")
+    with GalleryFile(source, key) as opened:
+        people = opened.people()
+    for one in people.entries.values():
+        payload = people.templates[one.row]
         if payload:  # the others are failures to acquire
-            stem = _safe(f"{one.entry.person}_{one.entry.finger}_{one.entry.session}")
-            yield naming(f"row {one.row} of '{source}'", lambda: _of_payload(stem, payload, one.entry))  # noqa: B023
+            stem = _safe("_".join(one.names))
+            yield naming(f"row {one.row} of '{source}'", lambda: _of_payload(stem, payload, one))  # noqa: B023
 
 
 def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:

@@ -25,7 +25,7 @@ from typing import Any
 from splitknit import BadInput, PrintFile, append_line, cores, importing, known_json, printable, read_bytes, require
 from splitknit_match.gallery.entry import LONGEST_NAME
 from splitknit_match.gallery.file import Unavailable
-from splitknit_match.gallery.warm import OpenGallery
+from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match_job import make_template
 from splitknit_match.matching.minutiae_record import PPI, pack_minutiae
@@ -89,7 +89,7 @@ def openapi(acts: Mapping[str, Any] = ACTS) -> dict[str, Any]:
     return {"openapi": "3.1.0", "info": about, "paths": paths, "components": security, "security": [{"token": []}]}
 
 
-def make_app(gallery: OpenGallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:  # noqa: PLR0915
+def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:  # noqa: PLR0915
     """Make the ASGI application.
 
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not installed.
@@ -199,16 +199,17 @@ def _finger_of(given: Mapping[str, Any]) -> Pixels | bytes:
     return Pixels(held[0].image, float(ppi))
 
 
-def _shown(error: BadInput, gallery: OpenGallery) -> str:
+def _shown(error: BadInput, gallery: Gallery) -> str:
     """A sentence without the folders of this machine."""
     text = str(error)
-    for place in gallery.places():
-        text = text.replace(f"'{printable(str(place))}'", f"'{printable(place.name)}'")
+    for folder in (gallery.path.resolve().parent, gallery.path.parent):
+        if len(folder.parts) > 1:
+            text = text.replace(printable(str(folder)), "...")
     return text
 
 
 def _done(
-    name: str, given: Mapping[str, Any], gallery: OpenGallery, enrolled: Callable[[], None] = lambda: None
+    name: str, given: Mapping[str, Any], gallery: Gallery, enrolled: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
     finger: Any = _finger_of(given)
     if name == "enroll":

@@ -52,9 +52,6 @@ from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 if TYPE_CHECKING:
     from splitknit_match.prints.pressed import PressedRidges
 
-TOUCHES = (".png", ".tif", ".tiff", ".bmp", ".wsq", ".skt")
-_MOST_TOUCHES = 40
-"""Files of a folder of touches."""
 _ENDS, _JUDGED_MM2 = (0.015, 1.0), 100.0
 """Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41,
 squares of 9 mm of them 0.025 to 0.72."""
@@ -68,7 +65,7 @@ class Side:
 
     path: Path
     kind: str
-    """``capture``, ``result``, ``template``, ``print``, ``touches``, ``photo`` (of a finger) or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     surface: Surface | None = None
     template: Template | None = None
     """Template of its ridges; None where only minutiae are known."""
@@ -171,17 +168,12 @@ def read_side(  # noqa: PLR0911 - one for each kind
     if (path / "height.npz").is_file() or (not folder and path.suffix.lower() == ".npz"):
         surface = _read_surface(path / "height.npz" if folder else path)
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
-    if folder and not (path / "capture.json").is_file():
-        touches = sorted(file for file in path.iterdir() if file.suffix.lower() in TOUCHES and file.is_file())
-        if len(touches) > 1:
-            return _touched(path, touches, settings, input_ppi)
     if folder:
         from splitknit import photographs_hint, read_capture  # a template needs none of it
 
         require(
             (path / "capture.json").is_file(),
-            f"'{path}' is neither a result (height.npz), a capture (capture.json), a print (print.png) nor a folder of "
-            "touches of one finger (prints); name one "
+            f"'{path}' is neither a result (height.npz), a capture (capture.json) nor a print (print.png); name one "
             f"{photographs_hint(path)}.",
         )
         capture = read_capture(path)
@@ -226,30 +218,6 @@ def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: P
     if holds_minutiae(given):
         return Side(Path("template"), "template", minutiae=unpack_minutiae(given))
     return Side(Path("template"), "template", None, unpack(given))
-
-
-def _touched(folder: Path, files: list[Path], settings: MatchingSettings, input_ppi: float | None) -> Side:
-    """Several touches of one finger on a small sensor: prints or their templates, joined."""
-    from splitknit_match.matching.touches import join_touches  # one print needs none of it
-
-    require(
-        len(files) <= _MOST_TOUCHES, f"'{folder}' holds {len(files)} prints; of touches {_MOST_TOUCHES} are joined."
-    )
-    templates, doubt = [], None
-    for file in files:
-        one = read_side(file, "metric", settings, input_ppi=input_ppi)
-        require(
-            one.template is not None and one.kind in ("print", "template"),
-            f"{file} is a {one.kind}; a folder of touches holds prints of one finger alone.",
-        )
-        templates.append(one.template)
-        doubt = doubt or (one.doubt and f"{file.name}: {one.doubt}")
-    whole, joined = join_touches([one for one in templates if one is not None])
-    found = sum(not one.empty for one in templates if one is not None)
-    note = f"{len(files)} touches, {joined} joined" + (f", {found - joined} beside them" if found > joined else "")
-    if found < len(files):
-        note += f", {len(files) - found} without enough ridges"
-    return Side(folder, "touches", None, whole, note=note, doubt=doubt)
 
 
 def undoubted(side: Side) -> Side:

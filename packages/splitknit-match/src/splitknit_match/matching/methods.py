@@ -1,10 +1,10 @@
-"""Matching of files by one of eight methods: captures, results, templates and prints in, similarity out."""
+"""Matching of files by one of five methods: captures, results, templates and prints in, similarity out."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from splitknit import BadInput, Progress, Surface, naming, no_progress, override
 from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit_match.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
+from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
@@ -37,9 +37,6 @@ TABLES = {
     "windows": "match_fmr_windows.json",
     "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
-    "minutiae3d": "match_fmr_minutiae3d.json",
-    "tetrahedra": "match_fmr_tetrahedra.json",
-    "surface_code": "match_fmr_surface_code.json",
 }
 """Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of real prints."""
 REAL_PRINTS = "match_fmr_real_prints.json"
@@ -58,7 +55,7 @@ class ComparedSide:
 
     path: str
     kind: str
-    """``capture``, ``result``, ``template``, ``print``, ``touches``, ``photo`` (of a finger) or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     area_mm2: float
     """Area of its ridges."""
     acquired: bool
@@ -69,8 +66,6 @@ class ComparedSide:
     """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no print."""
     enhanced: bool | None = None
     """Whether its print was enhanced first."""
-    code_mm2: float | None = None
-    """Area of its finger surface code."""
     note: str | None = None
     """What a photograph was taken for, and how its scale is known."""
     quality: float | None = None
@@ -136,12 +131,6 @@ class Match:
     """Similarity of minutiae in the method ``fusion``, 0 to 1; None where there are too few."""
     compared: bool
     """False: a failure to acquire, or too little overlap."""
-    agreeing: int | None = None
-    """Minutiae that agree in place and direction."""
-    tetrahedra: int | None = None
-    """That proposed an alignment."""
-    distance: float | None = None
-    """Fraction of bits that differ."""
     overlap_mm2: float | None = None
     correlation: float | None = None
     overlap: float | None = None
@@ -215,9 +204,6 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
         "fusion": partial(_fused, job.input_ppi is None),
         **{name: partial(_by_thesis, name) for name in ("thesis", "thesis-code")},
         "minutiae": _by_minutiae,
-        "voted": partial(_by_votes, job.preset),
-        "surface-code": _by_codes,
-        **{name: partial(_by_space_minutiae, name) for name in ("minutiae3d", "tetrahedra")},
     }
     found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
     if method == "fusion" and "photo" not in (first.kind, second.kind) and found.fmr is not None:
@@ -303,7 +289,7 @@ def _scores_of(method: str, a: Side, b: Side) -> str:
         of = {"photo": " alone", "print": " and prints"}.get(a.kind if b.kind == "photo" else b.kind, "")
         return f"fingerphotos{of}" if method == "fusion" else f"{method} on photographs"
     of_surfaces = a.surface is not None and b.surface is not None
-    return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
+    return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method
 
 
 def doubt_of(side: Side | ComparedSide) -> str | None:
@@ -347,8 +333,7 @@ def _rated(
         areas = found.a.area_mm2, found.b.area_mm2
         scores = scores_of(scores, areas, found.similarity_of_minutiae)
         rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
-        one_print = len(doubts) == 1 and "touches" not in (found.a.kind, found.b.kind)
-        if not doubts or (one_print and rated.answer == "match"):  # one resolution confirms the other
+        if not doubts or (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
             return replace(
                 found, fmr=rated.fmr, fmr_missing=rated.missing, fmr_basis=rated.basis, decision=rated.decision,
                 answer=rated.answer, undecided=rated.undecided,
@@ -446,11 +431,8 @@ def _threshold(table: FmrTable, fmr: float, method: str) -> float:
 
 def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     """Whether scores mean what they meant when the table was measured."""
-    ridges, codes = ("band", "template", "ridge"), ("surface_code", "surface_match")
-    names = {"ridge": ridges, "fusion": ridges, "fingerphotos": ridges, "windows": ridges, "surface_code": codes}
-    plain = MatchingSettings()
-    asked = names.get(method.split(maxsplit=1)[0], (method,) if hasattr(plain, method) else ())
-    return all(getattr(settings, name) == getattr(plain, name) for name in asked)
+    plain, ridges = MatchingSettings(), method.split(maxsplit=1)[0] in ("ridge", "fusion", "fingerphotos", "windows")
+    return not ridges or replace(settings, thesis=plain.thesis) == plain
 
 
 def _by_thesis(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
@@ -496,8 +478,9 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
     """
     found = [side_minutiae(side) for side in (a, b)]
     sides = []
-    for side, known in zip((a, b), _with_minutiae(a, b, found), strict=True):
+    for side, one in zip((a, b), found, strict=True):
         quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
+        known = replace(_side(side), minutiae=one.count, acquired=one.acquired)
         quality_or_none = None if quality == NFIQ2_FAILED else quality
         sides.append(replace(known, nfiq2=quality_or_none, enhanced=side.picture is not None))
     compared = all(one.acquired for one in found)
@@ -539,75 +522,6 @@ def _surface(side: Side, method: str) -> Surface:
             f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
         )
     return side.surface
-
-
-def _with_minutiae(a: Side, b: Side, found: Sequence[Minutiae | SpaceMinutiae]) -> list[ComparedSide]:
-    """Both sides, with how many minutiae were found in each."""
-    return [
-        replace(_side(side), minutiae=one.count, acquired=one.acquired) for side, one in zip((a, b), found, strict=True)
-    ]
-
-
-def _by_space_minutiae(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
-    from splitknit_match.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # a template needs none of it
-    from splitknit_match.matching.space_features import space_minutiae  # a template needs none of it
-
-    left, right = (naming(side.path, partial(space_minutiae, _surface(side, method))) for side in (a, b))
-    tetrahedra = method == "tetrahedra"
-    if tetrahedra:
-        found = tetrahedra_match(left, right, settings.tetrahedra)
-    else:
-        found = minutiae3d_match(left, right, settings.minutiae3d)
-    sides = _with_minutiae(a, b, (left, right))
-    return Match(
-        method=method, a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
-        agreeing=found.agreeing, tetrahedra=found.proposals if tetrahedra else None,
-    )  # fmt: skip
-
-
-def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
-    from splitknit_match.matching.space_features import surface_code  # a template needs none of it
-    from splitknit_match.matching.surface_code import surface_code_match  # a template needs none of it
-
-    codes = [
-        naming(side.path, partial(surface_code, _surface(side, "surface-code"), settings.surface_code))
-        for side in (a, b)
-    ]
-    found = surface_code_match(codes[0], codes[1], settings.surface_match)
-    sides = [
-        replace(_side(side), code_mm2=one.area_mm2, acquired=not one.empty)
-        for side, one in zip((a, b), codes, strict=True)
-    ]
-    return Match(
-        method="surface-code", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
-        distance=found.distance, overlap_mm2=found.overlap_mm2, alignment=PlaneAlignment(found.rotation_deg),
-    )  # fmt: skip
-
-
-def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
-    """Compare by voted minutiae. Raises BadInput if a side is not a capture, or nbis-py is not installed."""
-    for side in (a, b):
-        if side.kind != "capture":
-            raise BadInput(
-                f"{side.path} is a {side.kind} without the images that it was made of, which the method voted needs; "
-                "name the capture itself, or compare with the method minutiae."
-            )
-    voted = [_voted(side, preset, settings) for side in (a, b)]
-    sides = [replace(side, enhanced=False) for side in _with_minutiae(a, b, voted)]
-    return Match(
-        method="voted", a=sides[0], b=sides[1], similarity=minutiae_match(*voted),
-        compared=all(one.acquired for one in voted),
-    )  # fmt: skip
-
-
-def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
-    from splitknit import preset_settings, read_capture  # of captures only
-    from splitknit_match.matching.voted_minutiae import voted_minutiae
-
-    capture = read_capture(side.path)
-    return naming(
-        side.path, lambda: voted_minutiae(capture, preset_settings(preset), settings.leave_one_out, settings.voted)
-    )
 
 
 @cache

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from splitknit import Surface, height_gradients, normals_from_gradients
-from splitknit_match.matching.minutiae3d import Minutiae3DSettings, TetrahedraSettings
 from splitknit_match.matching.ridge import RidgeMatchSettings
 from splitknit_match.matching.ridge_band import RidgeBandSettings, ridge_band
-from splitknit_match.matching.surface_code import SurfaceCodeSettings, SurfaceMatchSettings
 from splitknit_match.matching.template import Template, TemplateSettings, make_template
 from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_images
-from splitknit_match.matching.voted_minutiae import LeaveOneOutSettings, VoteSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +19,6 @@ class MatchingSettings:
     template: TemplateSettings = field(default_factory=TemplateSettings)
     ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
     thesis: ThesisSettings = field(default_factory=ThesisSettings)
-    leave_one_out: LeaveOneOutSettings = field(default_factory=LeaveOneOutSettings)
-    voted: VoteSettings = field(default_factory=VoteSettings)
-    minutiae3d: Minutiae3DSettings = field(default_factory=Minutiae3DSettings)
-    tetrahedra: TetrahedraSettings = field(default_factory=TetrahedraSettings)
-    surface_code: SurfaceCodeSettings = field(default_factory=SurfaceCodeSettings)
-    surface_match: SurfaceMatchSettings = field(default_factory=SurfaceMatchSettings)
 
 
 def surface_template(surface: Surface, settings: MatchingSettings) -> Template:

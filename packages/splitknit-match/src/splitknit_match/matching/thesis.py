@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, check_fields, check_mask, require, warp
-from splitknit_match.matching.features import (
-    LbpSettings,
-    gabor_features,
-    hog_features,
-    lbp_features,
-    shape_context_features,
-)
+from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.score import dissimilarity
 
 # The thesis's alignment of two finger masks, and how much of them overlaps.
@@ -113,11 +107,8 @@ class ThesisSettings(Checked):
 
     gate: Annotated[float, Limits(0, 1)] = 0.9
     """Pairs whose masks overlap less (5.1) are not compared; 0 compares all."""
-    feature: Literal["lbp", "hog", "gabor", "shape_context"] = "lbp"
-    """``lbp``, ``hog``, ``gabor`` or ``shape_context``."""
     attributes: tuple[str, ...] = ("normals", "relief")
     """Names in :data:`ATTRIBUTES`; the similarity is the mean of theirs."""
-    lbp: LbpSettings = field(default_factory=LbpSettings)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -214,8 +205,7 @@ def finger_features(images: FingerImages, settings: ThesisSettings | None = None
     channel, for :func:`thesis_match`.
     """
     settings = settings or ThesisSettings()
-    extract = _extractor(settings, images.px_per_mm)
-    return {name: extract(images.channels[name]) for name in _needed(images, settings)}
+    return {name: lbp_features(images.channels[name], images.px_per_mm) for name in _needed(images, settings)}
 
 
 def thesis_match(
@@ -248,11 +238,11 @@ def thesis_match(
         gated = float(np.exp(2.0 - ratio))  # above e: worse than any pair that is compared
         return _ThesisMatch(1.0 - gated, dict.fromkeys(settings.attributes, gated), {}, ratio, right, False)
     box = database.mask.shape[0], database.mask.shape[1]
-    extract = _extractor(settings, database.px_per_mm)
+    scale = database.px_per_mm
 
     def distance(name: str) -> float:
-        known = extract(database.channels[name]) if features is None else features[name]
-        return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
+        known = lbp_features(database.channels[name], scale) if features is None else features[name]
+        return float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
 
     if cv2.getNumThreads() > 1:
         from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
@@ -272,10 +262,3 @@ def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:
     missing = [name for name in needed if name not in images.channels]
     require(not missing, f"a finger has no channel '{missing[0] if missing else ''}'.")
     return needed
-
-
-def _extractor(settings: ThesisSettings, px_per_mm: float) -> Callable[[FloatArray], NDArray[np.float32]]:
-    if settings.feature == "lbp":
-        return lambda image: lbp_features(image, px_per_mm, settings.lbp)
-    others = {"hog": hog_features, "gabor": gabor_features, "shape_context": shape_context_features}
-    return lambda image: others[settings.feature](image, px_per_mm)

@@ -1,6 +1,6 @@
-"""Enhancement of prints: by Gabor filters that follow the ridges, or in the spectra of short windows.
+"""Enhancement of prints by Gabor filters that follow the ridges.
 
-Gabor: at every node (a few pixels apart) one complex Gabor coefficient is computed with the node's own direction and
+At every node (a few pixels apart) one complex Gabor coefficient is computed with the node's own direction and
 frequency: no filter bank, nothing quantised. Between nodes the print is the mean of the four plane waves around,
 weighted bilinearly. That is what filtering every pixel with its own filter gives (a test compares), at a fraction of
 the work: the demodulated ridges are smooth over a filter's width.
@@ -15,11 +15,10 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import MM_PER_INCH, BadInput, BoolArray, FloatArray, require
+from splitknit import BadInput, BoolArray, FloatArray, require
 from splitknit_match.prints.ridge_field import RidgeField, overlap_added, ridge_field
 
 _SIGMA_PERIODS = 0.5
@@ -28,12 +27,6 @@ _CONTRAST = 2.0
 """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
 _FLOOR = 0.15
 """Ridges weaker than this fraction of the print's median are not raised further."""
-_WINDOW_MM = 1.63
-"""Side of a window of the STFT."""
-_RADIAL_WIDTH = 0.5
-"""Half width of its radial band, relative to the local frequency."""
-_NARROW_DEG, _WIDE_DEG = 25.0, 80.0
-"""Half width of its fan where ridges run one way, and where they run every way."""
 _NO_RIDGES = "the print has no ridges; check focus and light of the capture."
 
 
@@ -153,88 +146,6 @@ def _plane_waves(coefficients: NDArray[np.complex64], found: RidgeField, shape: 
     wave = overlap_added(tiles.transpose(0, 2, 1, 3), step)
     start = step - step // 2
     return wave[start : start + shape[0], start : start + shape[1]]
-
-
-def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
-    """Enhance a print in short windows, each filtered in its own spectrum; as :func:`gabor_enhance`.
-
-    A window's spectrum is multiplied by a radial band about the local frequency and by a fan about the local direction,
-    which is wide where directions disagree (cores, deltas); the overlapping windows are put together again.
-
-    Source: S. Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis, sections 3
-    and 4.
-    """
-    found = ridge_field(image, ppi, inside)
-    wave = _filtered(image, found, ppi / MM_PER_INCH)
-    sigma = _WINDOW_MM * ppi / MM_PER_INCH / 4
-    level = np.sqrt(np.maximum(cv2.GaussianBlur(wave * wave, (0, 0), sigma), np.float32(1e-12)) * 2)
-    large = cv2.resize(found.mask.astype(np.uint8), None, fx=found.step_px, fy=found.step_px) > 0
-    typical = float(np.median(level[large[: image.shape[0], : image.shape[1]]]))
-    require(typical > 0.05, _NO_RIDGES)
-    wave = wave / np.maximum(level, np.float32(_FLOOR * typical))
-    padded = cv2.copyMakeBorder(
-        level, 0, large.shape[0] - level.shape[0], 0, large.shape[1] - level.shape[1], cv2.BORDER_REPLICATE
-    )
-    at_nodes = cv2.resize(padded, (found.mask.shape[1], found.mask.shape[0]), interpolation=cv2.INTER_AREA)
-    found = replace(found, mask=found.mask & (at_nodes > np.float32(2.0 * _FLOOR * typical)))
-    require(bool(found.mask.any()), _NO_RIDGES)
-    return _finished(wave.astype(np.float32), found, inside)
-
-
-def _filtered(image: NDArray[np.uint8], found: RidgeField, px: float) -> FloatArray:
-    """(h, w) sum of the filtered windows."""
-    side = scipy.fft.next_fast_len(max(16, round(_WINDOW_MM * px)), real=True)
-    hop = side // 4
-    n, m = (-(-size // hop) + 3 for size in image.shape)
-    pad = 3 * hop
-    wide = cv2.copyMakeBorder(
-        image, pad, n * hop + side - image.shape[0], pad, m * hop + side - image.shape[1], cv2.BORDER_REFLECT
-    ).astype(np.float32)
-    windows = sliding_window_view(wide, (side, side))[::hop, ::hop][:n, :m]
-    # ridges at the windows' middles, on the field's nodes
-    rows, columns = ((np.arange(count) * hop - pad + 0.5 * (side - 1) + 0.5) / found.step_px - 0.5 for count in (n, m))
-    i = np.clip(np.rint(rows).astype(np.intp), 0, found.mask.shape[0] - 1)
-    j = np.clip(np.rint(columns).astype(np.intp), 0, found.mask.shape[1] - 1)
-    near = cv2.dilate(found.mask.astype(np.uint8), np.ones((2 * (side // found.step_px // 2) + 1,) * 2, np.uint8)) > 0
-    wanted = near[i[:, None], j[None]]
-    orientation, frequency, width = (part[i[:, None], j[None]][wanted] for part in _context(found))
-    analysis = np.sqrt(np.hanning(side + 1)[:-1]).astype(np.float32)
-    taper = analysis[:, None] * analysis
-    patches = windows[wanted]
-    patches = (patches - patches.mean(axis=(1, 2), keepdims=True)) * taper
-    spectrum = scipy.fft.rfft2(patches, workers=2)
-    ky, kx = np.meshgrid(
-        scipy.fft.fftfreq(side).astype(np.float32), scipy.fft.rfftfreq(side).astype(np.float32), indexing="ij"
-    )
-    radius = np.hypot(kx, ky)
-    double = 2.0 * np.arctan2(-ky, kx)
-    across = 2.0 * orientation + np.float32(np.pi)
-    cosine = np.cos(across)[:, None, None] * np.cos(double) + np.sin(across)[:, None, None] * np.sin(double)
-    off = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))  # angle to the wave vector, 0 to a quarter turn
-    fan = np.where(off < width[:, None, None], np.cos(0.5 * np.pi * off / width[:, None, None]) ** 2, np.float32(0.0))
-    step = (radius - frequency[:, None, None]) / (np.float32(_RADIAL_WIDTH) * frequency[:, None, None])
-    band = np.float32(1.0) / (np.float32(1.0) + step**4)
-    patches = scipy.fft.irfft2(spectrum * (fan * band), s=(side, side), workers=2) * taper
-    tiles = np.zeros((n, m, side, side), dtype=np.float32)
-    tiles[wanted] = patches
-    sums = overlap_added(tiles, hop)
-    # squared tapers at a quarter's hop add up to 2 along each axis
-    return sums[pad : pad + image.shape[0], pad : pad + image.shape[1]] / np.float32(4.0)
-
-
-def _context(found: RidgeField) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions, frequencies and half widths of the fan (rad), from each node's surroundings."""
-    double = np.exp(2j * found.orientation_rad) * found.mask
-    parts = [
-        cv2.GaussianBlur(np.ascontiguousarray(part, dtype=np.float32), (0, 0), 1.5)
-        for part in (double.real, double.imag)
-    ]
-    fraction = np.maximum(cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5), np.float32(1e-3))
-    agree = np.clip(np.hypot(*parts) / fraction, 0.0, 1.0)
-    narrow, wide = np.deg2rad(_NARROW_DEG), np.deg2rad(_WIDE_DEG)
-    width = (wide + (narrow - wide) * agree**2).astype(np.float32)
-    orientation = (0.5 * np.arctan2(parts[1], parts[0])).astype(np.float32)
-    return orientation, found.frequency_px, width
 
 
 # Ridges as black and white, and as lines one pixel wide.

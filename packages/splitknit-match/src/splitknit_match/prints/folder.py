@@ -1,4 +1,4 @@
-"""A print's folder: the pictures, the minutiae on paper and in space, the distortion, and the report."""
+"""A print's folder: the pictures, the minutiae, the distortion, and the report."""
 
 from __future__ import annotations
 
@@ -8,38 +8,30 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import (
     BadInput,
-    ColourArray,
-    FloatArray,
     JsonValue,
     PrintFile,
     Progress,
     atomic_folder,
     canonical_json,
     check_target,
-    colour,
     file_hash,
     json_text,
     naming,
     no_progress,
-    on_paper,
     override,
     provenance,
     require,
-    sampled_at,
     write_file,
-    write_image,
     write_npz,
     write_print_png,
 )
 from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.space_features import bilinear, in_space
 from splitknit_match.prints.enhance import Enhanced, as_print, ridge_mask, thin
 from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
@@ -53,17 +45,14 @@ from splitknit_match.prints.make import (
     measured,
     minutiae_by_phase,
 )
-from splitknit_match.prints.pores import write_pores
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_job import PrintJob
-from splitknit_match.prints.print_map import NOWHERE, PrintMap
+from splitknit_match.prints.print_map import PrintMap
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.rolled import read_rolled, write_rolled
 from splitknit_match.prints.sources import Source, read_source
-from splitknit_match.prints.unroll import Unrolled
-from splitknit_match.records.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit_match.records.minutiae_files import encode_minutiae_record
-from splitknit_match.records.minutiae_record import FingerView, MinutiaeRecord
+from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.rolled.finger import Rolled
 
 
@@ -75,12 +64,11 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     """
     started = time.perf_counter()
     settings, path, out, ppi = override(PrintingSettings(), job.settings or {}), job.path, Path(job.out), float(job.ppi)
-    method, place = _how(job, settings)
+    method, place = _how(job)
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
         source, around, given = _read(job, method, place, settings, progress)
         origin = provenance({**_parameters(method, settings), "surface": place, "ppi": ppi}, source.hashes)
-        pores = naming(path, lambda: write_pores(target, source, origin)) if job.pores else None
         timings = {"reading": time.perf_counter() - started}
         progress("printing", 0.75)
         try:
@@ -89,7 +77,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             timings["printing"] = time.perf_counter() - clock
             progress("enhancing", 0.85)
             clock = time.perf_counter()
-            enhanced = enhance(made, ppi, settings)
+            enhanced = enhance(made, ppi)
             ridges = ridge_mask(enhanced)
             timings["enhancing"] = time.perf_counter() - clock
         except BadInput as error:
@@ -108,7 +96,6 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "surface": place,
             "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
             "ppi": ppi,
-            "enhanced": settings.enhance,
             **({"scale": source.scale} if source.scale else {}),
             "size": list(made.image.shape),
             "mirrored": True,
@@ -119,7 +106,6 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         }
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
-            write_image(target / "distortion.png", distortion_picture(made.map, made.unrolled))
         if around is not None:
             facts["rolled"] = write_rolled(target, around)
         clock = time.perf_counter()
@@ -138,9 +124,9 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
                 found, score, source.subject.get("finger"), "live_plain" if method == "file" else "contactless"
             )
             facts["minutiae"] = {
-                "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
+                "written": True, "sought_in": where, "count": len(view.x_px), "finger": view.finger,
             }  # fmt: skip
-        facts |= {} if pores is None else {"pores": pores}
+            write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin
@@ -162,7 +148,7 @@ def _write_pictures(
     write_npz(target / "map.npz", arrays)
 
 
-def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
+def _how(job: PrintJob) -> tuple[str, str]:
     """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
     path = job.path
     photo = None if path.suffix.lower() == ".npz" else fingerphoto(path)
@@ -172,14 +158,14 @@ def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
     )
     if not path.is_file() or path.suffix.lower() == ".npz":
         method = job.method or "unroll"
-        return method, checked_surface(method, job.surface, settings)
+        return method, checked_surface(method, job.surface)
     if photo is not None:
         method = job.method or "photo"
         require(
             (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
             f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
         )
-        return method, checked_surface(method, job.surface or "free", settings)
+        return method, checked_surface(method, job.surface or "free")
     require(
         (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
         f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
@@ -217,7 +203,7 @@ def _read(
         return *read_rolled(job.path, job.preset, settings.rolled, progress), None
     photo = method == "photo"
     source = read_source(
-        job.path, photo=photo, surface=not photo or place != "plane" or job.pores, preset=job.preset, progress=progress,
+        job.path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
         px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
     )  # fmt: skip
     return source, None, None
@@ -334,11 +320,6 @@ def _sentence(cause: str, name: str, found: PrintQuality) -> str:
     return sentences[cause]
 
 
-Array = NDArray[np.float64]
-AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
-"""Ends of the colour bars of the distortion picture."""
-
-
 def _minutiae_of(
     made: Print, pictures: Mapping[str, NDArray[np.uint8]], enhanced: Enhanced, sought_in: str
 ) -> tuple[Minutiae | None, str]:
@@ -356,82 +337,3 @@ def _minutiae_of(
         return extract(pictures[f"{sought_in}.png"], made.map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
         return None, f"{' '.join(str(error).split())} Or find them with `settings` minutiae=phase."
-
-
-def _write_minutiae(
-    target: Path, view: FingerView, print_map: PrintMap, source: Source, origin: dict[str, JsonValue]
-) -> dict[str, Any]:
-    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them."""
-    write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
-    facts: dict[str, Any] = {"count": len(view.x_px), "finger": view.finger}
-    if source.height_mm is not None or source.points_mm is not None:
-        scale = print_map.ppi / 500.0
-        places = (np.stack([view.x_px, view.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
-        space = _in_space(places, view.direction_rad, print_map, source)
-        good = np.isfinite(space).all(axis=1)
-        theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
-        x, y, z = space[good, :3].T
-        record = Minutiae3D(x, y, z, theta, phi, view.type[good], view.quality[good], view.finger, origin)
-        write_minutiae3d(target / "minutiae3d.json", record)
-        facts["in_space"] = int(good.sum())
-    return facts
-
-
-def _in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
-    """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
-
-    NaN where the print shows nothing, or the surface is not known.
-    """
-    if source.points_mm is not None:
-        there, ahead = print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
-        return _on_chart(source.points_mm, there, ahead)
-    assert source.height_mm is not None
-    return in_space(
-        places, directions_rad, print_map, source.height_mm, source.pitch_mm,
-        input_from_upright=source.input_from_upright, xy_mm=source.xy_mm,
-    )  # fmt: skip
-
-
-def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:
-    """(N, 6) points and directions of places (N, 2) of a chart (H, W, 3), heading `ahead` (N,) on it."""
-    step = np.stack([np.cos(ahead), -np.sin(ahead)], axis=1)  # rows run downwards
-    here, before, after = (bilinear(points_mm, at) for at in (there, there - step, there + step))
-    return np.column_stack([here, after - before])
-
-
-def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
-    """(h, w, 3) two maps side by side with their colour bars, on the pixels of the print.
-
-    Left: area on the print over area of the skin, blue too small, orange too large. Right: by how much more the skin is
-    stretched one way than the other.
-    """
-    node = np.linalg.inv(unrolled.grid.input_from_grid)
-    x = node[0, 0] * print_map.columns + node[0, 1] * print_map.rows + node[0, 2] - 0.5
-    y = node[1, 0] * print_map.columns + node[1, 1] * print_map.rows + node[1, 2] - 0.5
-    shown = print_map.columns > 0.5 * NOWHERE
-    panels = []
-    for values_of, low, high, title in (
-        (unrolled.distortion.area, -AREA_LIMIT, AREA_LIMIT, "area"),
-        (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
-    ):
-        known = np.isfinite(values_of)
-        filled, fraction = np.where(known, values_of, 0.0).astype(np.float32), known.astype(np.float32)
-        values, weight = (sampled_at(part, x, y, outside=0.0) for part in (filled, fraction))
-        evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
-        picture = colour(evened, low, high, diverging=low < 0)
-        picture = on_paper(picture, (shown & (weight > 0.01)).astype(np.float32))
-        panels.append(np.vstack([picture, _bar(picture.shape[1], low, high, title)]))
-    return np.hstack([panels[0], np.full((panels[0].shape[0], 12, 3), 255, np.uint8), panels[1]])
-
-
-def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
-    """A colour bar with its ends in percent."""
-    bar = np.full((46, width, 3), 255, dtype=np.uint8)
-    ramp = np.linspace(low, high, max(width - 40, 2), dtype=np.float32)[None].repeat(12, axis=0)
-    bar[6:18, 20 : 20 + ramp.shape[1]] = colour(ramp, low, high, diverging=low < 0)
-    texts = (f"{100 * low:+.0f} %" if low else "0", title, f"{100 * high:+.0f} %")
-    for text, fraction in zip(texts, (0.0, 0.5, 1.0), strict=True):
-        (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
-        place = int(4 + fraction * (width - 8 - length))
-        cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
-    return bar

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, FloatArray, ink, override, require
+from splitknit import BadInput, FloatArray, ink, require
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.prints.curvature import CurvatureSettings, curvature
-from splitknit_match.prints.enhance import Enhanced, gabor_enhance, stft_enhance
+from splitknit_match.prints.enhance import Enhanced, gabor_enhance
 from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit_match.prints.print_quality import PrintQuality, print_quality
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import KINDS, Unrolled, UnrollSettings, unroll
+from splitknit_match.prints.unroll import KINDS, NODES_MM, Unrolled, UnrollSettings, unroll
 from splitknit_match.prints.unroll_grid import surface_grid
 from splitknit_match.rolled.blend import RolledSettings
 
@@ -33,8 +33,6 @@ class PrintingSettings:
 
     unroll: UnrollSettings = field(default_factory=UnrollSettings)
     curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
-    enhance: Literal["gabor", "stft"] = "gabor"
-    """How ``enhanced.png`` is made."""
     minutiae: Literal["phase", "print", "enhanced"] = "phase"
     """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
     rolled: RolledSettings = field(default_factory=RolledSettings)
@@ -77,7 +75,7 @@ def make_print(
     """
     settings = settings or PrintingSettings()
     require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
-    place = checked_surface(method, surface, settings)
+    place = checked_surface(method, surface)
     unrolled: Unrolled | None = None
     if place == "plane":
         print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
@@ -109,13 +107,13 @@ def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, set
     """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
     from splitknit_match.prints.rolled import laid_flat  # slow to import
 
-    unrolled, print_map = laid_flat(rolled, kind, ppi, settings.unroll)
+    unrolled, print_map = laid_flat(rolled, kind, ppi)
     inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
     image = ink(inked, weight, ppi)
     return Print(image, weight, print_map, inked, True, unrolled)
 
 
-def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
+def checked_surface(method: str, surface: str | None) -> str:
     """Where a print is made; refuses what does not go together.
 
     Raises BadInput if method or surface are not known, or ``unroll`` is asked for on the plane.
@@ -123,13 +121,11 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")
     if method == "rolled":
-        from splitknit_match.prints.rolled import KINDS as ROLLED_KINDS  # slow to import
-
-        kind = surface or (settings.unroll.kind if settings.unroll.kind in ROLLED_KINDS else "free")
-        require(kind in ROLLED_KINDS, f"a rolled finger is laid flat {' or '.join(ROLLED_KINDS)}, not on the {kind}.")
+        kind = surface or "free"
+        require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
         return kind
     if surface is None:
-        return settings.unroll.kind if method == "unroll" else "plane"
+        return "free" if method == "unroll" else "plane"
     require(
         not (method == "unroll" and surface == "plane"),
         "`method` unroll cannot be printed on the plane; use `method` relief for that.",
@@ -137,12 +133,8 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
     return surface
 
 
-def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -> Enhanced:
-    """Enhance a print by the method in the settings."""
-    settings = settings or PrintingSettings()
-    require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
-    if made.even is None and settings.enhance == "stft":  # an even one is filtered along the ridges already
-        return stft_enhance(made.image, ppi, made.weight > 0.5)
+def enhance(made: Print, ppi: float) -> Enhanced:
+    """Enhance a print."""
     return gabor_enhance(made.clearest, ppi, made.weight > 0.5)
 
 
@@ -166,7 +158,7 @@ def _needed(values: FloatArray | None) -> FloatArray:
 def _laid_flat(source: Source, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
     grid = surface_grid(
         _needed(source.shape_mm), source.mask, source.pitch_mm, source.input_from_upright, source.upright_size,
-        xy_mm=source.xy_mm, settings=settings.grid,
+        xy_mm=source.xy_mm, node_mm=NODES_MM,
     )  # fmt: skip
-    unrolled = unroll(grid, override(settings, {"kind": kind}))
+    unrolled = unroll(grid, kind)
     return unrolled, unrolled_map(unrolled, kind, ppi, settings.slant_deg)

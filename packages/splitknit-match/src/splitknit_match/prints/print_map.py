@@ -169,11 +169,10 @@ class PrintMap:
 
     def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
         """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
-        return _carried(self.print_from_input, points, angles_rad)
-
-    def directions_in_input(self, points: Array, angles_rad: Array) -> Array:
-        """Directions (N,) in the input of directions at places (N, 2) of the print; both counter-clockwise as seen."""
-        return _carried(self.input_from_print, points, angles_rad)
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
+        along = self.print_from_input(points + step) - self.print_from_input(points - step)
+        return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))
 
 
 def plane_map(
@@ -297,16 +296,6 @@ def _inverse(matrix: Array) -> Array:
 
 def _moved(matrix: Array, points: Array) -> Array:
     return points @ matrix[:2, :2].T + matrix[:2, 2]
-
-
-def _carried(move: object, points: Array, angles_rad: Array) -> Array:
-    """Directions that a map gives to directions, by a small step to both sides."""
-    assert callable(move)
-    points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    angles = np.asarray(angles_rad, dtype=np.float64).reshape(-1)
-    step = 0.5 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)  # rows run downwards
-    along = move(points + step) - move(points - step)
-    return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))
 
 
 # A field of the input, read at a print's pixels.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from splitknit import (
 )
 from splitknit_match.prints.print_map import PrintMap, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import Unrolled, UnrollSettings, unroll
+from splitknit_match.prints.unroll import KINDS, NODES_MM, Unrolled, unroll
 from splitknit_match.prints.unroll_grid import RINGS, SurfaceGrid, extrapolated
 from splitknit_match.rolled.blend import seam_lines, seam_steps
 from splitknit_match.rolled.chart import Chart
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
 
 Array = NDArray[np.float64]
-KINDS = ("free", "arc")
 SIDE_MM, TIP_MM = 14.0, 0.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
@@ -72,7 +70,6 @@ def _source(rolled: Rolled, preset: str, hashes: Any, subject: Any) -> Source:
     return Source(
         "capture", rolled.blended.known, rolled.chart.pitch_mm, np.eye(3), rolled.chart.shape,
         ridge_mm=rolled.blended.relief_mm, preset=preset, hashes=hashes, subject=subject,
-        points_mm=_skin_points(rolled),
     )  # fmt: skip
 
 
@@ -85,13 +82,13 @@ def _skin_points(rolled: Rolled, ridges: bool = True) -> FloatArray:
     return np.where(rolled.blended.known[..., None], local, np.nan).astype(np.float32)
 
 
-def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
+def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap]:
     """The chart laid flat: all of the skin weighs the same, however it is turned.
 
-    Raises BadInput if `kind` is a body's, or there is too little skin.
+    Raises BadInput if `kind` is unknown, or there is too little skin.
     """
     require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
-    step = max(1, round(settings.grid.pitch_mm / rolled.chart.pitch_mm))
+    step = max(1, round(NODES_MM / rolled.chart.pitch_mm))
     room = RINGS + 1  # nodes beyond the chart's ends
     around = ((room, room), (room, room))
     points = _skin_points(rolled, ridges=False)[::step, ::step].astype(np.float64)
@@ -99,9 +96,8 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -
     inside = np.pad(rolled.blended.known[::step, ::step], around)
     nodes = extrapolated(points, RINGS)
     chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
-    grid = SurfaceGrid(nodes, inside, chart_from_node, settings.grid.pitch_mm)
-    chosen: UnrollSettings = replace(settings, kind=kind, centre_weight=0.0)  # type: ignore[arg-type]
-    unrolled = unroll(grid, chosen)
+    grid = SurfaceGrid(nodes, inside, chart_from_node, NODES_MM)
+    unrolled = unroll(grid, kind, centre_weight=0.0)
     return unrolled, unrolled_map(unrolled, kind, ppi, None)
 
 

@@ -34,8 +34,6 @@ class Source:
     """(H, W) light of the skin, ridges bright; captures only."""
     specular: FloatArray | None = None
     """(H, W) of polarised captures, see :class:`splitknit.model.Reconstruction`."""
-    points_mm: FloatArray | None = None
-    """(H, W, 3) of the skin, upright, NaN where not known: given where the pixels are not a picture's but a chart's."""
     preset: str | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
     subject: Mapping[str, Any] = field(default_factory=dict)

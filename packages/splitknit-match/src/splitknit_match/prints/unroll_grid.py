@@ -9,13 +9,13 @@ inverted up to the outline.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, check_mask, require
+from splitknit import BoolArray, FloatArray, bounding_box, check_mask, require
 
 AnyArray = np.ndarray[Any, Any]
 Array = NDArray[np.float64]
@@ -29,14 +29,6 @@ _FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
 _TOO_SMALL = "the mask is too small to be unrolled: it must be some millimetres wide."
 RINGS = 3
 """Nodes outside the mask that are extrapolated."""
-
-
-@dataclass(frozen=True, slots=True)
-class GridSettings(Checked):
-    """How coarse and how smooth the shape is taken."""
-
-    pitch_mm: Annotated[float, Limits(0.05, 2)] = 0.4
-    """Distance of the nodes on the finger plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,16 +58,16 @@ def surface_grid(
     upright_size: tuple[int, int],
     *,
     xy_mm: tuple[FloatArray, FloatArray] | None = None,
-    settings: GridSettings | None = None,
+    node_mm: float = 0.4,
 ) -> SurfaceGrid:
     """Return the smooth surface on a coarse upright grid.
 
     Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
 
     `shape_mm`: (H, W) height without ridges, ignored outside `mask`; `xy_mm`: x and y (H, W) of the surface points, for
-    perspective cameras; without them pixels lie at their pitch. The upright frame has `upright_size` rows and columns.
+    perspective cameras; without them pixels lie at their pitch; `node_mm`: distance of the nodes. The upright frame
+    has `upright_size` rows and columns.
     """
-    settings = settings or GridSettings()
     require(
         _FINEST_MM <= pitch_mm < _LONGEST_MM,
         f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
@@ -85,7 +77,7 @@ def surface_grid(
     for field in fields:
         mask = mask & (np.abs(field) < _FARTHEST_MM)  # nor where it is NaN
     require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
-    step = settings.pitch_mm / pitch_mm
+    step = node_mm / pitch_mm
     upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
     left, top, right, bottom = _bounds(mask, upright_from_input, upright_size)
     longest = max(bottom - top, right - left) * pitch_mm
@@ -108,7 +100,7 @@ def surface_grid(
     y = -turn[1, 0] * rig_x + turn[1, 1] * rig_y
     points = np.stack([x, y, values[0]], axis=2)
     points[~inside] = np.nan
-    return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, settings.pitch_mm)
+    return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, node_mm)
 
 
 def slant_cos(points: Array) -> Array:

@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -40,19 +40,8 @@ from splitknit import (
 )
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
 from splitknit_rig.calibration.jobs import CameraJob
-from splitknit_rig.calibration.plane import (
-    DepthOfField,
-    PlanePose,
-    PlaneScale,
-    depth_of_field,
-    mean_pose,
-    plane_pose,
-    plane_scale,
-)
-from splitknit_rig.calibration.targets import Board, find_board, find_disc, size_in_view
-
-_SENSOR_COLUMNS = 3280
-_UNBINNED_COLUMNS = 1920
+from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
+from splitknit_rig.calibration.targets import Board, find_board, size_in_view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,11 +58,6 @@ class MeasuredCamera:
     """Pose of the finger plane by the image that shows it."""
     pose: PlanePose | None
     """Their mean."""
-    scale: PlaneScale | None
-    """Scale of an orthographic camera."""
-    sharpness: DepthOfField | None
-    binning: float
-    """Sensor pixels along a pixel of the image."""
     warnings: tuple[str, ...]
     calibrated_at: str
     """ISO 8601."""
@@ -87,8 +71,8 @@ class MeasuredCamera:
 def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
     """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing is written then."""
     require(
-        job.folder is not None or len(job.plane) > 0 or job.disc is not None,
-        "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",
+        job.folder is not None or len(job.plane) > 0,
+        "give a FOLDER of photographs of a checkerboard, or `plane`: there is nothing to calibrate from.",
     )
     check_rig_file(path(job.out))
     base = read_rig(job.rig) if job.rig is not None else None
@@ -109,7 +93,7 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> Measur
     photos = _Photos(None if base is None else (base.camera.image_size, str(job.rig)))
     fit: CameraCalibration | None = None
     boardless: tuple[str, ...] = ()
-    folder, disc = path(job.folder), path(job.disc)
+    folder = path(job.folder)
     if folder is not None:
         files = _image_files(folder, job.pattern)
         corners, boardless = _board_photos(
@@ -118,8 +102,6 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> Measur
         progress("fitting", 0.86)
         fit = naming(folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners)))
     marks = {file.name: _plane_marks(photos, file, board) for file in map(path, job.plane)}
-    if disc is not None:
-        marks[disc.name] = naming(disc, partial(find_disc, photos.read(disc), job.dot_mm))
     progress("measuring the plane", 0.95)
     found = _assembled(job, base, photos.size, fit, marks)
     return replace(found, boardless=boardless, hashes=photos.hashes)
@@ -129,54 +111,32 @@ def _assembled(
     job: CameraJob, base: Rig | None, size: tuple[int, int], fit: CameraCalibration | None, marks: dict[str, Any]
 ) -> MeasuredCamera:
     old = base.camera if base is not None else Camera(75.7, size)
+    require(
+        fit is not None or old.model == "perspective",
+        "`plane` alone measures the height of a camera whose lens is known; give FOLDER too, or a `rig` with its "
+        "matrix.",
+    )
     warnings = list(fit.warnings) if fit is not None else []
-    poses: dict[str, PlanePose] = {}
-    pose, scale, sharpness = None, None, None
-    if fit is None and old.model == "orthographic":
-        scale = _mean_scale([plane_scale(*one) for one in marks.values()])
-        camera = replace(old, px_per_mm=scale.px_per_mm, image_size=size)
-    else:
-        lens: dict[str, Any] = {}
-        if fit is not None:
-            lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
-        camera = replace(old, model="perspective", image_size=size, **lens)
-        assert camera.matrix is not None
-        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
-        for name, (places_mm, places_px) in marks.items():
-            poses[name] = plane_pose(places_mm, places_px, camera.matrix, camera.distortion)
-        pose = mean_pose(list(poses.values()), focal) if poses else None
-        height = pose.height_mm if pose is not None else old.height_mm
-        if pose is not None:
-            given = "check the side of the board's squares (`square_mm`)" if job.plane else "check `dot_mm`"
-            warnings += CAMERA_HEIGHT.notes(height, given)
-            if base is not None and not 0.6 < height / old.height_mm < 1.6:
-                warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
-        camera = replace(camera, height_mm=height, px_per_mm=focal / height)
-        pixel_um = job.sensor_pixel_um * _binning(job, size[1])
-        require(0.1 <= job.sensor_pixel_um <= 100, "`sensor_pixel_um` must be from 0.1 to 100 micrometres.")
-        require(0.3 <= job.f_number <= 128, "`f_number` must be an f-number from 0.3 to 128.")
-        require(0 < job.finger_depth_mm < height, "`finger_depth_mm` must be positive and below the camera's height.")
-        sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
+    lens: dict[str, Any] = {}
+    if fit is not None:
+        lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
+    camera = replace(old, model="perspective", image_size=size, **lens)
+    assert camera.matrix is not None
+    focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    poses = {name: plane_pose(mm, px, camera.matrix, camera.distortion) for name, (mm, px) in marks.items()}
+    pose = mean_pose(list(poses.values()), focal) if poses else None
+    height = pose.height_mm if pose is not None else old.height_mm
+    if pose is not None:
+        given = "check the side of the board's squares (`square_mm`)"
+        warnings += CAMERA_HEIGHT.notes(height, given)
+        if base is not None and not 0.6 < height / old.height_mm < 1.6:
+            warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
+    camera = replace(camera, height_mm=height, px_per_mm=focal / height)
     now = job.calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return MeasuredCamera(job, camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings), now)
+    return MeasuredCamera(job, camera, fit, poses, pose, tuple(warnings), now)
 
 
-def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
-    weight = np.array([1 / max(one.deviation, 1e-12) ** 2 for one in scales])
-    mean = float(np.sum(weight * [one.px_per_mm for one in scales]) / weight.sum())
-    rms_px = float(np.sqrt(np.mean([one.rms_px**2 for one in scales])))
-    return PlaneScale(mean, rms_px, float(1 / np.sqrt(weight.sum())), max(one.anisotropy for one in scales))
-
-
-def _binning(job: CameraJob, columns: int) -> float:
-    """Sensor pixels along a pixel of the image: the IMX219 bins below 1920 columns, and crops above."""
-    if job.binning is not None:
-        require(1 <= job.binning <= 64, "`binning` must be from 1 to 64.")
-        return job.binning
-    return 1.0 if columns >= _UNBINNED_COLUMNS else max(1.0, float(round(_SENSOR_COLUMNS / columns)))
-
-
-# Photographs of checkerboard and disc: reading them, and finding what they show.
+# Photographs of checkerboards: reading them, and finding what they show.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LEAST = 5
@@ -300,6 +260,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
 # What a camera's calibration found: as facts for programs and as provenance for the rig file, with its warnings.
 
 _TILT_LIMIT_DEG = 1.0
+_FINGER_MM = 8.0  # depth of the finger that the camera sees
 _POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3  # photographs of one plane that differ by more are warned about
 
 
@@ -319,7 +280,6 @@ def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
         "board": {"inner_corners": job.board, "square_mm": job.square_mm},
         "fit": _fit(found),
         "plane": _plane(found),
-        "depth_of_field": _sharpness(found),
         "measured": measured,
         "nominal": nominal,
         "warnings": list(found.warnings),
@@ -349,9 +309,6 @@ def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
 
 
 def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
-    if found.scale is not None:
-        facts = asdict(found.scale)
-        return {"px_per_mm": facts.pop("px_per_mm"), "px_per_mm_deviation": facts.pop("deviation"), **facts}
     if found.pose is None:
         return None
     pose = found.pose
@@ -372,20 +329,6 @@ def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
     }
 
 
-_SHARPNESS = (
-    "focal_length_mm", "f_number", "focus_mm", "confusion_um", "binning", "near_mm", "far_mm", "depth_mm",
-    "finger_depth_mm", "fits", "blur_px", "needed_f_number", "diffraction_px", "best_f_number",
-)  # fmt: skip
-
-
-def _sharpness(found: MeasuredCamera) -> dict[str, Any] | None:
-    field = found.sharpness
-    if field is None:
-        return None
-    endless = {} if math.isfinite(field.far_mm) else {"far_mm": None, "depth_mm": None}
-    return {name: getattr(field, name, found.binning) for name in _SHARPNESS} | endless
-
-
 def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:
     """With what the principal point's uncertainty adds: an axis that is off by one pixel is off by 1 / f."""
     lens = found.fit.lens if found.fit is not None else None
@@ -399,9 +342,8 @@ def _origins(found: MeasuredCamera) -> tuple[list[str], list[str]]:
     """What is measured, and what is taken over."""
     measured = ["camera.matrix", "camera.distortion", "camera.image_size"] if found.fit is not None else []
     nominal = ["leds"] if found.leds_nominal else []
-    plane = {"camera.px_per_mm": found.pose or found.scale, "camera.height_mm": found.pose}
-    measured += [name for name, one in plane.items() if one is not None]
-    return measured, [name for name, one in plane.items() if one is None] + nominal
+    plane = ["camera.px_per_mm", "camera.height_mm"]
+    return (measured, plane + nominal) if found.pose is None else (measured + plane, nominal)
 
 
 def _warnings(found: MeasuredCamera) -> list[str]:
@@ -409,15 +351,10 @@ def _warnings(found: MeasuredCamera) -> list[str]:
     if found.fit is not None and found.pose is None:
         words.append(
             f"px_per_mm rests on a height of {found.camera.height_mm:g} mm that was not measured; photograph the board "
-            "flat on the finger plane (`plane`) or the calibration disc (`disc`)."
+            "flat on the finger plane (`plane`)."
         )
     if found.pose is not None:
         words += _plane_warnings(found, found.pose)
-    if found.scale is not None and found.scale.anisotropy > 0.01:
-        words.append(
-            f"the scale differs by {100 * found.scale.anisotropy:.1f} % between two directions, so the camera looks on "
-            "obliquely; calibrate its matrix from a FOLDER of photographs of a checkerboard."
-        )
     return words
 
 
@@ -426,12 +363,11 @@ def _plane_warnings(found: MeasuredCamera, pose: PlanePose) -> list[str]:
     if pose.tilt_deg > _TILT_LIMIT_DEG:
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
-        depth = found.sharpness.finger_depth_mm if found.sharpness is not None else 8.0
         words.append(
             f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's corners lie up to "
             f"{reach * slope:.2f} mm nearer or farther than its middle, which displaces them by "
-            f"{reach**2 * slope / pose.height_mm:.2f} mm, and what stands {depth:g} mm high leans by "
-            f"{depth * slope:.2f} mm; straighten the camera, or put something thin under the base."
+            f"{reach**2 * slope / pose.height_mm:.2f} mm, and what stands {_FINGER_MM:g} mm high leans "
+            f"by {_FINGER_MM * slope:.2f} mm; straighten the camera, or put something thin under the base."
         )
     heights = [one.height_mm for one in found.poses.values()]
     turns = [min(1.0, float(one.normal @ pose.normal)) for one in found.poses.values()]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.lights_found import CalibratedLights
     from splitknit_rig.calibration.radiometry import RadiometricCalibration
 
-_TARGET, _LENS = "the printed target ('splitknit rig target' makes it)", "depth of field"
+_TARGET = "the printed target ('splitknit rig target' makes it)"
 _SOURCE, _RIG, _NAIL, _PICTURES = "from what (one of them)", "the rig", "the nail", "photographs"
 _RESIDUALS = Help("picture to write: residuals under every LED", "PNG")
 _RIG_OUT = Help("rig file to write", "RIG2")
@@ -26,8 +26,7 @@ class CameraJob(Job):
     Returns
     -------
     MeasuredCamera
-        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane, ``sharpness``,
-        ``warnings``.
+        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane, ``warnings``.
 
     Examples
     --------
@@ -53,14 +52,6 @@ class CameraJob(Job):
     plane: Annotated[tuple[AnyPath, ...], Help(
         "photograph of the board lying on the finger plane: camera height, scale, tilt; may be repeated", "IMAGE",
         group=_TARGET)] = ()
-    disc: Annotated[AnyPath | None, Help("the same from the calibration disc", "IMAGE", group=_TARGET)] = None
-    dot_mm: Annotated[float, Help("spacing of the disc's dots", "N", group=_TARGET)] = 10.0
-    sensor_pixel_um: Annotated[float, Help("side of a pixel on the sensor, the IMX219's", "N", group=_LENS)] = 1.12
-    binning: Annotated[float | None, Help(
-        "sensor pixels along a pixel of the image (default: 1 from 1920 columns, else 3280 / columns, rounded)", "N",
-        group=_LENS)] = None
-    f_number: Annotated[float, Help("f-number of the lens, the camera v2's", "N", "--aperture", group=_LENS)] = 2.0
-    finger_depth_mm: Annotated[float, Help("depth of the finger that should be sharp", "N", group=_LENS)] = 8.0
     calibrated_at: Annotated[str | None, Help("time of the calibration, ISO 8601; now by default",
         python_only=True)] = None
     # fmt: on

@@ -78,12 +78,13 @@ def find_leds(
     """Find and judge every LED of a table: LEDs, facts, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, keep, limit_deg = str(job.table or job.images), job.keep, job.limit_deg
-    _check_tips(tips, camera.image_size, name)
+    name, keep = str(job.table or job.images), job.keep
+    limit_deg = job.limit_deg
+    check_tips(tips, camera.image_size, name)
     try:
-        _check_nails(tips, camera)
+        check_nails(tips, camera)
         plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm, seen=nail.seen)
-        copied = _copied_leds(tips, camera)
+        copied = copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
         joint = by_joint_fit(sound, camera, circle, nail) if positions > 1 and sound else None
@@ -96,8 +97,8 @@ def find_leds(
     used = joint if method == "joint" else None
     first = {(one.band, one.led): one for one in plain}
     chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}
-    verdicts = _judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
-    sentence = _refusal(verdicts, chosen, limit_deg)
+    verdicts = judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
+    sentence = refusal(verdicts, chosen, limit_deg)
     leds = []
     fitted: dict[LedName, dict[str, Any]] = {}
     if joint is not None:
@@ -114,25 +115,14 @@ def find_leds(
                 **{name: spread.get(name) for name in ("interval_deg", "interval_mm")},
                 "verdict": verdict,
                 "kept": keep or verdict in _TRUSTED,
-                "nails": list(best.nails),
-                "circle": {**_place(first[band, led]), "positions_mm": first[band, led].singles.tolist()},
-                "joint": place,
             }
         )
-    words = list(verdicts.values())
     facts: dict[str, Any] = {
         "method": method,
         "limit_deg": limit_deg,
         "nail_positions": positions,
         "nail_height_mm": height if used is None else used.nail_height_mm,
         "leds": leds,
-        "totals": {
-            "leds": len(words),
-            **{word.replace(" ", "_"): words.count(word) for word in (OK, DISAGREES, COPIED, STRAYS, UNCHECKED)},
-            "refused": sum(word not in _TRUSTED for word in words),
-            "kept": sum(one["kept"] for one in leds),
-        },
-        "joint": None if joint is None else _joint_facts(joint, sound),
         "warnings": _warnings(verdicts, used, sound) + ([f"kept although {sentence}"] if keep and sentence else []),
         "refused": None if keep else sentence,
     }
@@ -165,25 +155,6 @@ def _place(found: LedEstimate) -> dict[str, Any]:
     }
 
 
-def _joint_facts(joint: JointFit, tips: Sequence[Tip]) -> dict[str, Any]:
-    return {
-        "nail_height_mm": joint.nail_height_mm,
-        "nail_height_interval_mm": joint.nail_height_interval_mm,
-        "circle": {
-            "radius_mm": joint.circle.radius_mm,
-            "height_mm": joint.circle.height_mm,
-            "centre_mm": list(joint.circle.centre_mm),
-        },
-        "rms_px": None if np.isnan(joint.rms_px) else joint.rms_px,
-        "tips": [
-            {"band": tip.band, "led": tip.led, "nail": tip.nail, "residual_px": residual.tolist(), "outlier": bool(out)}
-            for tip, residual, out in zip(
-                tips, joint.residual_px, np.isin(np.arange(len(tips)), joint.outliers), strict=True
-            )
-        ],
-    }
-
-
 def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]) -> list[str]:
     warnings = []
     if UNCHECKED in verdicts.values():
@@ -202,7 +173,7 @@ def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Seq
     return warnings
 
 
-def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
+def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
     """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels in the image."""
     rows, columns = image_size
     for tip in tips:
@@ -232,7 +203,7 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
             )
 
 
-def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
+def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     """LEDs whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
@@ -244,7 +215,7 @@ def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     return found
 
 
-def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
+def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     """Check that a nail number is one place, and two numbers two places."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Array] = {}
@@ -269,7 +240,7 @@ def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
         )
 
 
-def _judge(
+def judge(
     found: Mapping[LedName, LedEstimate], copied: Set[LedName], strays: Set[LedName], limit_deg: float
 ) -> dict[LedName, str]:
     """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the nail shows."""
@@ -286,7 +257,7 @@ def _judge(
     return {name: verdict(name, one.disagreement_deg) for name, one in found.items()}
 
 
-def _refusal(verdicts: Mapping[LedName, str], found: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
+def refusal(verdicts: Mapping[LedName, str], found: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     named: dict[str, list[str]] = {}
     for name, word in verdicts.items():

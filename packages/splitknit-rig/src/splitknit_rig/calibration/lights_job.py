@@ -77,6 +77,7 @@ _NO_RIM = (
 
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
     """Find the LEDs, and write the rig file where one is named; see :class:`LightsJob`."""
+    nail = Nail(job.nail_height_mm, job.nail_seen or "tip")
     source = _checked_source(job)
     if source == "sphere":
         return _of_sphere(job)
@@ -84,7 +85,8 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> Calibrate
     circle = _circle_of(job, rig)
     if source == "geometry":
         return _nominal(job, rig, circle)
-    return _of_table(job, rig, circle, progress) if source == "table" else _of_images(job, rig, circle, progress)
+    read = _of_table if source == "table" else _of_images
+    return read(job, rig, circle, nail, progress)
 
 
 def _checked_source(job: LightsJob) -> str:
@@ -200,7 +202,7 @@ def _pair(text: str, name: str, form: str) -> tuple[float, float]:
     return x, y
 
 
-def _of_table(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> CalibratedLights:
+def _of_table(job: LightsJob, rig: Rig, circle: Circle, nail: Nail, progress: Progress) -> CalibratedLights:
     assert job.table is not None
     table = path(job.table)
     data = read_bytes(table, 16_000_000)
@@ -209,14 +211,15 @@ def _of_table(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> C
     tips = read_tips(text, str(table))
     progress("fitting", 0.5)
     hashes = {table.name: hashlib.sha256(data).hexdigest()}
-    return _of_tips(job, rig, circle, tips, hashes)
+    return _of_tips(job, rig, circle, nail, tips, hashes=hashes)
 
 
-def _of_images(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> CalibratedLights:
+def _of_images(job: LightsJob, rig: Rig, circle: Circle, nail: Nail, progress: Progress) -> CalibratedLights:
     """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
     folder, out = path(job.images), path(job.out)
     assert folder is not None
-    require(job.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
+    require(nail.seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
+    nail = replace(nail, sd_mm=FOUND_SD_MM)  # what is found in photographs is better than what is clicked
     show, table = _beside(path(job.show), out, "_tips.png"), _beside(path(job.tips_out), out, "_tips.csv")
     tips, hashes, lost = tips_of_photos(
         folder, rig.camera, encoding=job.encoding, show=show, table=table, progress=progress
@@ -227,8 +230,7 @@ def _of_images(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> 
         "shadows_out_of_the_picture": lost,
     }
     try:
-        # what is found in photographs is better than what is clicked
-        found = _of_tips(job, rig, circle, tips, hashes, FOUND_SD_MM)
+        found = _of_tips(job, rig, circle, nail, tips, hashes=hashes)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
         raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
@@ -239,16 +241,17 @@ def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
     return given if given is not None or out is None else out.with_name(out.stem + ending)
 
 
-def _of_tips(  # noqa: PLR0917
-    job: LightsJob, rig: Rig, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str], nail_sd_mm: float = 0.1
+def _of_tips(
+    job: LightsJob, rig: Rig, circle: Circle, nail: Nail, tips: Sequence[Tip], *, hashes: Mapping[str, str]
 ) -> CalibratedLights:
-    nail = Nail(job.nail_height_mm, job.nail_seen, nail_sd_mm)
     chosen, found, sentence = find_leds(tips, rig.camera, circle, job, nail)
     facts = {**found, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
     if sentence is not None:
         plain: Any = plain_json({**facts, "written": False, "out": None})
         raise Refused(f"{job.table or job.images}: {sentence}", plain)
-    origin = provenance({"method": found["method"], "circle": circle, "limit_deg": job.limit_deg, "nail": nail}, hashes)
+    origin = provenance(
+        {"method": found["method"], "circle": circle, "limit_deg": found["limit_deg"], "nail": nail}, hashes
+    )
     kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
     words = [{key: one[key] for key in kept} for one in found["leds"]]
     rig = rig_of(chosen, rig, {"leds": plain_json(words), "provenance": plain_json(origin)})

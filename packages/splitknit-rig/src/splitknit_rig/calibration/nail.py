@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +33,10 @@ from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle
 _NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
 _CIRCLE_SD_MM = 1.0  # standard deviation of the circle's centre (each way), radius and height from the drawing's values
 _FREE_SD_MM = 30.0  # takes the place of all deviations of LEDs and circle where the nail's height is known
+_TIP_SD_PX = 1.0  # standard deviation of a shadow tip in the image, along each axis
+_LED_SD_MM = 1.0  # of each LED's distance from the circle, radially and in height
 _OUTLIER = 4.0  # a tip this many standard deviations from its place is named, and has lost most of its weight
 STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
-
-
-_TIP_SD_PX = 1.0  # standard deviation of a shadow tip in the image, along each axis
-_LED_SD_MM = 1.0  # standard deviation of each LED's distance from the circle, radially and in height
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +45,15 @@ class Nail:
 
     height_mm: float | None = None
     """If known: the LED positions then follow from it, and the circle is only a check."""
-    seen: Literal["tip", "base"] = "tip"
+    seen: str = "tip"
     """Which point was marked: the nail's ``tip``, which a perspective camera sees further out, or its ``base``."""
     sd_mm: float = 0.1
     """Standard deviation of its position on the finger plane, along each axis, shared by one position's rows."""
+
+    def __post_init__(self) -> None:
+        height = self.height_mm
+        words = f"the nail's height must lie between 0.5 and 500 mm, but it is {height}."
+        require(height is None or 0.5 <= height <= 500, words)
 
 
 class _NailModel:
@@ -148,11 +150,10 @@ def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail
 
 
 def _solve(model: _NailModel) -> OptimizeResult:
-    first, height = by_circle(
-        model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm, seen=model.nail.seen
-    )
+    nail = model.nail
+    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=nail.height_mm, seen=nail.seen)
     height = float(np.clip(height, 0.6, model.top))
-    places = nail_points(model.camera, model.places_px, height, model.nail.seen)
+    places = nail_points(model.camera, model.places_px, height, nail.seen)
     x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first

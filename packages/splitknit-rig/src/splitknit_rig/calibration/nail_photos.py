@@ -18,7 +18,6 @@ from splitknit import (
     Array,
     Camera,
     ColourArray,
-    Fields,
     FloatArray,
     Progress,
     check_file,
@@ -30,7 +29,6 @@ from splitknit import (
     natural_order,
     no_progress,
     read_bytes,
-    read_json,
     require,
     write_file,
     write_image,
@@ -38,7 +36,6 @@ from splitknit import (
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
 
-LISTING = "nails.json"
 FOUND_SD_MM = 0.05
 """Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a little askew."""
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -93,12 +90,10 @@ def tips_of_photos(
 
 
 def _nail_files(folder: Path) -> Files:
-    """Images of a folder: white_0.png ... nir_6.png in it, or in a subfolder for each nail position; or those that
-    ``nails.json`` lists: ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``. BadInput if one is missing.
+    """Images of a folder: white_0.png ... nir_6.png in it, or in a subfolder for each nail position. BadInput if
+    one is missing.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
-    if (folder / LISTING).is_file():
-        return _listed(folder)
     places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
     places = [place for place in places if _bands(place)] or [folder]
     files: Files = {}
@@ -160,24 +155,6 @@ def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
             require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
             leds[led] = path
     return found
-
-
-def _listed(folder: Path) -> Files:
-    document, _ = read_json(folder / LISTING)
-    fields = Fields(document, str(folder / LISTING))
-    files: Files = {}
-    for nail, entry in enumerate(fields.items("nails"), start=1):
-        place = Fields(entry, str(folder / LISTING), f"nails[{nail - 1}]")
-        for band in [band for band in BANDS if place.has(band)]:
-            names = place.items(band)
-            sound = len(names) == LEDS_PER_BAND and all(isinstance(name, str) and "\0" not in name for name in names)
-            paths = [folder / name for name in names] if sound else []
-            inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
-            if not (sound and inside):
-                place.refuse(band, f"a list of {LEDS_PER_BAND} file names inside the folder")
-            files[nail, band] = paths
-    require(bool(files), f"{folder / LISTING} lists no images.")
-    return files
 
 
 # Pictures that show what was found in photographs for the calibration of lights.

@@ -82,12 +82,12 @@ def led_name(leds: Sequence[Led], index: int) -> str:
     return f"{band} {sum(led.band == band for led in leds[:index])}"
 
 
-def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
-    """Condense a capture of a white card, each LED of the rig alone in one image. `black_level`: where the capture does
-    not state it. Raises BadInput if capture and rig do not fit, or an image is missing, double, black or clipped.
+def card_images(capture: Capture, rig: Rig) -> CardImages:
+    """Condense a capture of a white card, each LED of the rig alone in one image. Raises BadInput if capture and rig do
+    not fit, or an image is missing, double, black or clipped.
     """
     _check_fit(capture, rig)
-    bands = [_with_black(band, black_level) for band in capture.bands.values()]
+    bands = list(capture.bands.values())
     order = _images_of_leds(bands, rig)
     for band in bands:
         for k in range(len(band.pixels)):
@@ -126,12 +126,6 @@ def _check_fit(capture: Capture, rig: Rig) -> None:
     for k, led in enumerate(rig.leds):
         words = f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first."
         require(led.position_mm is not None, words)
-
-
-def _with_black(band: Band, black_level: float | None) -> Band:
-    if black_level is None or (band.black_level != 0).any():
-        return band
-    return replace(band, black_level=np.full(len(band.black_level), black_level), ambient_black_level=black_level)
 
 
 def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
@@ -207,14 +201,13 @@ def fit_radiometry(
     capture: Capture,
     rig: Rig,
     card: CardPlane | None = None,
-    black_level: float | None = None,
     limit_percent: float = LIMIT_PERCENT,
 ) -> RadiometricCalibration:
     """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on the finger plane by
     default) under each LED. Raises BadInput, naming what and where, if the images show no even, matt card.
     """
     plane = card or CardPlane()
-    images = card_images(capture, rig, black_level)
+    images = card_images(capture, rig)
     flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane)
     _check(flat, rig, limit_percent)
     leds = [_led_facts(rig, flat, images, k, limit_percent) for k in range(len(rig.leds))]
@@ -243,7 +236,7 @@ def fit_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(rig, images, flat, black_level, limit_percent),
+        warnings=_warnings(rig, images, flat, limit_percent),
     )
 
 
@@ -293,15 +286,12 @@ def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, limit_perc
     }
 
 
-def _warnings(
-    rig: Rig, images: CardImages, flat: FlatField, black_level: float | None, limit_percent: float
-) -> tuple[str, ...]:
+def _warnings(rig: Rig, images: CardImages, flat: FlatField, limit_percent: float) -> tuple[str, ...]:
     words = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words.append(
-                f"there is no ambient image of the band {band}: ambient light"
-                f"{'' if black_level is not None else ' and black level'} counted as the LEDs'."
+                f"there is no ambient image of the band {band}: ambient light and black level counted as the LEDs'."
             )
         elif fraction > _AMBIENT_PERCENT:
             words.append(
@@ -326,9 +316,7 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def check_card(
-    capture: Capture, rig: Rig, black_level: float | None = None, limit_percent: float = DRIFT_PERCENT
-) -> dict[str, Any]:
+def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> dict[str, Any]:
     """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
     :func:`fit_radiometry`.
 
@@ -337,7 +325,7 @@ def check_card(
     None where exposures are not known; ``ambient_percent``; ``warnings``: what departs.
     """
     levels, plane, given = _stored(rig)
-    images = card_images(capture, rig, black_level)
+    images = card_images(capture, rig)
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
     now = images.light / expected
     ratio = np.median(now, axis=1)

@@ -1,4 +1,4 @@
-"""The sensor: whether its values are linear in the light, its black level, read noise, hot pixels and fixed pattern.
+"""The sensor: whether its values are linear in the light, and its noise.
 
 With exposure times t_j, light L_i and stored values v_ij the inverse response f obeys f(v_ij) = t_j L_i. A polynomial f
 is linear in its coefficients, and so is the best L_i in f: what is left is one small linear system (Mitsunaga and Nayar
@@ -8,7 +8,6 @@ sRGB curve is tried by taking it off first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,12 +34,8 @@ class Response:
     linear_percent: float  # largest departure of the values from a line, in per cent of full scale
     srgb_percent: float  # the same after the sRGB curve was taken off
     residual_percent: float  # rms of what no response explains, in per cent of full scale
-    # value of no light that the series itself suggests, as a part of full scale (of the linear light)
-    black_level: float
     # least and greatest values that were seen, as parts of full scale: the answer holds between them
     span: tuple[float, float]
-    # values from the smallest to the largest, and the light that each stands for, its line through the ends one
-    curve: tuple[Array, Array]
 
 
 def fit_response(
@@ -61,9 +56,9 @@ def fit_response(
     'linear'
     """
     stored, times = _checked(values, exposure_s, name)
-    departure, residual, black, curve = _straightness(stored, times)
+    departure, residual = _straightness(stored, times)
     linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
-    decoded_departure, decoded_residual, decoded_black, _ = _straightness(linear_light, times)
+    decoded_departure, decoded_residual = _straightness(linear_light, times)
     residual = min(residual, decoded_residual)
     require(
         residual <= 0.01 * _INCONSISTENT_PERCENT,
@@ -82,9 +77,7 @@ def fit_response(
         linear_percent=100 * departure,
         srgb_percent=100 * decoded_departure,
         residual_percent=100 * residual,
-        black_level=decoded_black if srgb else black,
         span=(float(np.nanmin(stored)), float(np.nanmax(stored))),
-        curve=curve,
     )
 
 
@@ -129,9 +122,9 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     )
 
 
-def _straightness(stored: Array, times: Array) -> tuple[float, float, float, tuple[Array, Array]]:
-    """Fit f(v) t = light, of the highest degree that grows everywhere: its departure from a line, residual, black level
-    and curve as in :class:`Response`, parts of full scale.
+def _straightness(stored: Array, times: Array) -> tuple[float, float]:
+    """Fit f(v) t = light, of the highest degree that grows everywhere: departure from a line, and residual, parts of
+    full scale.
     """
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
@@ -142,9 +135,7 @@ def _straightness(stored: Array, times: Array) -> tuple[float, float, float, tup
             break
     slope, offset = np.polyfit(grid, light, 1)
     departure = float(np.abs(light - offset - slope * grid).max() / slope)
-    line = (light - light[0]) / (light[-1] - light[0]) * (high - low) + low
-    black = low - float(polynomial(low)) / max(float(polynomial.deriv()(low)), 1e-9)
-    return departure, residual / slope, black, (grid, line)
+    return departure, residual / slope
 
 
 def _polynomial(
@@ -173,99 +164,6 @@ def _polynomial(
 
 _CURVATURE = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)
 """Zero on planes, and of variance 36 on white noise of variance one (Immerkaer 1996)."""
-_HOT_SIGMAS = 8.0
-"""A pixel is hot if it lies this many deviations above the black level ..."""
-_HOT_PERCENT = 1.0
-"""... and this many per cent of full scale."""
-_LIGHT_PERCENT = 2.0
-"""A frame whose corners and middle differ by more than this many per cent of full scale is not dark."""
-_MAX_BLACK_PERCENT = 25.0
-
-
-@dataclass(frozen=True, slots=True)
-class Dark:
-    """Results of dark frames, values as parts of full scale."""
-
-    black_level: tuple[float, ...]  # black level of each channel
-    # standard deviation of each channel; None where values are cut off at zero, so that it cannot be seen
-    read_noise: tuple[float, ...] | None
-    hot_pixels: int
-    hot_share: float
-    row_noise: float  # standard deviation of the rows' means beyond what the pixels' noise explains: stripes
-    column_noise: float
-    # standard deviation from pixel to pixel of what is the same in all frames; None for one frame
-    fixed_pattern: float | None
-    frames: int
-
-
-def dark_frames(frames: Sequence[PixelArray], *, name: str = "dark") -> Dark:
-    """Measure frames (H, W, C), integers of one size and depth, taken with the lens covered. Raises BadInput, with
-    `name`, if there is none, they differ in size, or light fell on them.
-    """
-    require(
-        all(frame.shape == frames[0].shape and frame.dtype == frames[0].dtype for frame in frames),
-        f"{name}: the dark frames differ in size, colour or depth; take them like all other images.",
-    )
-    full = float(np.iinfo(frames[0].dtype).max)
-    stack = np.stack([frame.astype(np.float32) / np.float32(full) for frame in frames])
-    mean = stack.mean(axis=0)  # (H, W, C)
-    black = np.array([_clipped_mean(mean[..., c]) for c in range(mean.shape[2])])
-    _check_dark(mean, black, name)
-    # over time, or within the one frame there is
-    change = np.diff(stack, axis=0) / np.sqrt(2) if len(frames) > 1 else stack[0] - np.median(stack[0], axis=(0, 1))
-    sigma = np.array([_clipped_deviation(change[..., c]) for c in range(mean.shape[2])])
-    away = mean - black.astype(np.float32)
-    hot = (away > np.maximum(_HOT_SIGMAS * sigma / np.sqrt(len(frames)), 0.01 * _HOT_PERCENT)).any(axis=2)
-    calm = np.where(hot, np.float32(0.0), away.mean(axis=2))
-    cut = float((stack == 0).mean()) > 0.2
-    return Dark(
-        black_level=tuple(float(value) for value in black),
-        read_noise=None if cut else tuple(float(value) for value in sigma),
-        hot_pixels=int(hot.sum()),
-        hot_share=float(hot.mean()),
-        row_noise=_stripes(calm, 1),
-        column_noise=_stripes(calm, 0),
-        fixed_pattern=_fixed_pattern(stack, sigma) if len(frames) > 1 and not cut else None,
-        frames=len(frames),
-    )
-
-
-def _check_dark(mean: Array, black: Array, name: str) -> None:
-    height, width = mean.shape[:2]
-    parts = mean[: height // 3 * 3, : width // 3 * 3].reshape(3, height // 3, 3, width // 3, -1)
-    uneven = np.ptp(np.median(parts.mean(axis=-1), axis=(1, 3)))
-    level = float(black.max())
-    require(
-        level <= 0.01 * _MAX_BLACK_PERCENT and float(uneven) <= 0.01 * _LIGHT_PERCENT,
-        f"{name} is not dark: its level is {100 * level:.1f} % of full scale and differs by {100 * float(uneven):.1f} "
-        f"% across the picture; cover the lens, switch off all LEDs and take it again.",
-    )
-
-
-def _clipped_mean(values: Any) -> float:
-    """Mean without what lies far off: hot pixels do not count, and fractions of a level do, unlike in a median."""
-    middle = float(np.median(values))
-    spread = max(float(np.percentile(values, 84) - np.percentile(values, 16)) / 2, 1e-4)
-    return float(values[np.abs(values - middle) < 6 * spread].mean())
-
-
-def _clipped_deviation(values: Any) -> float:
-    spread = max(float(np.percentile(values, 84) - np.percentile(values, 16)) / 2, 1e-4)
-    return float(np.std(values[np.abs(values) < 6 * spread]))
-
-
-def _stripes(calm: Any, axis: int) -> float:
-    """Deviation of the means along `axis` beyond that of independent pixels."""
-    means = calm.mean(axis=axis)
-    expected = float(calm.var()) / calm.shape[axis]
-    return float(np.sqrt(max(float(means.var()) - expected, 0.0)))
-
-
-def _fixed_pattern(stack: Any, sigma: Array) -> float:
-    """Deviation of the mean over frames, less what noise leaves in it."""
-    mean = stack.mean(axis=0)
-    own = [_clipped_deviation(mean[..., c] - np.median(mean[..., c])) ** 2 for c in range(mean.shape[2])]
-    return float(np.sqrt(max(float(np.mean(np.array(own) - sigma**2 / len(stack))), 0.0)))
 
 
 @dataclass(frozen=True, slots=True)

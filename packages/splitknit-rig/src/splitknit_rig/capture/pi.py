@@ -482,6 +482,6 @@ def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
         analyser = _open_analyser(chosen)
         if analyser is not None:
             stack.enter_context(analyser)
-        notes = (f"the {settings.camera} camera was {UNTESTED}",)
-        notes = notes if rig is not None else (NOMINAL, *notes)
+        untested = f"the {settings.camera} camera was {UNTESTED}"
+        notes = (untested,) if rig is not None else (NOMINAL, untested)
         yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)

@@ -21,7 +21,6 @@ def _show_camera(found: MeasuredCamera, job: CameraJob) -> Outcome:
     return facts, [
         *(_fit_lines(facts) if facts["fit"] else []),
         *(_plane_lines(facts["plane"]) if facts["plane"] else []),
-        *(_sharpness_lines(facts["depth_of_field"]) if facts["depth_of_field"] else []),
         *(f"Please note: {words}" for words in facts["warnings"]),
         f"Measured: {', '.join(facts['measured'])}. Taken over: {', '.join(facts['nominal']) or 'nothing'}.",
         f"Written: {facts['out']}",
@@ -57,34 +56,11 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _plane_lines(plane: Mapping[str, Any]) -> list[str]:
-    if "height_mm" not in plane:
-        return [
-            f"Scale of an orthographic camera: {plane['px_per_mm']:.4f} +- {plane['px_per_mm_deviation']:.4f} px/mm "
-            f"(marks {plane['rms_px']:.2f} px off)."
-        ]
     return [
         f"Finger plane: {plane['height_mm']:.3f} +- {plane['height_mm_deviation']:.3f} mm from the camera, "
         f"{plane['px_per_mm']:.4f} px/mm (marks {plane['rms_px']:.2f} px off).",
         f"  The camera looks on the base {plane['tilt_deg']:.2f} +- {plane['tilt_deg_deviation']:.2f} deg obliquely; "
         f"the base comes nearer towards the picture's {plane['nearer_at']}.",
-    ]
-
-
-def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
-    far = "infinity" if field["far_mm"] is None else f"{field['far_mm']:.2f} mm"
-    depth = "" if field["depth_mm"] is None else f" ({field['depth_mm']:.2f} mm)"
-    first = (
-        f"Depth of field at f/{field['f_number']:g}, focal length {field['focal_length_mm']:.2f} mm: from "
-        f"{field['near_mm']:.2f} mm to {far}{depth} a point is at most one pixel ({field['confusion_um']:.2f} um) wide."
-    )
-    finger = f"  A finger {field['finger_depth_mm']:g} mm deep"
-    if field["fits"]:
-        return [first, f"{finger} fits."]
-    return [
-        first,
-        f"{finger} does not fit: focused in its middle, its ends are blurred over {field['blur_px']:.1f} px. It would "
-        f"fit at f/{field['needed_f_number']:.0f}, where diffraction alone blurs over {field['diffraction_px']:.0f} "
-        f"px; both are equal at f/{field['best_f_number']:.1f}.",
     ]
 
 
@@ -142,34 +118,17 @@ def _radiometry_lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
     for band, fraction in facts["ambient_percent"].items():
         if fraction is not None:
             lines.append(f"Light from elsewhere: {fraction:.2f} % of the {band} LEDs'.")
-    lines += _sensor_lines(facts["camera"])
-    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
-    if base_tilt and any(facts["card"]["tilt_deg"]):
-        x, y = facts["card"]["tilt_deg"]
-        lines.append(f"The card is taken to lie as the camera's calibration found the base: {x:.2f}, {y:.2f} deg.")
-    lines.append(f"Written: {', '.join(facts['files'])}.")
-    return lines
-
-
-def _sensor_lines(camera: dict[str, Any]) -> list[str]:
-    lines = []
-    response, dark = camera["response"], camera["dark"]
-    if response is not None:
+    if (response := facts["response"]) is not None:
         (low, high), kind = response["values_percent"], response["encoding"]
         lines.append(
             f"The camera is {kind.replace('srgb', 'sRGB')}: it departs by {response[f'{kind}_departure_percent']:.2f} "
             f"% of full scale at most, between {low:.0f} and {high:.0f} % of it."
         )
-    if dark is not None:
-        black = ", ".join(f"{value:.2f}" for value in dark["black_level_percent"])
-        noise = dark["read_noise_percent"]
-        words = "cut off at zero" if noise is None else f"{max(noise):.2f} %"
-        lines.append(
-            f"In the dark: level {black} % of full scale, noise {words}, {dark['hot_pixels']} hot pixels "
-            f"({1e6 * dark['hot_share']:.0f} in a million)."
-        )
-    for name, model in camera["noise"].items():
-        lines.append(f"Noise of {name} is that of {model['electrons_at_full_scale']:.0f} electrons at full scale.")
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    if base_tilt and any(facts["card"]["tilt_deg"]):
+        x, y = facts["card"]["tilt_deg"]
+        lines.append(f"The card is taken to lie as the camera's calibration found the base: {x:.2f}, {y:.2f} deg.")
+    lines.append(f"Written: {', '.join(facts['files'])}.")
     return lines
 
 

@@ -63,8 +63,6 @@ class SimulateJob(Job):
         "NAMES")] = None
     nir: Annotated[bool, Help("a rig with mirrors does without NIR LEDs")] = True
     impression: Annotated[Natural, Help("which capture of the finger: pose and noise change (default: 0)")] = 0
-    scanner: Annotated[Literal["stripes", "laser", "stereo", "hull", "focus"] | None, Help(
-        "not photographs, but the point cloud (.xyz, mm) that such a scanner delivers of the finger")] = None
     settings: Settings = None
     subjects: Annotated[Natural | None, Help("people (default: 17)", "N", group="population")] = None
     fingers: Annotated[str | None, Help(
@@ -82,9 +80,7 @@ class SimulateJob(Job):
             return self._population(progress)
         refuse_given(self, _OF_POPULATIONS, "is for 'splitknit simulate population'.")
         if self.bench:
-            refuse_given(self, (*_OF_FINGERS, "scanner"), "does not go with `bench`, which has no finger.")
-        if self.scanner is not None:
-            return self._scan(self.scanner)
+            refuse_given(self, _OF_FINGERS, "does not go with `bench`, which has no finger.")
         changes = self._changes()
         if not self.bench:
             return self._finger(changes, progress)
@@ -140,15 +136,6 @@ class SimulateJob(Job):
             + (" --preset lin" if self.lights != "white" else ""),
         ]
 
-    def _scan(self, scanner: str) -> Outcome:
-        from splitknit_simulator.scanners.simulated import scan_to_file
-
-        unused = (*_OF_CAPTURES, "scale", "lights", "severity", "settings")
-        refuse_given(self, unused, "does not go with `scanner`, which has its own camera and light.")
-        facts = scan_to_file(path(self.out), scanner, self.seed, self.impression, overwrite=self.overwrite)
-        words = f"Simulated scan ({scanner}) written to {self.out}: {facts['points']} points."
-        return facts, [words, f"Next: splitknit import {self.out} --out RESULT"]
-
     def _bench(self, changes: Mapping[str, Any], progress: Progress) -> Outcome:
         from splitknit import override
         from splitknit_simulator.bench_photos import BenchPhotos, bench_to_folder
@@ -171,9 +158,7 @@ class SimulateJob(Job):
         from splitknit_simulator.population.folder import simulate_population
         from splitknit_simulator.population.sessions import PopulationSettings
 
-        refuse_given(
-            self, (*_OF_FINGERS, "severity", "bench", "overwrite", "scanner"), "does not go with a population."
-        )
+        refuse_given(self, (*_OF_FINGERS, "severity", "bench", "overwrite"), "does not go with a population.")
         settings = override(PopulationSettings(seed=self.seed), self.settings or {})
         settings = settings if self.scale is None else replace(settings, scale=self.scale)
         fingers = None

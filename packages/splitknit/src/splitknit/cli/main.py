@@ -39,8 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     from splitknit.registry import GONE
 
-    named = [" ".join(words[:1]), *(f"{words[0]} {word}" for word in words[1:])]
-    gone = next((name for name in named if name in GONE), "")
+    typed = " ".join(words).replace("=", " ") + " "
+    gone = next((name for name in GONE if _asks_for(name, typed)), "")
     if gone:
         print(f"splitknit: error: '{gone}' left the program: {GONE[gone]}", file=sys.stderr)
         return BAD_INPUT
@@ -62,6 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _on_interrupt(_leave)
     except KeyboardInterrupt:  # a second one, while the first was reported
         _leave()
+
+
+def _asks_for(name: str, typed: str) -> bool:
+    """Whether the words typed begin with a verb that left, or have an option that left anywhere behind its verb."""
+    verb, _, option = name.partition(" --")
+    return typed.startswith(f"{verb} ") and (not option or f" --{option} " in typed)
 
 
 def _on_interrupt(handler: Any) -> None:

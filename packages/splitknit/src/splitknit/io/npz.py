@@ -75,7 +75,7 @@ def _packed(array: np.ndarray[Any, Any]) -> tuple[bytes, list[bytes | memoryview
     body = (array if array.flags.c_contiguous else array.T).reshape(-1).view(np.uint8)
     content = [_stored_block(0, len(first)), first, *_deflated(body, array.dtype)]
     sizes = sum(map(len, content)), len(first) + len(body)
-    crc = zlib.crc32(body, zlib.crc32(first))
+    crc = zlib.crc32(body.data, zlib.crc32(first))
     return struct.pack("<HHHHHIII", 20, 0, _DEFLATE, *_DATE, crc, *sizes), content
 
 
@@ -106,7 +106,7 @@ def _deflated(body: NDArray[np.uint8], dtype: np.dtype[Any]) -> list[bytes | mem
 
 def _compressed(body: NDArray[np.uint8]) -> bytes:
     packer = zlib.compressobj(1, zlib.DEFLATED, -15)
-    return packer.compress(body) + packer.flush()
+    return packer.compress(body.data) + packer.flush()
 
 
 def _stored_block(last: int, length: int) -> bytes:
@@ -184,7 +184,7 @@ def _unpacked(stored: bytes, info: zipfile.ZipInfo, damaged: str) -> np.ndarray[
     content = np.frombuffer(bytearray(stored), np.uint8)
     if info.compress_type == _DEFLATE:
         content = np.frombuffer(bytearray(zlib.decompressobj(-15).decompress(stored, info.file_size)), np.uint8)
-    require(len(content) == info.file_size and zlib.crc32(content) == info.CRC, damaged)
+    require(len(content) == info.file_size and zlib.crc32(content.data) == info.CRC, damaged)
     dtype, shape, order, start = _header(io.BytesIO(content[: _LONGEST_HEADER + 12].tobytes()), damaged)
     require(len(content) - start == dtype.itemsize * math.prod(shape), damaged)
     return content[start:].view(dtype).reshape(shape, order=order)

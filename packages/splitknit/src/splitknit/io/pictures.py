@@ -155,12 +155,6 @@ def normal_colours(normals: FloatArray) -> ColourArray:
     return np.clip(np.round((normals + 1.0) * np.float32(127.5)), 0, 255).astype(np.uint8)
 
 
-def grey(values: FloatArray, low: float, high: float) -> ColourArray:
-    """Grey values between `low` (black) and `high` (white), as three equal channels."""
-    level = np.clip((values - low) / max(high - low, 1e-12) * 255.0, 0, 255).astype(np.uint8)
-    return np.repeat(level[..., None], 3, axis=2)
-
-
 def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -> str:
     """Encode a picture as a ``data:`` address: PNG, or JPEG for photographs and shaded views."""
     if photo:

@@ -66,7 +66,7 @@ class TiffPage:
     columns: int
     samples: int  # channels as stored, with alpha
     dtype: np.dtype[Any]
-    order: str  # of the bytes of a value
+    order: Literal["<", ">"]  # of the bytes of a value
     photometric: int
     compression: int
     predictor: int
@@ -195,8 +195,9 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
     require(size <= len(data), damaged)
     check_held(rows, columns, samples * dtype.itemsize / _RATIO[compression], size, name)
     predictor = number(_PREDICTOR, 1)
-    stored = (order, photometric, compression, predictor, segment, tiled, places)
-    return TiffPage(rows, columns, samples, dtype, *stored, tags)
+    return TiffPage(
+        rows, columns, samples, dtype, order, photometric, compression, predictor, segment, tiled, places, tags
+    )
 
 
 def tiff_header(data: bytes, name: str) -> TiffPage:
@@ -260,7 +261,7 @@ def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple
     return order, long, count, ((*entry.unpack_from(data, start), start + value) for start in starts)
 
 
-def _tags(data: bytes, damaged: str) -> tuple[str, dict[int, NDArray[Any]]]:
+def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArray[Any]]]:
     """Order of bytes, and values of the tags that are read."""
     order, long, count, entries = _directory(data)
     require(0 < count <= _MAX_TAGS, damaged)

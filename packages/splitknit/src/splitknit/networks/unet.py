@@ -91,7 +91,7 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
     text = os.fspath(name)
     if text.endswith(".onnx"):
         path = Path(text).expanduser()
-        return path, path.with_suffix(".json"), "copy the network again or train it again (splitknit train)"
+        return path, path.with_suffix(".json"), "copy the network again or train it again (training/README.md)"
     known = _shipped_names()
     cure = f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file."
     require(text in known, f"there is no network '{text}' in this installation; {cure}")

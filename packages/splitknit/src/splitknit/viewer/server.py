@@ -62,8 +62,8 @@ def pages_of(result: Reconstruction, title: str) -> Pages:
     surface = surface_in(result)
     points = int(np.isfinite(surface.height_mm).sum())
     step = int(np.ceil(np.sqrt(points / _MOST_POINTS)))
-    fields = (surface.x_mm, surface.y_mm, surface.height_mm, surface.ridge_mm)
-    fields = [np.ascontiguousarray(field[::step, ::step], dtype="<f4") for field in fields]
+    whole = (surface.x_mm, surface.y_mm, surface.height_mm, surface.ridge_mm)
+    fields = [np.ascontiguousarray(field[::step, ::step], dtype="<f4") for field in whole]
     facts = {
         "title": title,
         "preset": result.preset,

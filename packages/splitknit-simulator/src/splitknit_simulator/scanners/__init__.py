@@ -1,1 +1,0 @@
-"""Fingers of other scanners."""

@@ -1,0 +1,124 @@
+"""The published matchers tell a finger from others, on little that is invented."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from script_folder import VALIDATION, Script, scripts_of
+from spiral_prints import spiral_print
+from splitknit.model import Surface
+from splitknit_match.matching.minutiae_record import Minutiae
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[Script]:
+    with scripts_of(VALIDATION / "published") as named:
+        yield named
+
+
+def skin(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Minutiae on 14 x 20 mm of bent skin: places and directions."""
+    rng = np.random.default_rng(seed)
+    x, y, ahead = rng.uniform(-7, 7, 60), rng.uniform(-10, 10, 60), rng.uniform(0, 2 * np.pi, 60)
+    rise = -x / 7 * np.cos(ahead) - y / 30 * np.sin(ahead)
+    along = np.stack([np.cos(ahead), np.sin(ahead), rise], axis=1)
+    return np.stack([x, y, -(x**2) / 14 - y**2 / 60], axis=1), along
+
+
+@pytest.mark.parametrize(("name", "kind"), [("minutiae3d", "Pairs"), ("tetrahedra", "Tetrahedra")])
+def test_minutiae_in_space(script: Script, name: str, kind: str) -> None:
+    module, minutiae3d = script(name), script("minutiae3d")
+
+    def side(seed: int, turned: bool = False) -> object:
+        place, along = skin(seed)
+        if turned:  # a quarter lost, all a little off, and moved rigidly
+            rng = np.random.default_rng([seed, 1])
+            place, along = place[15:] + rng.normal(0, 0.1, (45, 3)), along[15:] + rng.normal(0, 0.08, (45, 3))
+            motion, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+            motion[:, 0] *= np.linalg.det(motion)
+            place, along = place @ motion.T + 20, along @ motion.T
+        unit = along / np.linalg.norm(along, axis=1, keepdims=True)
+        return getattr(module, kind)(minutiae3d.SpaceMinutiae(place, unit))
+
+    alike = minutiae3d.similarity
+    assert alike(side(1), side(1)) == 1.0
+    assert alike(side(1), side(1, True)) == alike(side(1, True), side(1)) > 0.4
+    assert alike(side(1), side(2, True)) < 0.15
+
+
+def test_surface_codes(script: Script) -> None:
+    codes = script("surface_code")
+    rng = np.random.default_rng(0)
+    index = np.kron(rng.random((40, 30)), np.ones((4, 4)))
+    whole = np.ones(index.shape, bool)
+    assert codes.code_of(np.array([[0.75, 0.25]]), np.ones((1, 2), bool)) is None
+    one, moved = (codes.code_of(np.roll(index, shift, axis=0), whole) for shift in (0, 12))
+    other = codes.code_of(np.kron(rng.random((40, 30)), np.ones((4, 4))), whole)
+    assert codes.similarity(one, moved) == codes.similarity(moved, one) > 0.9
+    assert codes.similarity(one, other) < 0.7
+
+
+def test_a_vote(script: Script) -> None:
+    def one(x: int) -> Minutiae:
+        small = np.array([1], np.uint8)
+        return Minutiae(np.array([x]), np.array([20]), np.zeros(1), small, small, (40, 40))
+
+    found = script("voted").vote([one(10), one(12), one(30)])
+    assert (found.x_px.tolist(), found.quality.tolist()) == ([11], [67])
+
+
+def test_pores_are_found_and_paired(script: Script) -> None:
+    pores = script("pores")
+    across = np.cos(2 * np.pi * np.arange(200, dtype=np.float32) / 30)[:, None] * np.ones((1, 200), np.float32)
+    pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(np.float32)
+    found = pores.find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)
+    assert found[:, :2].tolist() == [[100.0, 90.0]]
+
+    def side(places: np.ndarray, down_px: int) -> object:
+        """A flat finger with known pores, `down_px` further down."""
+        ridge = -spiral_print((0, down_px)).astype(np.float32)[100:400] * np.float32(1e-4)
+        flat, normals = np.zeros_like(ridge), np.zeros((*ridge.shape, 3), np.float32)
+        normals[..., 2] = 1
+        surface = Surface(ridge, flat, normals, np.ones(ridge.shape, bool), 25.4 / 500, np.eye(3), ridge.shape)
+        return pores.pore_template(surface, places + np.array([0, down_px]))
+
+    places, others = (np.random.default_rng(seed).uniform([60, 60], [320, 240], (400, 2)) for seed in (0, 9))
+    assert pores.pore_match(side(places, 0), side(places, 12)).similarity > 0.9
+    assert pores.pore_match(side(places, 0), side(others, 12)).similarity < 0.5
+
+
+def test_features_that_the_thesis_dropped(script: Script) -> None:
+    rng = np.random.default_rng(0)
+    image, other = (np.kron(rng.random((20, 20)), np.ones((10, 10))).astype(np.float32) for _ in range(2))
+    for extract in script("image_features").FEATURES.values():
+        one, moved, away = (extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), other))
+        assert np.linalg.norm(one - moved) < np.linalg.norm(one - away)
+
+
+def test_knuckles_are_their_owners(script: Script) -> None:
+    draw = script("knuckles").draw_knuckle
+    places = [[crease.v_mm for crease in finger.skin.creases] for finger in (draw(3), draw(3, 1), draw(4))]
+    assert places[0] == places[1] != places[2]
+
+
+def test_scores_of_people_are_a_score_file(script: Script, tmp_path: Path) -> None:
+    scored = script("scored")
+    for person in ("S01", "S02"):
+        for session in (1, 2):
+            folder = tmp_path / "people" / person / f"session_{session}" / "right_index"
+            folder.mkdir(parents=True)
+            (folder / "capture.json").write_text(person)
+
+    def features(finger: Path, preset: str) -> int:
+        return int((finger / "capture.json").read_text()[1:])
+
+    out = tmp_path / "scores.csv"
+    words = [str(tmp_path / "people"), "--out", str(out)]
+    assert scored.run(features, lambda a, b: float(a == b), "metric", words) == 0
+    lines = out.read_text().split()
+    assert lines[0] == "label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
+    assert [line.split(",")[:2] for line in lines[1:]] == [["1", "1.0"], ["0", "0.0"], ["0", "0.0"], ["1", "1.0"]]
