@@ -19,10 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.mirrors.captured import views_in
 from splitknit.mirrors.mirror import mirror_shape
-from splitknit.mirrors.views import view_binning
-from splitknit.presets import preset_settings
+from splitknit.mirrors.views import view_binning, views_in
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface, placement_of
 from splitknit_simulator.finger.raycast import PlacedFinger
 from splitknit_simulator.finger.shape import FingerBody
@@ -73,14 +71,13 @@ def timed(work: Callable[[], Any], rounds: int) -> tuple[Any, dict[str, float]]:
 
 def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> dict[str, Any]:
     """All steps with these mirrors alone."""
-    settings = preset_settings("metric")
     binning = view_binning(rig.camera.px_per_mm)
     rig = replace(rig, mirrors=tuple(mirror for mirror in rig.mirrors if mirror.name in names))
 
     def views() -> Any:
         size = (image.shape[1] // binning, image.shape[0] // binning)
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        return views_in(small, rig, binning, settings.mask)
+        return views_in(small, rig, binning)
 
     found, first = timed(views, rounds)
     shape, second = timed(lambda: mirror_shape(found, rig), rounds)

@@ -66,7 +66,7 @@ SHOWN = (
         "poisson, masked",
         "pyamg: Ruge-Stueben with CG, double (rtol 1e-09)",
     ),
-    ("shapelets", "bench_integrate.py", "Shapelets, n = 3", "shapelets, mirror", "numpy: scale by scale (Kovesi)"),
+    ("shapelets", "bench_integrate.py", "Shapelets, n = 3", "shapelets", "numpy: scale by scale (Kovesi)"),
     ("`ridge`, both prepared", "bench_match.py", "Ridge templates", "comparison, both sides prepared", ""),
     ("the thesis's matcher", "bench_match.py", "The thesis's matcher, four channels of 1528 x 936", "lbp", ""),
     ("minutiae", "bench_match.py", _MINUTIAE, "minutiae of a relief print", "nbis-py: minutiae of the same as PNG"),

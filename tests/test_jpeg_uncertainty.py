@@ -1,4 +1,4 @@
-"""What JPEG may have taken stands in the relief's uncertainty, by scale (``validation/jpeg``)."""
+"""What JPEG may have taken stands in the relief's uncertainty, by scale."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
     found = json.loads(run.stdout)
     assert found["python_files"] == 7 and found["lines"] == 25
     assert found["settings_fields"] == 3 and found["names_of_modules"] == 6 and found["homonyms"] == 1
-    assert found["members"][0] == {"member": "splitknit", "files": 8, "lines": 26, "public_names": 1}
+    assert found["members"][0] == {"member": "splitknit", "files": 8, "lines": 26, "tokens": 101, "public_names": 1}
     assert found["functions_with_whole_settings"] == found["functions_with_many_parameters"] == found["noqa"] == 1
     assert found["words"]["index.md"] > 0 and found["words"]["all"] < sum(found["words"].values())
     assert found["files_to_the_equations"] == 3 and found["files_to_the_ply"] == 0

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.finger.ridges import PrintSettings, relief_print
+from splitknit.finger.ridges import relief_print
 from splitknit.imaging.band import linear_image
 from splitknit.io.pictures import PictureFrame, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
@@ -78,7 +78,7 @@ def main() -> None:
         1 / result.pitch_mm,
         result.input_from_upright,
         result.upright_size,
-        settings=PrintSettings(ppi=PRINT_PPI),
+        ppi=PRINT_PPI,
     )
     rows, columns = np.nonzero(inked < 250)
     inked = inked[max(rows.min() - 12, 0) : rows.max() + 13, max(columns.min() - 12, 0) : columns.max() + 13]

@@ -40,7 +40,7 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.model import default_rig
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import BandImages, Grid, coarsen
+from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY, RIDGE_BAND_MM, azimuth_waves, features
@@ -78,8 +78,8 @@ def training_sample(number, prints=None):
     settings = preset_settings("metric")
     located = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, located.window, located.inside, settings.metric.working_pitch_mm)
-    images = coarse_images(bands, grid, settings.metric.coarse_pitch_mm, settings.metric.plane_mm)
+    grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
+    images = coarse_images(bands, grid, settings.metric.plane_mm)
     optics = settings.skin.optics(images.channels)
     found = on_fine_grid(coarse_shape(images, optics, settings.metric.coarse_steps).height_mm, images)
     on_grid = TruthOnGrid(truth, located.window, grid, binning)
@@ -113,7 +113,7 @@ def _assembled(white, grid, surface_mm, truth):
 
 def _light_on(rig, grid, surface_mm):
     """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
-    factor = max(1, round(preset_settings("metric").metric.coarse_pitch_mm / grid.pitch_mm))
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     rows, columns = low.shape
     height = bin_mean(np.ascontiguousarray(surface_mm[: rows * factor, : columns * factor]), factor)

@@ -30,7 +30,7 @@ from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.methods.metric import metric_skin
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import coarsen
+from splitknit.skin.grid import COARSE_PITCH_MM, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, SHAPE_SYMMETRY, Networks, can_learn
 
@@ -57,7 +57,7 @@ def shape_sample(number, prints=None):
     settings = preset_settings("metric")
     found = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, found.window, found.inside, settings.metric.working_pitch_mm)
+    grid, bands, binning = skin_images(capture, lit, found.window, found.inside)
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, found.window, grid, binning)
     known = grid.mask & on_grid.mask
@@ -77,7 +77,7 @@ def shape_sample(number, prints=None):
         return drawn if fields.shape[1:] == drawn.shape[1:] else np.zeros((9, *fields.shape[1:]), dtype=np.float32)
 
     metric_skin(bands, grid, settings.skin, settings.metric, Networks(true_relief, no_slopes))
-    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     return _assembled(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
 
 

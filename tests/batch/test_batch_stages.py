@@ -273,8 +273,8 @@ def test_stores_without_surfaces_say_so(people: Path, tmp_path: Path) -> None:
 
 
 def test_other_settings_are_refused_by_name(people: Path, store: Path) -> None:
-    case = Case("ea", "ea", {"normals.max_slope": 5.0})
-    with pytest.raises(BadInput, match=r"case 'ea' \(normals\.max_slope\)"):
+    case = Case("ea", "ea", {"height.method": "poisson"})
+    with pytest.raises(BadInput, match=r"case 'ea' \(height\.method\)"):
         run_batch(people, store, replace(EA, cases=(case,)), jobs=1)
     coarse = MatchingSettings(template=TemplateSettings(least_area_mm2=31.0))
     with pytest.raises(BadInput, match=r"templates \(template\.least_area_mm2\)"):
@@ -348,7 +348,7 @@ def test_cases_and_matchers_that_cannot_be(people: Path) -> None:
     with pytest.raises(BadInput, match="no preset"):
         Case("mine", "eb")
     with pytest.raises(BadInput, match="did you mean"):
-        Case("mine", "ea", {"normals.max_slop": 3})
+        Case("mine", "ea", {"height.metod": 3})
     with pytest.raises(BadInput, match="two cases"):
         BatchSettings(cases=(Case("a", "ea"), Case("a", "pr")))
     with pytest.raises(BadInput, match="no matcher 'eyes'"):

@@ -127,14 +127,6 @@ def test_little_tilt_is_warned_about():
     assert any("parallel" in words or "uncertain" in words for words in found.warnings)
 
 
-def test_what_cannot_be_told_of_the_principal_point_is_said(monkeypatch):
-    monkeypatch.setattr("splitknit_rig.calibration.camera._PRINCIPAL_LIMIT", 1e-4)
-    found = fit_camera(views(0), BOARD, SIZE)
-    assert found.lens.matrix[:2, 2].tolist() == [399.5, 274.5]
-    assert "principal point" in found.lens.fixed
-    assert any("principal point is not determined" in words for words in found.warnings)
-
-
 def test_boards_in_one_corner_are_warned_about():
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
     sets = [0.5 * seen(marks, turned(10 + 3 * k, 70 * k), (0, 0, 140.0)) for k in range(8)]

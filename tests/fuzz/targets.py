@@ -572,22 +572,20 @@ def _assignments(folder: Path, files: Files) -> None:
 
 _SETTINGS: dict[str, Any] = {
     "knit": {"method": "crossover"},
-    "height": {"padding": "mirror"},
+    "height": {"method": "poisson"},
     "metric": {"coarse_steps": 5},
-    "skin": {"invert_blur": None, "scattering_per_mm": [3.4, 4.1, 5.2, 2.2]},
-    "normals.rounds": 2,
+    "skin": {"invert_blur": None, "scattering_factor": 1.2},
+    "metric.rounds": 2,
 }
 _TOML = b"""cut_at_crease = true
 [knit]
 method = "crossover"
 [height]
 method = "poisson"
-[height.poisson]
-max_iterations = 200
 [metric]
 coarse_steps = 5
 """
-_SET = b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=5\nlights.balance=true"
+_SET = b"knit.method=crossover\nmetric.rounds=2\nmetric.coarse_steps=5\nlights.balance=true"
 
 
 def _networks() -> list[Files]:

@@ -31,10 +31,10 @@ def hemisphere(tmp_path: Path) -> Path:
 
 def test_a_matt_ball_is_found(objects, hemisphere: Path) -> None:
     ball = objects.scanned(hemisphere)
-    measured, surface = objects._errors(ball, range(8), "ea", {})
+    measured, surface = objects.errors_of(ball, range(8), "ea", {})
     assert measured < 0.1 and surface < 0.6
     turned = objects.Object(ball.name, ball.images, ball.lights[:, [1, 0, 2]], ball.mask, ball.normals)
-    assert objects._errors(turned, range(8), "ea", {})[0] > 20  # lights in a wrong frame show
+    assert objects.errors_of(turned, range(8), "ea", {})[0] > 20  # lights in a wrong frame show
 
 
 def test_a_file_without_truth_is_refused(objects, tmp_path: Path, capsys) -> None:

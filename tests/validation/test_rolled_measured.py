@@ -50,10 +50,8 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
     with scripts_of(FOLDER) as script:
         measured = script("rolled_measure")
         front = measured.front_alone(rolled)
-        found = measured._against_truth(rolled, front, truth)
-        wrong = measured._against_truth(
-            rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]}
-        )
+        found = measured.against_truth(rolled, front, truth)
+        wrong = measured.against_truth(rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]})
         apart = measured.ridges_apart(rolled, truth)["right"]
         moved = measured.ridges_apart(rolled, {**truth, "chart_mm": truth["chart_mm"] + np.float32([0.0, 0.5])})[
             "right"

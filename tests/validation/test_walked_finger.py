@@ -60,7 +60,7 @@ def medium(scattering_per_mm: float, absorption_per_mm: float, spread: float = 1
 
 def walked(surface: SimulatedSurface, optics: np.ndarray, walks: float = 100.0, threads: int = 1) -> np.ndarray:
     """Mean radiance under both lights."""
-    solid = finger._solid(surface, LEDS)
+    solid = finger.solid_of(surface, LEDS)
     even = np.ones(solid.lean.shape, dtype=np.float32)
     light = finger.walk_solid(solid, surface, even, optics, walks=walks, rays=64, threads=threads, seed=[1])
     return light.radiance.mean(axis=(1, 2), dtype=np.float64)
@@ -82,7 +82,7 @@ def test_flat_skin_with_a_diffuse_boundary_agrees_with_the_table_of_walks(scatte
 @needs_numba
 def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
     scattering, absorption = 4.0, 1.0
-    solid, even = finger._solid(FLAT, LEDS), np.ones((24, 24), dtype=np.float32)
+    solid, even = finger.solid_of(FLAT, LEDS), np.ones((24, 24), dtype=np.float32)
     optics = medium(scattering, absorption, spread=0.0)
     optics[5] = 0.0  # no micro-facets
     found = finger.walk_solid(solid, FLAT, even, optics, walks=1.0, rays=200, threads=1, seed=[1], entering=6)
@@ -140,7 +140,7 @@ def test_dense_skin_is_lambertian_whatever_its_slope():
     slope, pitch_mm = 0.4, 0.1
     x = (np.arange(30) - 14.5) * pitch_mm
     roof = patch(np.broadcast_to(-slope * np.abs(x), (30, 30)), pitch_mm)
-    solid, even = finger._solid(roof, LEDS), np.ones((30, 30), dtype=np.float32)
+    solid, even = finger.solid_of(roof, LEDS), np.ones((30, 30), dtype=np.float32)
     light = finger.walk_solid(
         solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
     ).radiance
@@ -172,7 +172,7 @@ def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
         patch(np.zeros((40, 221)), pitch_mm), camera=camera, height_mm=height, shape_mm=height,
         normals=shape_normals, shape_normals=shape_normals, mask=inside,
     )  # fmt: skip
-    solid = finger._solid(cylinder, LEDS)
+    solid = finger.solid_of(cylinder, LEDS)
     even = np.ones(solid.lean.shape, dtype=np.float32)
     light = finger.walk_solid(
         solid, cylinder, even, medium(4.1237, 0.2, pitch_mm=pitch_mm), walks=20.0, rays=10, threads=1,

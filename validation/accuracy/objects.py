@@ -131,12 +131,12 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
         few = [sorted(rng.choice(count, FEW, replace=False).tolist()) for _ in range(DRAWS if count > FEW else 0)]
         for draws in [[list(range(count))], *([few] if few else [])]:
             for preset, (base, changes) in PRESETS.items():
-                errors = np.array([_errors(one, chosen, base, changes) for chosen in draws])
+                errors = np.array([errors_of(one, chosen, base, changes) for chosen in draws])
                 cells = " | ".join(_cell(column) for column in errors.T)
                 yield f"| {one.name}, {len(draws[0])} | `{preset}` | {cells} |"
 
 
-def _errors(one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]) -> tuple[float, float]:
+def errors_of(one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]) -> tuple[float, float]:
     result = reconstruct(one.capture(chosen), preset, changes)
     measured = result.normals_measured
     return np.nan if measured is None else one.error_deg(measured), one.error_deg(result.normals)

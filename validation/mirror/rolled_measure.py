@@ -64,7 +64,7 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
         "surface_rms_mm": _surface_error(rolled, truth),
         "cut": [view.name for view in views if view.cut],
         "ridges_apart_um": ridges_apart(rolled, truth),
-        **_against_truth(rolled, front, truth),
+        **against_truth(rolled, front, truth),
     }
     prints = {name: _print(one) for name, one in (("rolled", rolled), ("front", front))}
     return Measured(row, prints)
@@ -99,7 +99,7 @@ def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
+def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
     """Every point of the print against the truth at the pixel of the image that it was taken from."""
     pitch = rolled.chart.pitch_mm * STEP
     slant = np.rad2deg(np.arccos(np.clip(rolled.normals[::STEP, ::STEP, 2], -1.0, 1.0)))

@@ -29,8 +29,6 @@ from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Capture, Mirror
-from splitknit.presets import preset_settings
-from splitknit.settings import override
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -87,14 +85,13 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
         False: capture.rig,
         True: replace(capture.rig, mirrors=tuple(displaced(truth, names[name], rng) for name in sorted(names))),
     }
-    settings = override(preset_settings("metric"), {})
     seen: dict[bool, Any] = {}
     for case, (method, mirrors, with_slopes, off) in CASES.items():
         taken = replace(capture, rig=rigs[off])
         own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
-                seen[off] = found_views(taken, settings.mask)
+                seen[off] = found_views(taken)
             views, grey = seen[off]
             part = Views(views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning)
             slopes_on = partial(skin_slopes, taken, grey, views) if with_slopes else None

@@ -37,7 +37,7 @@ from splitknit_simulator.twin import lay_down
 sys.path.insert(0, str(Path(__file__).parent))
 
 from score import score
-from walked_finger import LENS_PX, _pixel_means, _pixel_places, _reflected, specular
+from walked_finger import LENS_PX, pixel_means, pixel_places, reflected, specular
 
 Array = NDArray[np.floating[Any]]
 SIZE, SCALE, FINE = (420, 520), 0.5, 2
@@ -122,9 +122,9 @@ def drawn(
         for one in (camera, closer)
     )
     mask, pitch = surface.mask, camera.pitch_mm
-    whole = _pixel_means(fine.mask.astype(float), surface) == 1
+    whole = pixel_means(fine.mask.astype(float), surface) == 1
     height = np.where(
-        whole, _pixel_means(np.where(fine.mask, fine.height_mm, 0), surface), surface.height_mm
+        whole, pixel_means(np.where(fine.mask, fine.height_mm, 0), surface), surface.height_mm
     )  # of the facets that are seen
 
     images, diffuse = _images(case, rig, surface, fine, lights)
@@ -132,7 +132,7 @@ def drawn(
     exposure = 0.7 / np.percentile(diffuse[:, mask], 99.9)
     sigma = NOISE * np.sqrt(np.maximum(2 * diffuse + images, 0) * exposure / 0.7 / 3) * 0.7
     stack = (images * exposure + sigma * rng.standard_normal(images.shape)).astype(np.float32)
-    x, y = _pixel_places(camera)
+    x, y = pixel_places(camera)
     grid = Grid(mask, x[0], y[:, 0], pitch, (False, True, False, False))
     start, deviation = _start(height, surface.shape_mm, mask, pitch, rng)
     specular = SpecularImages(
@@ -150,7 +150,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
     films = mounted_films(
         FilmSettings("analyser", angle, 0.5, 1000.0, (0.85,) * 3, case.kept), rig.leds, np.random.default_rng(case.seed)
     )
-    x, y = _pixel_places(camera)
+    x, y = pixel_places(camera)
     z = np.where(mask, surface.height_mm, 0.0)
     seen, camera_way = [], (0, 0, 1.0)
     diffuse = []
@@ -160,7 +160,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
         passed = films.specular(0, k, way, camera_way) - films.specular(1, k, way, camera_way)
         once = films.once_scattered(0, k, way, camera_way) - films.once_scattered(1, k, way, camera_way)
         if k < RING:  # hardly any skin hides the ring
-            reflected = passed * _pixel_means(_reflected(fine, led, case.roughness), surface)
+            reflected = passed * pixel_means(reflected(fine, led, case.roughness), surface)
         else:
             reflected = passed * specular(surface, led, case.roughness, fine)
         cosines = (

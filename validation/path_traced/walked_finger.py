@@ -169,7 +169,7 @@ def render_finger(
             optics.epidermis_mm / pitch, optics.spread, optics.roughness / np.sqrt(2.0), REFRACTIVE_INDEX, inside,
         ]
     )  # fmt: skip
-    solid = _solid(surface, leds)
+    solid = solid_of(surface, leds)
     mottle = _mottles(solid.lean.shape, pitch, optics, seed)
     return walk_solid(
         solid, surface, mottle, medium, walks=walks, rays=rays, threads=threads,
@@ -193,7 +193,7 @@ class _Solid:
     """Row and column of the picture where the maps begin."""
 
 
-def _solid(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
+def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     camera, pitch = surface.camera, surface.camera.pitch_mm
     require(camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
     require(
@@ -369,7 +369,7 @@ def specular(surface: SimulatedSurface, led: Led, roughness: float, fine: Simula
     Walter, Marschner, Li and Torrance 2007, equations (20), (33), (34).
     """
     (rows, columns), pitch, light = surface.mask.shape, surface.camera.pitch_mm, np.asarray(led.position_mm)
-    total = _pixel_means(_reflected(fine or surface, led, roughness), surface)
+    total = pixel_means(reflected(fine or surface, led, roughness), surface)
     column, row = light[0] / pitch + (columns - 1) / 2, (rows - 1) / 2 - light[1] / pitch
     beside = float(surface.shape_mm[surface.mask].min()) - 6.0
     heights = np.where(surface.mask, surface.height_mm, beside) / pitch
@@ -377,14 +377,14 @@ def specular(surface: SimulatedSurface, led: Led, roughness: float, fine: Simula
     return np.asarray(total, dtype=np.float32)
 
 
-def _pixel_means(field: Array, surface: SimulatedSurface) -> Array:
+def pixel_means(field: Array, surface: SimulatedSurface) -> Array:
     rows, columns = surface.mask.shape
     return np.asarray(field.reshape(rows, len(field) // rows, columns, -1).mean(axis=(1, 3)))
 
 
-def _reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
+def reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
     """(H, W) radiance at the pixels' centres, no skin hiding the light."""
-    normals, (x, y) = surface.normals.astype(np.float64), _pixel_places(surface.camera)
+    normals, (x, y) = surface.normals.astype(np.float64), pixel_places(surface.camera)
     height = np.where(surface.mask, surface.height_mm, 0.0)
     way = np.asarray(led.position_mm) - np.stack([x, y, height], axis=-1)
     squared = np.sum(way * way, axis=-1)
@@ -402,7 +402,7 @@ def _reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
     return np.where(seen, light, 0.0)
 
 
-def _pixel_places(camera: Camera) -> tuple[Array, Array]:
+def pixel_places(camera: Camera) -> tuple[Array, Array]:
     """x and y of the pixels' centres in mm."""
     height, width = camera.image_size
     x = (np.arange(width) - (width - 1) / 2) * camera.pitch_mm
@@ -511,7 +511,7 @@ class _Regression:
         slopes = [surface.normals[..., axis].astype(np.float64) for axis in range(2)]
         self.features = np.stack(
             [
-                *_pixel_places(surface.camera), relief, smooth(relief, 0.06), smooth(relief, 0.13),
+                *pixel_places(surface.camera), relief, smooth(relief, 0.06), smooth(relief, 0.13),
                 *slopes, *(smooth(slope, 0.06) for slope in slopes),
             ]
         )  # fmt: skip
@@ -619,8 +619,8 @@ def photograph_finger(
         } | {name: band for name, band in bands.items() if name == "nir"}
     height = surface.height_mm
     if fine is not None:
-        whole = _pixel_means(fine.mask, surface) == 1.0
-        height = np.where(whole, _pixel_means(np.where(fine.mask, fine.height_mm, 0.0), surface), height)
+        whole = pixel_means(fine.mask, surface) == 1.0
+        height = np.where(whole, pixel_means(np.where(fine.mask, fine.height_mm, 0.0), surface), height)
     truth = {
         "height_mm": height.astype(np.float32),
         "shape_mm": surface.shape_mm,
@@ -648,7 +648,7 @@ def _polarised(
     surface, fine = skin
     leds = [led for led in rig.leds if led.band == "white"]
     diffuse, once, passing = light.diffuse["white"], light.once["white"], mounted.transmitted()
-    x, y = _pixel_places(surface.camera)
+    x, y = pixel_places(surface.camera)
     z = np.where(surface.mask, surface.height_mm, 0.0)
     frames = np.empty((2, *diffuse.shape), dtype=np.float32)
     for k, led in enumerate(leds):
@@ -682,7 +682,7 @@ def _coefficients(channel: Channel, optics: FingerOptics) -> dict[str, float]:
 def _background(camera: Camera, led: Led) -> Array:
     """(H, W) radiance of the black background under `led`."""
     albedo, z = BACKGROUND
-    x, y = _pixel_places(camera)
+    x, y = pixel_places(camera)
     light = np.asarray(led.position_mm, dtype=np.float64)
     squared = (light[0] - x) ** 2 + (light[1] - y) ** 2 + (light[2] - z) ** 2
     return np.asarray(albedo / np.pi * led.intensity * UNIT * (light[2] - z) / squared**1.5)

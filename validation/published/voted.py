@@ -20,7 +20,7 @@ from scored import run
 
 from splitknit.errors import BadInput
 from splitknit.finger.locate import Finger, prepared_capture
-from splitknit.finger.ridges import PrintSettings, ink
+from splitknit.finger.ridges import ink
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.coloured import balanced
@@ -150,7 +150,7 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
         for name in PICTURES:
             values, weight = resample(_component(normals, albedo, name, finger), mask, pitch, print_map)
             try:
-                yield name, ink(values, weight, PrintSettings(ppi=PPI))
+                yield name, ink(values, weight, PPI)
             except BadInput:  # flat: no vote
                 continue
 

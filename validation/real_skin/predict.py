@@ -99,8 +99,7 @@ def seen_and_found(
     rows, columns = (np.flatnonzero(result.mask.any(axis=axis)) for axis in (1, 0))
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     bands = tuple(capture.bands[n] for n in dict.fromkeys(("white", name)))
-    pitch = PipelineSettings().metric.working_pitch_mm
-    grid, images, binning = skin_images(capture, bands, window, result.mask[window], pitch)
+    grid, images, binning = skin_images(capture, bands, window, result.mask[window])
 
     def on_grid(field: FloatArray) -> FloatArray:
         return bin_mean(np.nan_to_num(field[window]).astype(np.float32), binning) * grid.mask

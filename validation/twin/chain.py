@@ -88,7 +88,7 @@ def reconstructed(images: Any, way: str, networks: Any) -> Any:
     stack = (images * (0.7 / np.percentile(images, 99.9))).astype(np.float32)
     rig = default_rig()
     white = BandImages(CHANNELS, stack, rig.select([(k,) for k in range(7)]))
-    settings = MetricSettings(relief=way, working_pitch_mm=PIXEL_MM, plane_mm=0.0)
+    settings = MetricSettings(relief=way, plane_mm=0.0)
     skin = metric_skin((white,), grid, AssumedSkin(), settings, networks=networks)
     return np.asarray(skin.shape_mm + skin.relief_mm, dtype=np.float64)
 

@@ -172,7 +172,7 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     """All views with their true masks and mirrors, and the body that fits their outlines."""
     built = {mirror.name: mirror for mirror in capture.rig.mirrors}
     sides = {name: mask for name, mask in masks.items() if name != "front"}
-    ellipse = MirrorShapeSettings(squareness=0.0, squareness_spread=1e-6)
+    ellipse = MirrorShapeSettings(squareness=0.0)
     body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
     glasses = {
         name: Glass(name, Plane(mirror.point_mm, mirror.normal), np.asarray(mirror.corners_mm), mirror.reflectance)

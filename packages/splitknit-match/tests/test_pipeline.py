@@ -230,7 +230,6 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
     [
         {"knit.method": "crossover"},
         {"height.method": "poisson"},
-        {"height.padding": "mirror"},
         {"enhance.clahe": False},
         {"shapelets.scales": 4},
         {"shape.source": "white"},
@@ -322,7 +321,7 @@ def test_cases_that_share_a_memory_are_what_they_are_alone(capture: Capture, mon
         assert shared.warnings == alone.warnings and shared.quality == alone.quality
     assert len(asked) == 1  # snk, pr and pr-split share their direct light
     # other settings of a stage that the slopes follow from are not mistaken for the same
-    coarse = {"enhance.cells.cell_px": 2 * preset_settings("snk").enhance.cells.cell_px}
+    coarse = {"enhance.cells.tiles": 16}
     np.testing.assert_array_equal(
         reconstruct(capture, "snk", coarse, memory=memory).ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm
     )

@@ -150,9 +150,7 @@ def test_resolution_does_not_matter() -> None:
     values = waves(40.0, 0.15)
     large = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
     weight = np.ones(large.shape, np.float32)
-    from splitknit.finger.ridges import PrintSettings
-
-    image = ink(large, weight, PrintSettings(ppi=1000.0))
+    image = ink(large, weight, 1000.0)
     fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, 10.0)
     coarse = figures(values)
     assert fine.ridge_height_um == pytest.approx(coarse.ridge_height_um, rel=0.03)

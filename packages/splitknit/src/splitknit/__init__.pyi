@@ -58,7 +58,6 @@ from splitknit.finger.regions import reduce_image as reduce_image
 from splitknit.finger.ridge_period import PEOPLE as PEOPLE
 from splitknit.finger.ridge_period import scale_of_ridges as scale_of_ridges
 from splitknit.finger.ridges import MM_PER_INCH as MM_PER_INCH
-from splitknit.finger.ridges import PrintSettings as PrintSettings
 from splitknit.finger.ridges import ink as ink
 from splitknit.finger.ridges import surface_print as surface_print
 from splitknit.finger.ridges import upright_from_print as upright_from_print
@@ -190,7 +189,6 @@ from splitknit.io.tiff import SIGNATURES as SIGNATURES
 from splitknit.jobs import read_photographs as read_photographs
 from splitknit.mirrors.body import Body as Body
 from splitknit.mirrors.captured import skin_slopes as skin_slopes
-from splitknit.mirrors.captured import views_in as views_in
 from splitknit.mirrors.mirror import mirror_shape as mirror_shape
 from splitknit.mirrors.reflection import Glass as Glass
 from splitknit.mirrors.reflection import Sight as Sight
@@ -201,6 +199,7 @@ from splitknit.mirrors.reflection import mirrored_fraction as mirrored_fraction
 from splitknit.mirrors.reflection import shade_of as shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings as MirrorShapeSettings
 from splitknit.mirrors.views import view_binning as view_binning
+from splitknit.mirrors.views import views_in as views_in
 from splitknit.model import COLOURS as COLOURS
 from splitknit.model import CROSSTALK as CROSSTALK
 from splitknit.model import HALF_ANGLE_DEG as HALF_ANGLE_DEG
@@ -264,6 +263,8 @@ from splitknit.settings import check_fields as check_fields
 from splitknit.settings import differing as differing
 from splitknit.settings import flatten as flatten
 from splitknit.settings import override as override
+from splitknit.skin.grid import COARSE_PITCH_MM as COARSE_PITCH_MM
+from splitknit.skin.grid import WORKING_PITCH_MM as WORKING_PITCH_MM
 from splitknit.skin.grid import BandImages as BandImages
 from splitknit.skin.grid import Grid as Grid
 from splitknit.skin.grid import coarsen as coarsen

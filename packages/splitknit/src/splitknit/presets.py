@@ -11,10 +11,8 @@ from splitknit.finger.contrast import ClaheSettings
 from splitknit.finger.locate import FingerSettings
 from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration.knit import KnitSettings
-from splitknit.integration.poisson import PoissonSettings
 from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.photometric.robust import RobustSettings
 from splitknit.settings import Checked, Limits, check_fields, differing, override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.images import MetricSettings
@@ -47,12 +45,6 @@ class NormalsSettings(Checked):
 
     method: Literal["lambertian", "robust", "near_light"] = "near_light"
     """``lambertian``, ``robust`` or ``near_light``."""
-    robust: RobustSettings = field(default_factory=RobustSettings)
-    """Weights of ``robust`` and ``near_light``."""
-    rounds: Annotated[int, Limits(1, 20)] = 3
-    """Number of rounds of ``near_light`` and integration."""
-    max_slope: Annotated[float, Limits(0, above=True)] = 6.0
-    """Steeper slopes are shortened to this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +53,6 @@ class HeightSettings(Checked):
 
     method: Literal["poisson", "frankot_chellappa"] = "poisson"
     """``poisson`` (masked least squares) or ``frankot_chellappa``."""
-    padding: Literal["zero", "mirror"] = "zero"
-    """Border of ``frankot_chellappa``: ``zero`` as in the thesis, or ``mirror``."""
-    poisson: PoissonSettings = field(default_factory=PoissonSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +96,6 @@ class Parameters:
     photometry: Photometry
     height: HeightSettings
     shapelets: ShapeletSettings
-
-    @property
-    def max_slope(self) -> float:
-        """Steeper slopes are shortened to this."""
-        return self.photometry.normals.max_slope
 
 
 @dataclass(frozen=True, slots=True)

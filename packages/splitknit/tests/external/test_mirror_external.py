@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger.mask import MaskSettings
 from splitknit.io.images import read_image
 from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -61,7 +60,7 @@ def capture(data_dir: Path) -> Capture:
 
 @pytest.fixture(scope="module")
 def seen(capture: Capture) -> SeenInMirrors:
-    return seen_in_mirrors(capture, MaskSettings(), MirrorShapeSettings())
+    return seen_in_mirrors(capture, MirrorShapeSettings())
 
 
 def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
@@ -113,6 +112,6 @@ def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenI
 
 def test_one_mirror_is_enough(capture: Capture) -> None:
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
-    alone = seen_in_mirrors(replace(capture, rig=rig), MaskSettings(), MirrorShapeSettings(slopes=False))
+    alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings())
     assert alone.shape.facts["mirrors"] == ["left"]
     assert alone.shape.facts["outline_rms_mm"]["left"] < 0.1

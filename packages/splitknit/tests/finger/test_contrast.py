@@ -20,9 +20,9 @@ def picture(shape=(256, 320), seed=0):
 @pytest.mark.parametrize("limit", [2.0, 4.0, 40.0])
 def test_agrees_with_opencv(limit):
     quantised = np.round(picture() * 255).astype(np.uint8)
-    quantised[0, 0] = 255
+    quantised[:2, :64] = 255
     expected = cv2.createCLAHE(limit, (5, 4)).apply(quantised) / 255.0
-    settings = ClaheSettings("linear", clip_limit=limit, high_percentile=100.0)
+    settings = ClaheSettings("linear", clip_limit=limit)
     found = clahe(quantised.astype(np.float32) / 255, 75.7, settings)
     assert np.abs(found - expected).mean() < 0.01
     assert np.percentile(np.abs(found - expected), 99) < 0.03
@@ -30,10 +30,10 @@ def test_agrees_with_opencv(limit):
 
 def test_tiles_agree_with_opencv():
     quantised = np.round(picture() * 255).astype(np.uint8)
-    quantised[0, 0] = 255
+    quantised[:2, :64] = 255
     # tiles of 32 x 40 pixels; at low limits OpenCV rounds the few pixels of a bin
     expected = cv2.createCLAHE(40.0, (8, 8)).apply(quantised) / 255.0
-    settings = ClaheSettings("linear", tiles=8, cell_px=500.0, clip_limit=40.0, high_percentile=100.0)
+    settings = ClaheSettings("linear", tiles=8, clip_limit=40.0)
     found = clahe(quantised.astype(np.float32) / 255, 75.7, settings)
     assert np.abs(found - expected).mean() < 0.01
     assert np.percentile(np.abs(found - expected), 99) < 0.03
@@ -42,9 +42,9 @@ def test_tiles_agree_with_opencv():
 def test_coded_grey_is_equalised_as_its_code():
     image = picture()
     code = np.where(image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-9) ** (1 / 2.4) - 0.055)
-    code[0, 0] = image[0, 0] = 1.0
-    found = clahe(image, 75.7, ClaheSettings(grey="srgb", high_percentile=100.0))
-    plain = ClaheSettings(grey="linear", high_percentile=100.0)
+    code[:2, :64] = image[:2, :64] = 1.0
+    found = clahe(image, 75.7)
+    plain = ClaheSettings(grey="linear")
     np.testing.assert_allclose(found, clahe(code.astype(np.float32), 75.7, plain), atol=1e-3)
     assert np.abs(found - clahe(image, 75.7, plain)).max() > 0.02
 
@@ -62,11 +62,11 @@ def test_range_and_levels():
 def test_the_limit_bounds_the_gain():
     y, x = np.mgrid[0:320, 0:320]
     image = (0.6 + 0.02 * np.sin(x / 7.0) * np.sin(y / 9.0)).astype(np.float32)  # hardly any contrast
-    image[0, 0] = 1.0
+    image[0, :120] = 1.0
     amplitude = np.ptp(image[64:256, 64:256])
     gains = []
     for limit in (1.0, 2.0, 4.0):
-        result = clahe(image, 75.7, ClaheSettings("linear", clip_limit=limit, high_percentile=100.0))
+        result = clahe(image, 75.7, ClaheSettings("linear", clip_limit=limit))
         gains.append(float(np.ptp(result[64:256, 64:256])) / float(amplitude))
         assert gains[-1] < limit + 1.3
     assert gains[0] < gains[1] < gains[2]

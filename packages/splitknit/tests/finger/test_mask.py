@@ -8,9 +8,6 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.finger.mask import (
-    MaskSettings,
-    _chromaticity,
-    _two_means,
     check_borders,
     finger_mask,
     finger_outline,
@@ -65,18 +62,17 @@ def test_finds_the_finger_whatever_its_tone(draw_finger, tone, disturbance, leas
 )
 def test_in_two_steps_the_outline_is_the_same(draw_finger, disturbance):
     scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
-    settings = MaskSettings(coarse_px_per_mm=4.0, fine_px_per_mm=10.0)
-    rough = finger_region(scene.rgb, scene.px_per_mm, settings)
+    rough = finger_region(scene.rgb, scene.px_per_mm)
     assert overlap(rough, scene.mask) > 0.97
-    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm, settings)
+    found = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm)
     assert overlap(found, scene.mask) > 0.98
-    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(fine_px_per_mm=10.0))) > 0.99
+    assert overlap(found, finger_mask(scene.rgb, scene.px_per_mm)) > 0.99
 
 
 @pytest.mark.parametrize("tone", ["medium", "very light"])
 def test_the_thesis_mask_is_that_of_two_clusters(draw_finger, tone):
     scene = draw_finger(tone)
-    plain = finger_mask(scene.rgb, scene.px_per_mm, MaskSettings(method="kmeans"))
+    plain = finger_mask(scene.rgb, scene.px_per_mm, "kmeans")
     assert plain.shape == scene.mask.shape
     assert overlap(plain, scene.mask) > 0.95
     np.testing.assert_array_equal(plain, fill_holes(largest_component(plain)))
@@ -198,39 +194,6 @@ def test_bad_images(image, message):
         finger_mask(image, 12.0)
     with pytest.raises(BadInput, match="px_per_mm"):
         finger_mask(np.ones((50, 50), np.float32), 0.0)
-
-
-def test_bad_settings():
-    with pytest.raises(BadInput, match="fine_px_per_mm"):
-        MaskSettings(fine_px_per_mm=0.0)
-
-
-def test_chromaticity_is_neutral_in_the_dark_and_ignores_neutral_light():
-    rng = np.random.default_rng(0)
-    image = np.zeros((40, 40, 3), np.float32)
-    image[:, 20:] = [0.4, 0.27, 0.2]
-    image += 0.001 * rng.standard_normal(image.shape).astype(np.float32)
-    chroma = _chromaticity(image)
-    np.testing.assert_allclose(chroma.sum(axis=2), 1.0, atol=1e-5)
-    np.testing.assert_allclose(chroma[:, :20], 1 / 3, atol=0.02)
-    assert chroma[:, 20:, 0].min() > 0.45
-    # by hand for the corrected (3.61): least channel 0.2, mean of the least 0.1
-    exact = _chromaticity(
-        np.where(np.arange(40)[None, :, None] < 20, 0.0, [0.4, 0.27, 0.2]).astype(np.float32)
-        * np.ones((40, 1, 1), np.float32)
-    )
-    np.testing.assert_allclose(exact[0, 30], np.array([0.3, 0.17, 0.1]) / 0.57, rtol=1e-5)
-
-
-def test_two_means_separates_and_is_deterministic():
-    rng = np.random.default_rng(1)
-    values = np.concatenate([rng.normal(0, 1, (300, 2)), rng.normal(8, 1, (100, 2))]).astype(np.float32)
-    second, separation = _two_means(values)
-    truth = np.arange(400) >= 300
-    assert (second == truth).all() or (second != truth).all()
-    assert separation > 8
-    np.testing.assert_array_equal(second, _two_means(values)[0])
-    assert _two_means(np.ones((50, 1), np.float32))[1] == 0.0
 
 
 @pytest.mark.parametrize("box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]])

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger.motion import _shifted, motion_warnings, shot_motion
+from splitknit.finger.motion import motion_warnings, shot_motion
 
 
 def moved(stack, k, x_mm, y_mm, px_per_mm):
@@ -49,20 +49,3 @@ def test_few_shots_are_not_judged(scene):
     assert motion.shift_mm.shape == (4, 2)
     assert (motion.reliability == 0).all()
     assert motion_warnings(motion) == ()
-
-
-def waves(across: float, down: float) -> np.ndarray:
-    """A smooth pattern whose content lies so many pixels to the right and down."""
-    y, x = np.indices((80, 90), dtype=np.float64)
-    x, y = x - across, y - down
-    return (np.sin(0.31 * x + 0.12 * y) + np.sin(0.27 * y - 0.1 * x + 1.0)).astype(np.float32)
-
-
-@pytest.mark.parametrize("shift", [(0.013, -0.4), (-2.31, 1.07)])
-def test_shifts_lie_between_pixels_at_any_place(shift):
-    inner = np.s_[8:-8, 8:-8]
-    undone = _shifted(waves(*shift), np.array(shift))
-    np.testing.assert_allclose(undone[inner], waves(0.0, 0.0)[inner], atol=0.03)
-    step = _shifted(waves(*shift), np.array([shift[0] + 0.01, shift[1]])) - undone  # by less than a 32nd of a pixel
-    expected = waves(-0.01, 0.0) - waves(0.0, 0.0)
-    np.testing.assert_allclose(step[inner], expected[inner], atol=0.5 * float(np.abs(expected).max()))

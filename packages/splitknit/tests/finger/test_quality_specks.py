@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
-from splitknit.errors import BadInput
 from splitknit.finger.quality import (
-    QualitySettings,
-    SpeckSettings,
-    _short_marks_filled,
-    _speck_fractions,
     capture_quality,
     quality_warnings,
 )
@@ -57,9 +52,8 @@ def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> 
 
 
 def fractions(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
-    dark, bright = _speck_fractions(stack, np.ones(stack.shape[1:], bool), px_per_mm)
-    assert dark is not None and bright is not None
-    return dark, bright
+    quality = capture_quality(stack, np.ones(stack.shape[1:], bool), px_per_mm)
+    return quality["dark_specks"], quality["bright_specks"]
 
 
 @pytest.mark.parametrize("px_per_mm", [12.0, 17.0, 26.0, 44.0])
@@ -109,9 +103,8 @@ def test_finer_images_are_seen_at_one_scale():
 
 
 def test_coarse_images_are_not_measured():
-    assert _speck_fractions(skin(11.0), np.ones((154, 132), bool), 11.0) == (None, None)
     quality = capture_quality(skin(11.0), np.ones((154, 132), bool), 11.0)
-    assert quality["dark_specks"] is None
+    assert quality["dark_specks"] is None and quality["bright_specks"] is None
     assert not any("specks" in text for text in quality_warnings(quality))
 
 
@@ -127,20 +120,3 @@ def test_one_sentence_says_what_to_do():
     assert any(text.startswith("dark specks cover ") and "wipe the finger" in text for text in dusty)
     scaly = quality_warnings(capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0))
     assert any(text.startswith("bright specks cover ") and "moisten" in text for text in scaly)
-    patient = QualitySettings(specks=SpeckSettings(most_dark=0.5, most_bright=0.5))
-    quality = capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0)
-    assert not any("specks" in text for text in quality_warnings(quality, patient))
-
-
-def test_lines_survive_and_dots_do_not():
-    image = np.ones((40, 40), np.float32)
-    image[20, 5:30] = 0.5
-    image[8:10, 8:10] = 0.5
-    filled = _short_marks_filled(image, 6.0)
-    assert filled[20, 8:27].max() == 0.5
-    assert filled[8:10, 8:10].min() == 1.0
-
-
-def test_bad_input():
-    with pytest.raises(BadInput, match=r"quality\.specks\.most_dark must be above 0 to below 1, but it is 1\."):
-        SpeckSettings(most_dark=1)

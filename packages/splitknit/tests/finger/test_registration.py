@@ -11,7 +11,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.finger import registration, steady
 from splitknit.finger.registration import details_of, register_shots, without_glare
-from splitknit.finger.steady import _register_band, _RegisteredBand, take
+from splitknit.finger.steady import take
 
 PX = 14.0
 
@@ -144,19 +144,6 @@ def test_images_of_one_shot_move_together(scene, centre):
     assert len(mean) == 3
     for shot, shift in place.items():
         np.testing.assert_allclose(mean[shot], shift, atol=0.03)
-
-
-def test_another_band_is_brought_onto_the_first(scene, motion, found, centre):
-    # lights between those of the first band, ridges that hardly show, other noise
-    other = ridged(depth_mm=0.01, tone=0.0, first_light=np.pi / 7, seed=1)
-    place = {k: (0.05 * k, 0.3 - 0.1 * k) for k in range(7)}
-    stack = np.stack([moved(image, place[k], 0.0, centre) for k, image in enumerate(other.stack)])
-    seen = _RegisteredBand(motion, scene.lights, found.flow, np.arange(7))
-    flow, likeness, before = _register_band(seen, stack, other.lights, scene.mask, PX)
-    mean = flow.at(*core(scene)).mean(axis=2)
-    np.testing.assert_allclose(mean, np.array(list(place.values())), atol=0.05)
-    assert (likeness > before).all()
-    assert likeness.min() > 0.5
 
 
 def test_glare_is_what_all_colours_share():

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.body import MAX_SQUARE, Body, _Sections, basis
+from splitknit.mirrors.body import MAX_SQUARE, Body, basis
 from splitknit.mirrors.fit import Fit
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.outline import finger_axis, medial_line, rows_of
@@ -16,10 +18,18 @@ from splitknit.model import Camera, Mirror
 CAMERA = Camera(10.0, (400, 300))
 
 
-def section(squareness: float, shear: float) -> tuple[_Sections, np.ndarray]:
-    """One section, and 4000 points of its upper half and, mirrored, of its lower one."""
-    one = np.ones(1)
-    sections = _Sections(1.5 * one, -4.0 * one, 8.0 * one, 6.0 * one, shear * one, squareness)
+def body_of(squareness: float, shear: float, half_width: float = 8.0, half_height: float = 6.0) -> Body:
+    """A body whose section is the same all along, but for its tip."""
+    splines = np.tile([[1.5], [-4.0], [half_width], [half_height]], (1, 12))
+    return Body(np.zeros(2), np.array([0.0, 1.0]), 10.0, 25.0, splines, squareness=squareness, shear=shear)
+
+
+BASE = np.array([-15.0])
+
+
+def section(squareness: float, shear: float) -> tuple[Any, np.ndarray]:
+    """The last section, and 4000 points of its upper half and, mirrored, of its lower one."""
+    sections = body_of(squareness, shear).sections(BASE)
     w = np.linspace(-np.pi / 2, np.pi / 2, 2000)
     x, z = np.sin(w), np.cos(w) * (1 + squareness * np.sin(w) ** 2)
     points = np.column_stack([np.r_[x, x], np.r_[z, -z]])
@@ -39,13 +49,10 @@ def test_support_is_the_farthest_point(squareness: float, shear: float) -> None:
 
 
 def test_support_answers_to_its_half_axes() -> None:
-    sections, _ = section(0.2, 0.05)
     normal = np.array([0.6]), np.array([0.8])
-    value, by_a, by_b = sections.support(*normal)
-    for name, slope in (("a", by_a), ("b", by_b)):
-        grown = {key: getattr(sections, key) for key in ("t", "z", "a", "b", "shear", "squareness")}
-        grown[name] = grown[name] + 1e-4
-        assert (_Sections(**grown).support(*normal)[0] - value) / 1e-4 == pytest.approx(slope, abs=1e-3)
+    value, by_a, by_b = body_of(0.2, 0.05).sections(BASE).support(*normal)
+    for grown, slope in ((body_of(0.2, 0.05, 8.0001), by_a), (body_of(0.2, 0.05, 8.0, 6.0001), by_b)):
+        assert (grown.sections(BASE).support(*normal)[0] - value) / 1e-4 == pytest.approx(slope, abs=1e-3)
 
 
 def test_splines_sum_to_one_and_bodies_end_round() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.areas import mirror_outline, without_mirrors
-from splitknit.mirrors.views import find_views, view_binning
+from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
 
 CAMERA = Camera(5.0, (300, 460))
@@ -52,7 +52,7 @@ FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
 def test_front_and_mirrors_are_distinguished() -> None:
-    views = find_views(picture(FRONT, *BESIDE), RIG, bright, 1, as_before)
+    views = views_in(picture(FRONT, *BESIDE), RIG, 1, bright, as_before)
     assert set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -62,7 +62,7 @@ def test_front_and_mirrors_are_distinguished() -> None:
 
 
 def test_a_mirror_without_a_finger_is_left_out() -> None:
-    assert set(find_views(picture(FRONT, BESIDE[1]), RIG, bright, 1, as_before).mirrors) == {"right"}
+    assert set(views_in(picture(FRONT, BESIDE[1]), RIG, 1, bright, as_before).mirrors) == {"right"}
 
 
 @pytest.mark.parametrize(
@@ -76,12 +76,12 @@ def test_a_mirror_without_a_finger_is_left_out() -> None:
 )
 def test_what_is_refused(image: Callable[[], FloatArray], words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        find_views(image(), RIG, bright, 1, as_before)
+        views_in(image(), RIG, 1, bright, as_before)
 
 
 def test_no_mirrors_no_views() -> None:
     with pytest.raises(BadInput, match="the rig has no mirrors"):
-        find_views(picture(FRONT), replace(RIG, mirrors=()), bright, 1, as_before)
+        views_in(picture(FRONT), replace(RIG, mirrors=()), 1, bright, as_before)
 
 
 def test_the_front_is_left_alone() -> None:
@@ -107,7 +107,7 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
 
 def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
     image, camera = large(FRONT, *BESIDE)
-    views = find_views(image, replace(RIG, camera=camera), bright, 1, outlined)
+    views = views_in(image, replace(RIG, camera=camera), 1, bright, outlined)
     assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -131,4 +131,4 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
 def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
     image, camera = large(*fingers)
     with pytest.raises(BadInput, match=words):
-        find_views(image, replace(RIG, camera=camera), bright, 1, outlined)
+        views_in(image, replace(RIG, camera=camera), 1, bright, outlined)

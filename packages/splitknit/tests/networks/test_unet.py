@@ -15,7 +15,6 @@ from splitknit.networks.unet import (
     CUDA_TOLERANCE,
     NO_TELEMETRY,
     Network,
-    _plan_tiles,
     load_network,
     run_network,
     running,
@@ -35,20 +34,6 @@ def network() -> Network:
 @pytest.fixture(scope="module")
 def images() -> np.ndarray:
     return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
-
-
-def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None:
-    covered = np.zeros((208, 152), dtype=int)
-    for tile in _plan_tiles((208, 152), 50, reach=46, stride=8):
-        covered[tile[2]] += 1
-        for axis in range(2):
-            source, inner, target = (part[axis] for part in tile)
-            assert source.start % 8 == 0 and source.stop % 8 == 0
-            assert source.start + inner.start == target.start
-            assert inner.stop - inner.start == target.stop - target.start
-            assert source.start in (0, target.start - 48)
-            assert source.stop in (covered.shape[axis], target.stop + 48)
-    assert (covered == 1).all()
 
 
 @pytest.mark.parametrize("value", ["0", "", None])
@@ -150,25 +135,6 @@ def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: in
 
 def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
     assert not network.session.get_session_options().enable_mem_pattern
-
-
-def test_little_is_computed_twice() -> None:
-    """Pixels computed for a pixel of the result: of a finger on the working grid, of a whole image, of a coarse one."""
-    for shape, tile, reach, stride, count, most in (
-        ((1200, 896), 640, 94, 16, 2, 1.2),
-        ((896, 1200), 640, 94, 16, 2, 1.2),
-        ((3200, 2200), 512, 60, 8, 28, 1.5),
-        ((400, 304), 640, 94, 16, 1, 1.0),
-    ):
-        tiles = _plan_tiles(shape, tile, reach=reach, stride=stride)
-        pixels = [(rows.stop - rows.start) * (columns.stop - columns.start) for (rows, columns), _, _ in tiles]
-        assert len(tiles) == count
-        assert sum(pixels) <= most * shape[0] * shape[1]
-        assert max(pixels) <= (tile + 2 * reach + 2 * stride) ** 2
-        filled = np.zeros(shape, np.int64)
-        for t in tiles:
-            filled[t[2]] += 1
-        assert (filled == 1).all()
 
 
 def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:

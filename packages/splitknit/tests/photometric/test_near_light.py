@@ -172,7 +172,7 @@ def test_weights_leave_out_what_they_say():
     weights[3] = 0
     got, _ = near_light(stack, rig, z, weights=weights)
     assert np.abs(got - normals).max() < 5e-4
-    plain, _ = near_light(stack, rig, z, robust=None)
+    plain, _ = near_light(stack, rig, z, robust=False)
     assert np.abs(plain - normals).max() > 0.1
 
 

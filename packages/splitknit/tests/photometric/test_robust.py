@@ -8,7 +8,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging import chunks
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.robust import RobustSettings, robust, robust_fit
+from splitknit.photometric.robust import robust, robust_fit
 
 
 def ring(count=7, elevation_deg=55.0):
@@ -58,16 +58,6 @@ def test_highlights_lose_weight(count, least):
     assert plain > least * kept
 
 
-def test_forgiveness_helps_against_a_broad_highlight():
-    """With light only ever added, what lies below the fit is nearer to the truth than what lies above."""
-    lights = np.vstack([ring(10, 35.0), ring(8, 55.0), ring(6, 75.0)])
-    stack, normals, mask = sphere(lights, gloss=0.3, noise=0.002, sharpness=25)
-    even, forgiving = (
-        error_deg(robust(stack, lights, mask, RobustSettings(forgiveness=f))[0], normals, mask).mean() for f in (1, 2)
-    )
-    assert forgiving < 0.95 * even
-
-
 def test_lit_lights_in_one_plane_do_not_decide_alone():
     """Noise of 2 % must not turn a normal that three lights in one plane leave open; the shadowed ones close it."""
     lights = np.array([[-0.5, 0.0, 1.0], [0.0, 0.01, 1.0], [0.5, 0.0, 1.0], [0.0, 0.8, 0.6], [0.0, -0.8, 0.6]])
@@ -100,7 +90,7 @@ def test_weights_tell_shadow_from_light_from_gloss():
     shading = (normals @ lights.T).transpose(2, 0, 1)
     stack[4, 60, 60] *= 1.5
     weights = np.zeros_like(stack)
-    weights[:, mask] = robust_fit(stack[:, mask], lights.astype(np.float32), RobustSettings())[1]
+    weights[:, mask] = robust_fit(stack[:, mask], lights.astype(np.float32))[1]
     assert weights.shape == stack.shape
     assert not weights[:, ~mask].any()
     assert (weights[(shading <= 0) & mask] == 0).all()
@@ -139,12 +129,6 @@ def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
     assert robust(stack, lights, mask)[0].tobytes() == first
     monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 700)
     assert robust(stack, lights, mask)[0].tobytes() == first
-
-
-@pytest.mark.parametrize("field", [{"forgiveness": 0.5}])
-def test_bad_settings_are_refused(field):
-    with pytest.raises(BadInput, match="robust"):
-        RobustSettings(**field)
 
 
 def test_coplanar_lights_are_refused():

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.integration.frankot_chellappa import frankot_chellappa
-from splitknit.integration.poisson import PoissonSettings, _difference, _difference_adjoint, _edge_weights, poisson
+from splitknit.integration.poisson import poisson
 from splitknit.integration.shapelets import ShapeletSettings, shapelet_response, shapelets
 
 quick = settings(max_examples=20, deadline=None, derandomize=True)
@@ -36,20 +36,6 @@ def waves(seed, rows=64, columns=80):
         slope_x -= a * u * np.sin(u * j) * np.cos(v * i)
         slope_y += a * v * np.cos(u * j) * np.sin(v * i)
     return height - height.mean(), slope_x, slope_y
-
-
-@quick
-@given(seeds, sides, sides)
-def test_masked_gradient_passes_the_adjoint_dot_test(seed, rows, columns):
-    rng = np.random.default_rng(seed)
-    mask = blob(seed, (rows, columns))
-    right, down = _edge_weights(mask, rng.random(mask.shape).astype(np.float32))
-    height = rng.normal(size=mask.shape)
-    a, b = rng.normal(size=(2, *mask.shape))
-    step_right, step_down = _difference(height)
-    forward = np.sum(right * step_right * a) + np.sum(down * step_down * b)
-    backward = np.sum(height * _difference_adjoint((right * a).astype(float), (down * b).astype(float)))
-    assert abs(forward - backward) < 1e-9 * (1 + abs(forward)) * mask.size
 
 
 @quick
@@ -84,8 +70,6 @@ def test_integrators_agree_on_an_integrable_field(seed):
     height, slope_x, slope_y = waves(seed)
     scale = np.abs(height).max()
     assert np.abs(frankot_chellappa(slope_x, slope_y, padding="mirror") - height).max() < 1e-3 * scale
-    cubic = poisson(slope_x, slope_y, settings=PoissonSettings(quadrature="cubic"))
-    assert np.abs(cubic - height).max() < 3e-3 * scale
     bank = ShapeletSettings(scales=20, sigma_px=0.05)
     assert np.abs(shapelets(slope_x, slope_y, settings=bank) - height).max() < 0.03 * scale
 
@@ -107,12 +91,10 @@ def test_turning_the_image_turns_the_heights(seed):
     """A quarter turn counter-clockwise takes (dz/dx, dz/dy) to (-dz/dy, dz/dx)."""
     mask = blob(seed, (31, 40))
     slope_x, slope_y = np.random.default_rng(seed).normal(size=(2, 31, 40))
-    zero, mirror = ShapeletSettings(padding="zero"), ShapeletSettings()
     for integrate in (
         poisson,
         lambda p, q, m: frankot_chellappa(p, q, m, padding="mirror"),
-        lambda p, q, m: shapelets(p, q, m, mirror),
-        lambda p, q, m: shapelets(p, q, m, zero),
+        shapelets,
     ):
         height = integrate(slope_x, slope_y, mask)
         turned = integrate(-np.rot90(slope_y), np.rot90(slope_x), np.rot90(mask))

@@ -13,6 +13,8 @@ from splitknit.io.pictures import BLUE, ORANGE, upright_frame
 from splitknit.report import figures
 from splitknit.report.photos import Picture, capture_pictures
 
+_, NORMALS, RELIEF, *_ = figures.FIELD_PICTURES
+
 
 def _decoded(picture: Picture) -> NDArray[np.uint8]:
     data = base64.b64decode(picture.uri.partition(",")[2])
@@ -23,9 +25,7 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
     """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
-    image = _decoded(figures._normals_picture(result, figures.small_fields(result, upright_frame(result, 200)))).astype(
-        float
-    )
+    image = _decoded(NORMALS(result, figures.small_fields(result, upright_frame(result, 200)))).astype(float)
     rows, columns = image.shape[:2]
     left, right = image[rows // 2, columns // 5], image[rows // 2, -columns // 5]
     assert left[0] + right[0] == pytest.approx(255, abs=12)
@@ -55,7 +55,7 @@ def test_outline_and_crease_lie_on_the_input() -> None:
 def test_scale_bar_is_as_long_as_it_says() -> None:
     result, _ = finger()
     frame = upright_frame(result, 200)
-    shown = figures._relief_picture(result, figures.small_fields(result, frame))
+    shown = RELIEF(result, figures.small_fields(result, frame))
     length_mm = float(shown.scale_label.split()[0])
     assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(length_mm, rel=1e-3)
 
@@ -69,14 +69,6 @@ def test_relief_limits_leave_out_steep_flanks() -> None:
     assert 30 <= high <= 45
 
 
-def test_close_ups_share_one_scale() -> None:
-    result, truth = finger()
-    relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
-    first, second = (_decoded(figures._close_up(r, result, "x")).astype(int) for r in (relief, 0.2 * relief))
-    assert np.ptp(second[..., 2]) < 0.5 * np.ptp(first[..., 2])
-    assert first.shape[0] == first.shape[1] == 100  # 5 mm at 20 px/mm
-
-
 def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
     result, _ = finger()
     inner = figures.erode(result.mask, 4.0)
@@ -84,5 +76,5 @@ def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
     ring = replace(opaque, ridge_mm=np.where(inner, result.ridge_mm, np.float32(-0.5)))
     assert figures.relief_limits(ring) == figures.relief_limits(opaque)
     frame = upright_frame(result, 400)
-    pictures = [figures._relief_picture(one, figures.small_fields(one, frame)).uri for one in (ring, opaque)]
+    pictures = [RELIEF(one, figures.small_fields(one, frame)).uri for one in (ring, opaque)]
     assert pictures[0] == pictures[1]

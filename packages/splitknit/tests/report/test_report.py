@@ -12,7 +12,7 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.report.charts import Curve, bar_chart, profile_chart
-from splitknit.report.result import _plain, make_report, write_files
+from splitknit.report.result import make_report, write_files
 
 Written = tuple[Path, dict[str, Any]]
 
@@ -133,17 +133,6 @@ def test_bare_result_has_a_report() -> None:
     assert "No warnings" in report.html
     assert report.facts["facts"] == {"odd": None}
     json.dumps(report.facts, allow_nan=False)
-
-
-def test_plain_values() -> None:
-    value = {
-        "a": np.float32(1.5),
-        "b": np.array([1, 2]),
-        "c": (float("inf"), True, None),
-        3: Path("x"),
-        "d": np.zeros(999),
-    }
-    assert _plain(value) == {"a": 1.5, "b": [1, 2], "c": [None, True, None], "3": "x", "d": "array (999,) float64"}
 
 
 def test_chart_is_drawn_to_scale() -> None:

@@ -7,21 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skin_scene import CUT_MM, make_scene
+from skin_scene import make_scene
 from splitknit.imaging.band import bin_mean
-from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
     GLARE,
     RELIEF_MM,
-    SHAPE_COUNT,
-    SHAPE_SLOPE,
     SLANT_DEG,
     SLANT_ERROR,
-    _ridge_tensor,
-    _shape_features,
-    _slopes_by_network,
     azimuth_waves,
     can_learn,
     features,
@@ -162,76 +156,3 @@ def test_relief_and_glare_are_what_the_network_draws(scene):
     level = features(scene.white, grid, placed(scene), light).level[1]
     expected = np.maximum(2 + np.cos(azimuth), 0)[:, None, None] * GLARE * level * size
     np.testing.assert_allclose(glare_of(found, scene.white.rig, light)[:, inner], expected[:, inner], rtol=1e-4)
-
-
-def coarse_of(scene, tilt=0.0):
-    low = coarsen(scene.grid, FACTOR)
-    rows, columns = low.shape
-    cut = np.s_[..., : rows * FACTOR, : columns * FACTOR]
-    bands = tuple(
-        BandImages(b.channels, bin_mean(np.ascontiguousarray(b.stack[cut]), FACTOR) * low.mask, b.rig)
-        for b in (scene.white, scene.nir)
-    )
-    height = bin_mean(np.ascontiguousarray(placed(scene)[cut]), FACTOR)
-    height = (height + np.float32(tilt) * low.x_mm[None, :].astype(np.float32)) * low.mask
-    skin = SkinSettings()
-    optics = {n: diffusion(skin.scattering(n), skin.absorption(n)) for n in ("red", "green", "blue", "nir")}
-    return low, bands, height, optics, np.zeros((3, *low.shape), np.float32)
-
-
-@pytest.fixture(scope="module")
-def smooth():
-    return make_scene(glare=0.0, depth=0.0)
-
-
-def test_a_true_shape_leaves_nothing_to_mend_and_a_tilted_one_its_tilt(smooth):
-    low, bands, height, optics, ridges = coarse_of(smooth)
-    inner = low.mask & (low.depth_mm > 1.2) & (low.y_mm[:, None] > CUT_MM + 1.2)
-    right = _shape_features(bands, low, height, optics, ridges)
-    assert right.shape == (SHAPE_COUNT, *low.shape)
-    assert not right[:, ~low.mask].any()
-    assert np.abs(right[:8][:, inner] / 4).max() < 0.05
-    assert np.abs(right[8:12][:, inner]).max() < 0.05
-    _, _, tilted, _, _ = coarse_of(smooth, tilt=0.1)
-    wrong = _shape_features(bands, low, tilted, optics, ridges) - right
-    assert wrong[0:8:2][:, inner].mean(axis=1) / 4 == pytest.approx(np.full(4, -0.1), rel=0.35)
-    assert np.abs(wrong[1:8:2][:, inner].mean(axis=1) / 4).max() < 0.01
-
-
-def test_a_missing_band_is_zero_and_said_to_be_missing(smooth):
-    low, bands, height, optics, ridges = coarse_of(smooth)
-    alone = _shape_features(bands[:1], low, height, optics, ridges)
-    nir = [6, 7, 11, 16, 17, 18, 19, 29, 30]
-    assert not alone[nir].any()
-    both = _shape_features(bands, low, height, optics, ridges)
-    assert (both[30][low.mask] == 1).all()
-    kept = np.setdiff1d(np.arange(SHAPE_COUNT), [*nir, 23])  # 23: trust of the last band's lights
-    np.testing.assert_array_equal(alone[kept], both[kept])
-
-
-def test_slopes_are_what_the_network_draws_whichever_way_the_finger_lies(smooth):
-    low, bands, height, optics, ridges = coarse_of(smooth, tilt=0.1)
-    fields = _shape_features(bands, low, height, optics, ridges)
-    x, y = _slopes_by_network(fields.copy(), lambda turned: turned[20:22].copy())
-    np.testing.assert_allclose(x, fields[20] * SHAPE_SLOPE, atol=1e-6)
-    np.testing.assert_allclose(y, fields[21] * SHAPE_SLOPE, atol=1e-6)
-    x, y = _slopes_by_network(fields, lambda turned: np.ones_like(turned[:2]))
-    assert max(np.abs(x).max(), np.abs(y).max()) < 1e-6  # a slope to one side that nothing in the fields points to
-
-
-@pytest.mark.parametrize("across_deg", [0.0, 35.0, 90.0, 160.0])
-def test_ridges_are_as_steep_as_they_are_and_across_their_direction(across_deg):
-    pitch, factor, period, height = 0.0264, 4, 0.5, 0.02
-    x, y = (np.arange(400) - 200) * pitch, (200 - np.arange(400)) * pitch
-    grid = Grid(np.ones((400, 400), bool), x, y, pitch, (False,) * 4)
-    low = coarsen(grid, factor)
-    angle = np.deg2rad(across_deg)
-    along = np.cos(angle) * x[None, :] + np.sin(angle) * y[:, None]
-    relief = (height * np.sin(2 * np.pi * along / period)).astype(np.float32)
-    even, odd, slope = _ridge_tensor(relief, grid, factor, low)[:, 30:-30, 30:-30]
-    steep = 2 * np.pi * height / period / np.sqrt(2)
-    np.testing.assert_allclose(slope, steep, rtol=0.06)
-    np.testing.assert_allclose(even, steep * np.cos(2 * angle), atol=0.08 * steep)
-    np.testing.assert_allclose(odd, steep * np.sin(2 * angle), atol=0.08 * steep)
-    none = _ridge_tensor(0 * relief, grid, factor, low)
-    assert np.abs(none).max() < 1e-3

@@ -13,10 +13,6 @@ from splitknit.skin.relief import (
     CROSSOVER_MM,
     Measured,
     Unmixing,
-    _mean_normals,
-    _plausible,
-    _relief_residual,
-    _scattering_sensitivity,
     denoise,
     detail_of,
     high_pass,
@@ -94,76 +90,9 @@ def dome_slopes():
 RAMP = (1.0 + 0.06 * X - 0.04 * Y).astype(np.float32)
 
 
-@pytest.mark.parametrize("names", [COLOURS, ("green",)])
-@pytest.mark.parametrize("albedo", [np.ones(SHAPE, np.float32), RAMP], ids=["even", "ramp"])
-def test_the_same_surface_lacks_nothing_whatever_the_albedo(names, albedo):
-    slopes, _ = _relief_residual(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
-    assert len(slopes) == len(names)
-    for pair in slopes:
-        for slope in pair:
-            assert np.abs(slope[INNER]).max() < 1e-3
-
-
-def test_the_same_ridged_surface_lacks_nothing():
-    relief, sx, sy = ridge(0.02)
-    gx, gy = dome_slopes()
-    scale = np.sin(K * 0.6 * PITCH) / (K * 0.6 * PITCH)  # of central differences, along x
-    before, _ = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME)
-    after, _ = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
-    for one, other in zip(before, after, strict=True):
-        assert other[0][INNER].std() < 1.2 * (1 - scale + 0.01) * one[0][INNER].std()
-
-
-@pytest.mark.parametrize("names", [COLOURS, ("blue",)])
-def test_a_small_difference_arrives_through_the_transfer_function(names):
-    _, sx, sy = ridge(0.003)
-    gx, gy = dome_slopes()
-    slopes, _ = _relief_residual(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
-    for name, (x, y) in zip(names, slopes, strict=True):
-        # light leaks out at the outline: less of it, and so a larger slope for the same swing
-        gain = float(OPTICS[name](K)) / blurred(GRID.mask, name)
-        for found, true in ((x, sx), (y, sy)):
-            here = INNER & (np.hypot(gx, gy) < 0.25)
-            assert gain_of(found[here], (gain * true)[here]) == pytest.approx(1, abs=0.03)
-            assert np.abs(found - gain * true)[here].max() < 0.1 * np.abs(gain * true)[here].max()
-
-
-def test_share_of_the_glare_in_each_channel_is_told_by_colour():
-    _, glare = _relief_residual(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
-    seen = GRID.depth_mm > 0.5
-    level = [b * np.median(blurred(GRID.mask, name)[seen]) for b, name in zip(BRIGHTNESS, COLOURS, strict=True)]
-    np.testing.assert_allclose(glare, level[0] / np.array(level), rtol=0.02)
-    assert glare[2] > 1.5
-
-
 def lights(entering, trust):
     """Photometric stereo takes the vectors from the rig; here they only have to be there."""
     return Lighting(np.zeros((entering.shape[0], 3, *SHAPE), np.float32), entering, trust)
-
-
-def test_nothing_is_lacking_where_nothing_is_trusted():
-    _, sx, sy = ridge(0.02)
-    measured = measured_of(sx, sy)
-    for pair in _relief_residual(measured, GRID, np.ones(SHAPE, np.float32))[0]:
-        for slope in pair:
-            assert np.isfinite(slope).all()
-            assert not slope[~GRID.mask].any()
-
-
-def test_a_tilt_is_left_to_the_coarse_grid():
-    gx, gy = dome_slopes()
-    for x, y in _relief_residual(measured_of(gx + 0.2, gy), GRID, DOME)[0]:
-        assert np.abs(x[INNER]).max() < 0.02
-        assert np.abs(y[INNER]).max() < 0.02
-
-
-def test_mean_normals_are_unit_and_end_at_the_mask():
-    normals = _mean_normals(DOME, GRID)
-    assert not normals[~GRID.mask].any()
-    np.testing.assert_allclose(np.linalg.norm(normals[GRID.mask], axis=-1), 1, atol=1e-5)
-    gx, gy = dome_slopes()
-    np.testing.assert_allclose(-normals[INNER][:, 0] / normals[INNER][:, 2], gx[INNER], atol=1e-3)
-    np.testing.assert_allclose(-normals[INNER][:, 1] / normals[INNER][:, 2], gy[INNER], atol=1e-3)
 
 
 def test_measure_gives_albedo_times_normal():
@@ -370,25 +299,3 @@ def test_denoise_of_a_grid_smaller_than_the_window_only_tells_the_noise():
     np.testing.assert_array_equal(same, relief)
     assert deviation.shape == (30, 30)
     assert deviation.min() == deviation.max() > 0
-
-
-def test_sensitivity_is_the_ratio_of_the_transfer_functions():
-    relief, _, _ = ridge(0.03)
-    measured = measured_of(np.zeros(SHAPE), np.zeros(SHAPE), names=("green",))
-    inverse = Unmixing([1 / measured.transfer[0]], np.array([0.01]))
-    other = {"green": diffusion(SKIN.scattering("green") * 1.3, SKIN.absorption("green"))}
-    found = _scattering_sensitivity(measured, GRID, inverse, other, relief)
-    assert found == pytest.approx(float(other["green"](K) / OPTICS["green"](K)) - 1, rel=0.05)
-    assert _scattering_sensitivity(measured, GRID, inverse, OPTICS, relief) == pytest.approx(0, abs=1e-3)
-
-
-def test_the_reliefs_spectrum_falls_no_slower_than_harmonics() -> None:
-    omega = np.geomspace(5.0, 100.0, 28)
-    signal = np.full(28, 4.0)
-    found = _plausible(omega, signal)
-    peak = omega[np.flatnonzero((omega >= 9.0) & (omega <= 24.0))[0]]
-    above = omega > peak
-    np.testing.assert_allclose(found[above], 4.0 * (peak / omega[above]) ** 2)
-    np.testing.assert_array_equal(found[~above], signal[~above])
-    steep = (9.0 / omega) ** 6
-    np.testing.assert_array_equal(_plausible(omega, steep), steep)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, FloatArray, PrintSettings, ink, require
+from splitknit import BadInput, FloatArray, ink, require
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.prints.curvature import CurvatureSettings, curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
@@ -31,7 +31,6 @@ SURFACES = ("plane", *KINDS)
 class PrintingSettings:
     """All that the settings of a print can change."""
 
-    ink: PrintSettings = field(default_factory=PrintSettings)
     unroll: UnrollSettings = field(default_factory=UnrollSettings)
     curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
     minutiae: Literal["phase", "print", "enhanced"] = "phase"
@@ -77,7 +76,6 @@ def make_print(
     settings = settings or PrintingSettings()
     require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
     place = checked_surface(method, surface)
-    inks = replace(settings.ink, ppi=ppi)
     unrolled: Unrolled | None = None
     if place == "plane":
         print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
@@ -89,7 +87,7 @@ def make_print(
         known = source.mask & np.isfinite(found)
         require(bool(known.any()), "the finger is too small for a curvature map.")
         values, weight = resample(found, known, source.pitch_mm, print_map)
-        ink(values, weight, inks)  # refuses what has no ridges
+        ink(values, weight, ppi)  # refuses what has no ridges
         grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1
         image = np.round(255.0 * (1.0 - grey * weight)).astype(np.uint8)
         relief = _needed(source.ridge_mm)
@@ -101,7 +99,7 @@ def make_print(
         )
         field_of = _needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm))
         inked, weight = resample(field_of, source.mask & np.isfinite(field_of), source.pitch_mm, print_map)
-        image = ink(inked, weight, inks)
+        image = ink(inked, weight, ppi)
     return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
 
 
@@ -111,7 +109,7 @@ def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, set
 
     unrolled, print_map = laid_flat(rolled, kind, ppi)
     inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
-    image = ink(inked, weight, replace(settings.ink, ppi=ppi))
+    image = ink(inked, weight, ppi)
     return Print(image, weight, print_map, inked, True, unrolled)
 
 

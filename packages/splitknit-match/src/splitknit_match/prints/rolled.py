@@ -56,7 +56,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
         chosen = preset_settings(preset)
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-        relief = ReliefSettings(chosen.metric, chosen.shapelets, chosen.normals.max_slope)
+        relief = ReliefSettings(chosen.metric, chosen.shapelets)
         made = rolled_finger(
             capture, views, relief, settings, lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction)
         )

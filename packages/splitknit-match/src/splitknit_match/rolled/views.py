@@ -50,7 +50,7 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     binning = view_binning(camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
-    views = views_in(mean, capture.rig, binning, settings.mask)
+    views = views_in(mean, capture.rig, binning)
     seen = [name for name in SIDES if name in views.mirrors]
     cure = "turn the mirrors towards the finger, or print with `method` unroll."
     require(bool(seen), f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")

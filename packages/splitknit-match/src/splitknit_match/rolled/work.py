@@ -13,8 +13,10 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit import (
+    COARSE_PITCH_MM,
     FACTOR,
     REFERENCE_PX_PER_MM,
+    WORKING_PITCH_MM,
     BandImages,
     Body,
     BoolArray,
@@ -94,14 +96,16 @@ class _ViewRelief:
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
 
 
+_MAX_SLOPE = 6.0
+"""Steeper slopes are shortened to this."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReliefSettings:
     """How the relief of a view is found: grids and networks of the `metric` method, and shapelets where it has none."""
 
     metric: MetricSettings = field(default_factory=MetricSettings)
     shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
-    max_slope: float = 6.0
-    """Steeper slopes are shortened to this."""
 
 
 def _view_relief(  # noqa: PLR0917
@@ -119,7 +123,7 @@ def _view_relief(  # noqa: PLR0917
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
-    binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
+    binning = max(1, round(WORKING_PITCH_MM / camera.pitch_mm))
     window = bounding_box(mask, round(0.5 * camera.px_per_mm))
     rows, columns = window
     view = view_of(camera, rows, columns, binning=binning)
@@ -133,7 +137,7 @@ def _view_relief(  # noqa: PLR0917
     cut = tuple(bool(side.any()) for side in (blocks[0], blocks[-1], blocks[:, 0], blocks[:, -1]))
     x, y, pitch = view.x_mm * nearer - origin[0], view.y_mm * nearer - origin[1], camera.pitch_mm * binning * nearer
     grid = Grid(blocks, x, y, pitch, (cut[0], cut[1], cut[2], cut[3]), apex)
-    factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     on_plane = replace(view, x_mm=(low.x_mm + origin[0]) / nearer, y_mm=(low.y_mm + origin[1]) / nearer)
     height = low.view.along(heights(sight, chart, radius_mm, on_plane) - np.float32(level))
@@ -192,7 +196,7 @@ def _ridges(  # noqa: PLR0917
     entering = light.entering if capture.material == "skin" else None
     g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
-    slopes = gradients_from_normals(normals, grid.mask, settings.max_slope)
+    slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [b - grid.smooth(b, grid.mask, 0.3) for b in beyond]

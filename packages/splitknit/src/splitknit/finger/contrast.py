@@ -24,6 +24,10 @@ _BINS = 256
 """Bins of the histograms; the mapping between them is interpolated."""
 _LEAST_CELL_PX = 8
 """Least side of a cell."""
+_CELL_PX = 64.0
+"""Side of a cell at 75.7 px/mm, as in the thesis."""
+_WHITE = 99.9
+"""This percentile of the finger becomes white before equalisation."""
 _Cell = tuple[int, int]
 """Rows and columns of a cell."""
 
@@ -34,14 +38,10 @@ class ClaheSettings(Checked):
 
     grey: Literal["srgb", "linear"] = "srgb"
     """What is equalised: light in its ``srgb`` code, as pictures store it, or ``linear`` light."""
-    cell_px: Annotated[float, Limits(0, above=True)] = 64.0
-    """Side of a cell in pixels at 75.7 px/mm; scales with px_per_mm."""
     tiles: Annotated[int, Limits(0, 512)] = 0
-    """Number of cells across the finger, and along it; overrides `cell_px`. 0: cells of `cell_px`."""
+    """Number of cells across the finger, and along it. 0: cells of 64 x 64 pixels at 75.7 px/mm, as in the thesis."""
     clip_limit: Annotated[float, Limits(1)] = 3.0
     """Bins are clipped at this multiple of the mean bin (thesis: 2 to 4); contrast grows by at most this plus one."""
-    high_percentile: Annotated[float, Limits(50, 100, above=True)] = 99.9
-    """This percentile of the finger becomes white before equalisation."""
 
 
 def clahe(
@@ -59,12 +59,12 @@ def clahe(
     mask = check_mask(mask, (image.shape[0], image.shape[1]))
     box = bounding_box(mask)
     inside = mask[box]
-    white = float(np.percentile(image[box][inside], settings.high_percentile))
+    white = float(np.percentile(image[box][inside], _WHITE))
     grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
     if settings.grey == "srgb":
         grey = np.asarray(srgb_code(grey), dtype=np.float32)
     level = grey * np.float32(_BINS - 1)
-    side = max(_LEAST_CELL_PX, round(settings.cell_px * px_per_mm / 75.7))
+    side = max(_LEAST_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
     cell = side, side
     if settings.tiles:
         high, wide = (max(_LEAST_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)

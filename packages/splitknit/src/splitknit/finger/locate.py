@@ -19,7 +19,6 @@ from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import (
-    QualitySettings,
     capture_quality,
     outline_figures,
     photometric_mask,
@@ -69,7 +68,6 @@ class FingerSettings(Checked):
     """Which rows' middles give the finger's yaw: those of full width, robustly, or the thesis's, all of them."""
     cut_at_crease: bool | Literal["equalised"] = True
     """Keep the first phalange alone; ``equalised``: cut at the thesis's row with the fewest light pixels."""
-    quality: QualitySettings = field(default_factory=QualitySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     keep: bool = False
     """Go on where the photographs of skin contradict each other or their lights so much that the surface is spoilt."""
@@ -131,14 +129,14 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         tiny = "the given mask is too small: not one block of pixels lies inside it; mark all of it."
         require(bool(outline.any()), tiny)
     else:
-        outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask)
+        outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask.method)
     stated = capture.tip_direction_deg is not None
     searched = skin and not stated and not capture.rig.mirrors
     finger = skin or stated
     direction = None if searched else capture.tip_direction_deg or 0.0
     limits = saturation_levels(white, capture.encoding)
     with ThreadPoolExecutor(1) as aside:
-        looking = aside.submit(_quality, capture, settings, stack, outline, binning)
+        looking = aside.submit(_quality, capture, stack, outline, binning)
         all_rows = settings.yaw == "all_rows"
         upright = find_upright(outline, direction, all_rows=all_rows) if finger else as_it_lies(outline)
         equalised = settings.cut_at_crease == "equalised"
@@ -189,14 +187,14 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> dict[str, tuple[str, 
     )
 
 
-def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: MaskSettings) -> BoolArray:
+def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
     """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
     camera = capture.rig.camera
     if capture.rig.mirrors:
         mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
         image = without_mirrors(image, camera, mirrors, binning)
     try:
-        outline = finger_mask(image, camera.px_per_mm / binning, settings)
+        outline = finger_mask(image, camera.px_per_mm / binning, method)
     except BadInput as error:
         words = str(error)
         if capture.material == "opaque":
@@ -228,7 +226,7 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, .
 
 
 def _quality(
-    capture: Capture, settings: FingerSettings, white: FloatArray, outline: BoolArray, binning: int
+    capture: Capture, white: FloatArray, outline: BoolArray, binning: int
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Quality figures and warnings of every band, on images reduced by `binning`."""
     px_per_mm = capture.rig.camera.px_per_mm / binning
@@ -253,7 +251,7 @@ def _quality(
         found |= outline_figures(outline, px_per_mm)
         names = band.image_names
         promised = skin or not capture.rig.intensities_assumed
-        doubts = quality_warnings(found, settings.quality, finger=skin, names=names, promised=promised)
+        doubts = quality_warnings(found, finger=skin, names=names, promised=promised)
         words = [*few_lights(lights), *doubts]
         if len(stack) >= 4 and skin:
             motion = shot_motion(stack, inside, px_per_mm)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ from splitknit.finger.regions import (
 )
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
+from splitknit.settings import Checked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +173,8 @@ def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
     return residual <= max(2.5 * noise, 1e-12), noise
 
 
+_COARSE_PX_PER_MM, _FINE_PX_PER_MM = 10.0, 20.0
+"""Scales of the copy that is clustered and of the one on which the outline is found."""
 BLUR_MM = 0.25
 """Gaussian blur (sigma) of the chromaticity before clustering."""
 _FINE_BLUR_MM = 0.06
@@ -201,19 +203,12 @@ _MIN_STEP = 0.15
 class MaskSettings(Checked):
     """How the finger is separated from the background."""
 
-    coarse_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
-    """Scale of the copy that is clustered."""
-    fine_px_per_mm: Annotated[float, Limits(0, above=True)] = 20.0
-    """Scale of the copy on which the outline is found."""
     method: Literal["grown", "kmeans"] = "grown"
     """``grown``: from a seed by k-means to whatever rises from the background; ``kmeans``: the thesis's two clusters of
     the chromaticity alone."""
 
 
-_USUAL = MaskSettings()
-
-
-def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings = _USUAL) -> BoolArray:
+def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown", "kmeans"] = "grown") -> BoolArray:
     """Find the finger, (H, W) bool, one component without holes, on a dark background, or on an even, coloured one.
 
     `mean_image`: (H, W, 3) or (H, W), mean of the white frames, linear, ambient removed, at any scale. Seed: k-means (k
@@ -222,19 +217,20 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     background is fitted outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not
     lost; spurs are cut, the largest component kept and its holes (specular reflection) filled. Before a bright,
     coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
+    `method`: as in :class:`MaskSettings`.
     Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
     3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
     """
     image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
+    fine_scale = reduction((height, width), px_per_mm, _FINE_PX_PER_MM, 1200)
     fine = reduce_image(image, fine_scale)
-    coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, settings.coarse_px_per_mm, 600)
+    coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, _COARSE_PX_PER_MM, 600)
     coarse = reduce_image(fine, coarse_scale)
     coarse_px = px_per_mm * fine_scale * coarse_scale
     coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
-    if settings.method == "kmeans":
+    if method == "kmeans":
         found = _seed(fine, BLUR_MM * px_per_mm * fine_scale, _tidy, seen=-1)
         result = largest_component(fill_holes(cv2.resize(found.astype(np.float32), (width, height)) > 0.5))
         check_borders(result)
@@ -440,15 +436,17 @@ def _two_means(features: NDArray[np.float32]) -> tuple[BoolArray, float]:
 
 # The finger's mask in two steps, where time counts: roughly where it is, and its outline around that.
 
+_ROUGH_PX_PER_MM, _OUTLINE_PX_PER_MM = 5.5, 10.0
+"""Scales of the copies on which the finger and its outline are found; between pixels the outline is interpolated."""
 FEW_SAMPLES = 2000
 """Pixels to which the background is fitted where time counts."""
 
 
-def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings = _USUAL) -> BoolArray:
+def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Roughly where the finger is, to a pixel of the coarse copy: the first step of :func:`finger_mask`, which see."""
     image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
+    scale = reduction((height, width), px_per_mm, _ROUGH_PX_PER_MM, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
     mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
@@ -456,9 +454,7 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     return np.asarray(full, dtype=np.bool_)
 
 
-def finger_outline(
-    mean_image: FloatArray, rough: BoolArray, px_per_mm: float, settings: MaskSettings = _USUAL
-) -> BoolArray:
+def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
     """Refine a mask `rough` (h, w) of the same view, at any scale, to the finger's outline (H, W): the last step of
     :func:`finger_mask`. `mean_image`: three times ``edge_margin_mm`` of background around it. BadInput if nothing
     stands out.
@@ -466,7 +462,7 @@ def finger_outline(
     image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
     require(bool(rough.any()), _NO_FINGER, NoFinger)
-    scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
+    scale = reduction((height, width), px_per_mm, _OUTLINE_PX_PER_MM, 1200)
     fine = reduce_image(image, scale)
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
 

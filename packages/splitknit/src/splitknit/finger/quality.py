@@ -7,8 +7,7 @@ given (a reduced one will do; saturation is best counted at full resolution).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +28,6 @@ from splitknit.finger.regions import (
 )
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
@@ -58,15 +56,8 @@ _BRIGHTER = 0.08
 """How much brighter than what surrounds it a pixel of a bright speck is."""
 
 
-@dataclass(frozen=True, slots=True)
-class SpeckSettings(Checked):
-    """What counts as a speck, and how much of the finger they may cover."""
-
-    _group = "quality.specks"
-    most_dark: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.002
-    """Fraction of the finger that dark specks may cover."""
-    most_bright: Annotated[float, Limits(0, 1, above=True, below=True)] = 0.005
-    """Fraction of the finger that bright specks may cover."""
+_MAX_DARK, _MAX_BRIGHT = 0.002, 0.005
+"""Fractions of the finger that dark, and bright, specks may cover."""
 
 
 def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
@@ -152,14 +143,6 @@ _MIN_LENGTH_MM = 12.0
 """Visible length of the finger."""
 
 
-@dataclass(frozen=True, slots=True)
-class QualitySettings:
-    """What is measured and when it is warned of."""
-
-    specks: SpeckSettings = field(default_factory=SpeckSettings)
-    """Dust, and the scales of dry skin."""
-
-
 def capture_quality(
     stack: FloatArray,
     mask: BoolArray,
@@ -228,7 +211,6 @@ def outline_figures(mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
 
 def quality_warnings(
     quality: Mapping[str, Any],
-    settings: QualitySettings | None = None,
     *,
     finger: bool = True,
     names: Sequence[str] = (),
@@ -238,7 +220,6 @@ def quality_warnings(
     ridges, skin and tip are left out, without `promised` the lights' brightness. `names`: of the photographs' files.
     """
     names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
-    settings = settings or QualitySettings()
     words: list[str] = []
     if quality["brightness"] < _MIN_BRIGHTNESS:
         words.append(f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure.")
@@ -253,9 +234,9 @@ def quality_warnings(
         remedy = "focus the camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
         words.append(f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): {remedy}")
     dark, bright = quality.get("dark_specks") or 0.0, quality.get("bright_specks") or 0.0
-    if finger and dark > settings.specks.most_dark:  # at most one sentence: dust has bright grains too
+    if finger and dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
         words.append(f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover.")
-    elif finger and bright > settings.specks.most_bright:
+    elif finger and bright > _MAX_BRIGHT:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
         words.append(f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}")
     ambient = 100 * (quality["ambient_share"] or 0.0)

@@ -6,16 +6,12 @@ and evened out so that ridges are equally dark from the middle to the edge. Noth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
-from splitknit.settings import Checked, Limits
 
 MM_PER_INCH = 25.4
 
@@ -23,16 +19,10 @@ CONTRAST_FLOOR = 0.3
 """Contrast below this fraction of the finger's median is not raised further, so flat skin stays flat."""
 
 
-@dataclass(frozen=True, slots=True)
-class PrintSettings(Checked):
-    """How the relief becomes grey values."""
-
-    ppi: Annotated[float, Limits(0, above=True)] = 500.0
-    """Resolution of the print in pixels per inch."""
-    window_mm: Annotated[float, Limits(0, above=True)] = 0.6
-    """Standard deviation of the Gaussian window over which mean and contrast are made even."""
-    contrast: Annotated[float, Limits(0, above=True)] = 1.1
-    """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
+_WINDOW_MM = 0.6
+"""Standard deviation of the Gaussian window over which mean and contrast are made even."""
+_CONTRAST = 1.1
+"""Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
 
 
 def relief_print(
@@ -42,7 +32,7 @@ def relief_print(
     input_from_upright: NDArray[np.float64],
     upright_size: tuple[int, int],
     *,
-    settings: PrintSettings | None = None,
+    ppi: float = 500.0,
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
 
@@ -57,10 +47,9 @@ def relief_print(
     >>> relief_print(relief, np.ones((40, 60), bool), 500 / 25.4, np.eye(3), (40, 60)).shape
     (40, 60)
     """
-    settings = settings or PrintSettings()
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
-    input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
+    input_per_print = px_per_mm * MM_PER_INCH / ppi
     size = (max(1, round(upright_size[0] / input_per_print)), max(1, round(upright_size[1] / input_per_print)))
 
     rows, columns = bounding_box(mask, int(4 * input_per_print) + 2)
@@ -77,10 +66,10 @@ def relief_print(
     window_from_print = window_from_input @ input_from_print
     weight = np.clip(warp(weight, window_from_print, size), 0.0, 1.0)
     relief = warp(relief.astype(np.float32), window_from_print, size)
-    centred, deviation = _centred(relief, weight, settings.window_mm * settings.ppi / MM_PER_INCH)
+    centred, deviation = _centred(relief, weight, _WINDOW_MM * ppi / MM_PER_INCH)
     known = deviation[weight > 0.5]
     typical = float(np.median(known)) if known.size else 0.0
-    return _ink(centred, deviation, typical, weight, settings) if typical > 0 else np.full(size, 255, dtype=np.uint8)
+    return _ink(centred, deviation, typical, weight) if typical > 0 else np.full(size, 255, dtype=np.uint8)
 
 
 def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
@@ -90,12 +79,10 @@ def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], ste
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
-def _ink(
-    centred: FloatArray, deviation: FloatArray, typical: float, weight: NDArray[np.floating], settings: PrintSettings
-) -> NDArray[np.uint8]:
+def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is inked."""
     score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    dark = 0.5 + 0.5 * np.tanh(np.float32(settings.contrast) * score)
+    dark = 0.5 + 0.5 * np.tanh(np.float32(_CONTRAST) * score)
     return np.asarray(np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8))
 
 
@@ -112,7 +99,7 @@ def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDAr
     """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
     return relief_print(
         surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size,
-        settings=PrintSettings(ppi=ppi),
+        ppi=ppi,
     )  # fmt: skip
 
 
@@ -125,7 +112,7 @@ _NARROW = 0.4
 """The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to the last ridge."""
 
 
-def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None = None) -> NDArray[np.uint8]:
+def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Print a field that is high on ridges and low in valleys.
 
     The local mean is taken out twice (the second pass removes what a one-sided window leaves of a slope at the edge),
@@ -136,12 +123,11 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     Fingerprint image enhancement: algorithm and performance evaluation, section 2.3 (mean and variance made even; here
     locally).
     """
-    settings = settings or PrintSettings()
     if values.ndim != 2 or values.shape != weight.shape:
         raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
     inside = weight > 0.5
     require(bool(inside.any()), "nothing of the finger lies on the print.")
-    sigma = settings.window_mm * settings.ppi / MM_PER_INCH
+    sigma = _WINDOW_MM * ppi / MM_PER_INCH
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
@@ -150,4 +136,4 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     around = np.maximum(gaussian_mean(weight, _NARROW * sigma), np.float32(1e-3))
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
-    return _ink(centred, deviation, typical, shown, settings)
+    return _ink(centred, deviation, typical, shown)

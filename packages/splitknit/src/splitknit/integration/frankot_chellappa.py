@@ -49,50 +49,39 @@ def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
 Transfer = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
 
-PADDINGS = ("zero", "mirror")
 WORKERS = 2
 """Threads of the transforms; the result does not depend on it."""
 
 
-def integrate_spectrum(
-    gradient_x: FloatArray, gradient_y: FloatArray, transfer: Transfer | None, padding: str, margin: int = 0
-) -> FloatArray:
-    """Height (H, W) in pixels, mean undefined, from dz/dx and dz/dy (y up), zero outside the surface.
-
-    `transfer`: radial gain of the height, or None for one; `padding`: ``zero`` or ``mirror``; `margin`: zeros to append
-    at least, in pixels (``zero`` only), so that the filter does not wrap around.
-    """
-    require(padding in PADDINGS, f"padding must be one of {', '.join(PADDINGS)}, but it is '{padding}'.")
-    if padding == "mirror":
-        return _mirror(gradient_x, -gradient_y, transfer)
-    return _zero(gradient_x, -gradient_y, transfer, margin)
-
-
-def _zero(column_slope: FloatArray, row_slope: FloatArray, transfer: Transfer | None, margin: int) -> FloatArray:
-    height, width = column_slope.shape
-    size = (scipy.fft.next_fast_len(height + margin, real=True), scipy.fft.next_fast_len(width + margin, real=True))
+def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatArray:
+    """Height (H, W) in pixels, mean undefined, from dz/dx and dz/dy (y up), zero outside the rectangle."""
+    height, width = gradient_x.shape
+    size = (scipy.fft.next_fast_len(height, real=True), scipy.fft.next_fast_len(width, real=True))
     row_frequency = 2 * np.pi * scipy.fft.fftfreq(size[0])
     column_frequency = 2 * np.pi * scipy.fft.rfftfreq(size[1])
     # A real signal has no derivative at the highest frequency of an even length: sine there is zero at every sample.
     row_factor = np.where(np.isclose(np.abs(row_frequency), np.pi), 0.0, row_frequency)
     column_factor = np.where(np.isclose(column_frequency, np.pi), 0.0, column_frequency)
-    spectrum = scipy.fft.rfft2(column_slope, size, workers=WORKERS)
+    spectrum = scipy.fft.rfft2(gradient_x, size, workers=WORKERS)
     spectrum *= column_factor.astype(np.float32)[None, :]
-    other = scipy.fft.rfft2(row_slope, size, workers=WORKERS)
+    other = scipy.fft.rfft2(-gradient_y, size, workers=WORKERS)
     other *= row_factor.astype(np.float32)[:, None]
     spectrum += other
-    spectrum *= _radial_factor(row_frequency, column_frequency, transfer) * np.complex64(-1j)
+    spectrum *= _radial_factor(row_frequency, column_frequency, None) * np.complex64(-1j)
     result = scipy.fft.irfft2(spectrum, size, workers=WORKERS, overwrite_x=True)
     return np.asarray(result[:height, :width], dtype=np.float32)
 
 
-def _mirror(column_slope: FloatArray, row_slope: FloatArray, transfer: Transfer | None) -> FloatArray:
-    height, width = column_slope.shape
+def integrate_mirrored(gradient_x: FloatArray, gradient_y: FloatArray, transfer: Transfer | None = None) -> FloatArray:
+    """Height (H, W) in pixels, mean undefined, from dz/dx and dz/dy (y up), zero outside the surface; mirrored about
+    the borders. `transfer`: radial gain of the height, or None for one.
+    """
+    height, width = gradient_x.shape
     row_frequency = np.pi * np.arange(height) / height
     column_frequency = np.pi * np.arange(width) / width
     # (H, W): sine k + 1 at column k; at row k
-    along_columns = scipy.fft.dct(scipy.fft.dst(column_slope, axis=1, workers=WORKERS), axis=0, workers=WORKERS)
-    along_rows = scipy.fft.dct(scipy.fft.dst(row_slope, axis=0, workers=WORKERS), axis=1, workers=WORKERS)
+    along_columns = scipy.fft.dct(scipy.fft.dst(gradient_x, axis=1, workers=WORKERS), axis=0, workers=WORKERS)
+    along_rows = scipy.fft.dct(scipy.fft.dst(-gradient_y, axis=0, workers=WORKERS), axis=1, workers=WORKERS)
     spectrum = np.zeros((height, width), dtype=np.float32)
     spectrum[:, 1:] = along_columns[:, :-1] * column_frequency.astype(np.float32)[None, 1:]
     spectrum[1:] += along_rows[:-1] * row_frequency.astype(np.float32)[1:, None]
@@ -100,35 +89,24 @@ def _mirror(column_slope: FloatArray, row_slope: FloatArray, transfer: Transfer 
     return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
 
 
-def _radial_factor(
-    row_frequency: NDArray[np.float64], column_frequency: NDArray[np.float64], transfer: Transfer | None
-) -> FloatArray:
-    """T(|w|) / |w|^2, zero at the origin."""
-    square = row_frequency[:, None] ** 2 + column_frequency[None, :] ** 2
-    square[0, 0] = 1.0
-    factor = 1.0 / square
-    if transfer is not None:
-        factor *= sample_radially(transfer, square)
-    factor[0, 0] = 0.0
-    return factor.astype(np.float32)
-
-
 _SAMPLES = 8192
 """Frequencies end at sqrt(2) pi: samples are 0.0005 rad/px apart, and a smooth transfer function is known to 1e-6."""
 
 
-def sample_radially(transfer: Transfer, square: NDArray[np.float64]) -> NDArray[np.float64]:
-    """T at the radii whose squares are given, by linear interpolation in a table over the radius: ten times faster than
+def _radial_factor(
+    row_frequency: NDArray[np.float64], column_frequency: NDArray[np.float64], transfer: Transfer | None
+) -> FloatArray:
+    """T(|w|) / |w|^2, zero at the origin; T by linear interpolation in a table over the radius: ten times faster than
     exponentials of every scale at every frequency.
     """
-    top = float(np.sqrt(2.0) * np.pi * 1.001)
-    radii = np.linspace(0.0, top, _SAMPLES)
-    table = np.asarray(transfer(radii), dtype=np.float64)
-    require(
-        table.shape == radii.shape and bool(np.isfinite(table).all()),
-        "a transfer function must return one finite gain for every frequency.",
-    )
-    return np.interp(np.sqrt(square), radii, table)
+    square = row_frequency[:, None] ** 2 + column_frequency[None, :] ** 2
+    square[0, 0] = 1.0
+    factor = 1.0 / square
+    if transfer is not None:
+        radii = np.linspace(0.0, float(np.sqrt(2.0) * np.pi * 1.001), _SAMPLES)
+        factor *= np.interp(np.sqrt(square), radii, transfer(radii))
+    factor[0, 0] = 0.0
+    return factor.astype(np.float32)
 
 
 def frankot_chellappa(gradient_x: Any, gradient_y: Any, mask: Any = None, padding: str = "zero") -> FloatArray:
@@ -172,4 +150,6 @@ def frankot_chellappa(gradient_x: Any, gradient_y: Any, mask: Any = None, paddin
     5.09
     """
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
-    return zero_mean(integrate_spectrum(slope_x, slope_y, None, padding), inside)
+    require(padding in ("zero", "mirror"), f"padding must be zero or mirror, but it is '{padding}'.")
+    integrate = _integrate_padded if padding == "zero" else integrate_mirrored
+    return zero_mean(integrate(slope_x, slope_y), inside)

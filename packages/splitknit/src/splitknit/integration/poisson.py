@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -15,7 +15,6 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 
 _LOG = logging.getLogger(__name__)
 
@@ -71,36 +70,26 @@ def _edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArr
 
 
 def _predicted_differences(
-    slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, quadrature: str
+    slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Integral of the slopes (y up) along every edge; what lies outside the mask is never used.
+    """Integral of the slopes (y up) along every edge, by the trapezoidal rule.
 
-    ``trapezoidal`` is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the
-    mean: where they fall with the slope, as trust does, steep sides would come out too low. ``cubic`` integrates the
-    parabola-exact rule (-1, 13, 13, -1) / 24 where an edge has two more pixels of the surface in line, and falls back
-    to the mean elsewhere and wherever there are weights.
+    It is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the mean: where
+    they fall with the slope, as trust does, steep sides would come out too low.
     """
     right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
-    cubic = quadrature == "cubic" and weights is None
-    right[:, :-1] = _edge_integral(slope_x.T, mask.T, None if weights is None else weights.T, cubic).T
-    down[:-1] = -_edge_integral(slope_y, mask, weights, cubic)
+    right[:, :-1] = _edge_integral(slope_x.T, None if weights is None else weights.T).T
+    down[:-1] = -_edge_integral(slope_y, weights)
     return right, down
 
 
-def _edge_integral(slope: FloatArray, mask: BoolArray, weights: FloatArray | None, cubic: bool) -> FloatArray:
+def _edge_integral(slope: FloatArray, weights: FloatArray | None) -> FloatArray:
     """Integral between successive rows, (H - 1, W)."""
     if weights is not None:
         used = (weights > _WEIGHT_FLOOR).astype(np.float32)
         kept = slope * used
         return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], np.float32(1)))
-    mean = np.float32(0.5) * (slope[1:] + slope[:-1])
-    if cubic and slope.shape[0] > 3:
-        # (13 (b + c) - (a + d)) / 24 = (b + c) / 2 + (b + c - a - d) / 24
-        inner = mean[1:-1] - np.float32(0.5) * (slope[3:] + slope[:-3])
-        inner *= mask[3:] & mask[:-3]
-        inner *= np.float32(1.0 / 12.0)
-        mean[1:-1] += inner
-    return mean
+    return np.asarray(np.float32(0.5) * (slope[1:] + slope[:-1]))
 
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
@@ -334,19 +323,11 @@ _WEIGHT_FLOOR = 1e-3
 """Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoissonSettings(Checked):
-    """Accuracy and limits of the masked solver."""
-
-    max_iterations: Annotated[int, Limits(0, above=True)] = 300
-    """Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
-    quadrature: Literal["trapezoidal", "cubic"] = "trapezoidal"
-    """Integral between neighbours: ``trapezoidal`` or ``cubic`` (exact for slopes up to a cubic)."""
+MAX_ITERATIONS = 300
+"""Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
 
 
-def poisson(
-    gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None, settings: PoissonSettings | None = None
-) -> FloatArray:
+def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None) -> FloatArray:
     """Height whose neighbour differences are nearest, in the (weighted) least-squares sense, to the gradients.
 
     Only differences between pixels of the mask count, so that the surface may end steeply, be cut by the image border,
@@ -359,7 +340,6 @@ def poisson(
         As of :func:`splitknit.integration.frankot_chellappa`.
     weights : (H, W), optional
         Trust in each pixel's gradient, in [0, 1].
-    settings : PoissonSettings, optional
 
     Returns
     -------
@@ -387,16 +367,13 @@ def poisson(
     >>> round(float(height[20, 40] - height[20, 20]), 3), round(float(height[10, 30] - height[30, 30]), 3)
     (10.0, -5.0)
     """
-    chosen = settings if settings is not None else PoissonSettings()
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
     trust = None if weights is None else _check_weights(weights, inside)
     if trust is None and bool(inside.all()):
-        right, down = _predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
+        right, down = _predicted_differences(slope_x, slope_y, None)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = bounding_box(inside)
-    height = _solve_masked(
-        slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window], chosen
-    )
+    height = _solve_masked(slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window])
     result = np.full(inside.shape, np.nan, dtype=np.float32)
     result[window] = _zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
     return result
@@ -438,40 +415,36 @@ def _solve_rectangle(right_side: FloatArray) -> FloatArray:
     return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
 
 
-def _solve_masked(
-    slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None, settings: PoissonSettings
-) -> FloatArray:
+def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None) -> FloatArray:
     rows, columns = mask.shape
     size = _padded_size(rows, columns)
     frame = ((0, size[0] - rows), (0, size[1] - columns))
     inside = np.pad(mask, frame)
     trust = None if weights is None else np.pad(weights, frame)
     weight_right, weight_down = _edge_weights(inside, trust)
-    target_right, target_down = _predicted_differences(
-        np.pad(slope_x, frame), np.pad(slope_y, frame), inside, trust, settings.quadrature
-    )
+    target_right, target_down = _predicted_differences(np.pad(slope_x, frame), np.pad(slope_y, frame), trust)
     edges = _Edges(weight_right, weight_down, target_right, target_down)
     if weights is not None and np.count_nonzero(mask) <= _SMALL:
         return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[:rows, :columns]
     grid = _build_grids(weight_right, weight_down, unit=weights is None)
     height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
     if weights is None:
-        height += _conjugate_gradients(grid, edges, height, settings)[0].astype(np.float32)
+        height += _conjugate_gradients(grid, edges, height)[0].astype(np.float32)
         return height[:rows, :columns]
     exact = height.astype(np.float64)
     for _ in range(_RESTARTS):
-        correction, eigenvalue = _conjugate_gradients(grid, edges, exact, settings)
+        correction, eigenvalue = _conjugate_gradients(grid, edges, exact)
         exact += correction
         residual, energy = edges.residual(exact)
         excess = _dot(residual, grid.cycle(residual.astype(np.float32))) / eigenvalue
         if excess <= edges.tolerated(energy):
             return exact[:rows, :columns].astype(np.float32)
-    other = _other_solution(grid, edges, settings)
+    other = _other_solution(grid, edges)
     best = min(exact, other, key=lambda one: edges.residual(one)[1])
     return best[:rows, :columns].astype(np.float32)
 
 
-def _other_solution(grid: _Grid, edges: _Edges, settings: PoissonSettings) -> NDArray[Any]:
+def _other_solution(grid: _Grid, edges: _Edges) -> NDArray[Any]:
     """Solve without conjugate gradients, which have not converged: by factorisation; many pixels without weights."""
     if np.count_nonzero(grid.inside) <= _DIRECT:
         return _factorised(grid, edges)
@@ -479,7 +452,7 @@ def _other_solution(grid: _Grid, edges: _Edges, settings: PoissonSettings) -> ND
     unit = _build_grids(*_edge_weights(grid.inside > 0, None), unit=True)
     even = replace(edges, weight_right=unit.right, weight_down=unit.down)
     height = unit.solve_nested(even.residual(np.zeros_like(unit.right))[0].astype(np.float32))
-    return height + _conjugate_gradients(unit, even, height, settings)[0]
+    return height + _conjugate_gradients(unit, even, height)[0]
 
 
 def _factorised(grid: _Grid, edges: _Edges) -> FloatArray:
@@ -516,9 +489,7 @@ class _Edges:
         return _EXCESS * energy + _ROUNDING * power
 
 
-def _conjugate_gradients(
-    grid: _Grid, edges: _Edges, height: NDArray[Any], settings: PoissonSettings
-) -> tuple[NDArray[np.float64], float]:
+def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
     """Correction of the height, until its rms error and the excess of the energy are small; the smallest eigenvalue.
 
     Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few
@@ -534,7 +505,7 @@ def _conjugate_gradients(
     lengths: list[float] = []
     ratios: list[float] = []
     energy, eigenvalue = 1.0, 1.0
-    for _ in range(settings.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         estimate = grid.cycle(residual.astype(np.float32))
         previous, energy = energy, _dot(residual, estimate)
         if energy <= 0:

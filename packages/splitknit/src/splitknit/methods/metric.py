@@ -16,6 +16,7 @@ from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
 from splitknit.methods.photographs import SIDE_UNUSED, FingerBand, FingerPhotographs, FingerSurface
 from splitknit.methods.photometry import (
+    MAX_SLOPE,
     OPAQUE,
     Slopes,
     by_rows,
@@ -30,7 +31,7 @@ from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
-from splitknit.skin.diffusion import Diffusion, SkinSettings
+from splitknit.skin.diffusion import SCATTERING_SD, Diffusion, SkinSettings
 from splitknit.skin.grid import BandImages, Grid, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
@@ -62,7 +63,7 @@ DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 JPEG_LOSS, JPEG_LOSS_COARSE, _JPEG_COARSE = 0.3, 0.9, 14.0
 """Part of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to 30 px/mm, but 0.75 and
-more at 11; and the px/mm between them (``validation/jpeg``)."""
+more at 11; and the px/mm between them (two simulated fingers, qualities of 60 to 97)."""
 COLOURED = (
     "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
     "another of the published cases."
@@ -93,6 +94,8 @@ COLOUR_MM = 1.0
 WALL_PART, WALL_OF_STEEP = 0.002, 0.25
 """Fraction of a surface, and of its pixels steeper than a quarter of the longest slope, whose slopes are cut, from
 which it has walls. Of the latter 0.09 on a ball, 0.6 to 0.8 on coins with rims of 80 to 89 deg (simulated)."""
+ROUNDS = 3
+"""Rounds of near-light photometric stereo and integration."""
 RIM_PART = 0.02
 """Width of the rim, as a fraction of the surface's size."""
 
@@ -103,7 +106,7 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
     """
     slopes, albedo, normals = near_slopes(white, p.photometry.normals, p.height)
-    warnings = doubt_of_walls(*slopes, white.inside, p.photometry.normals.max_slope)
+    warnings = doubt_of_walls(*slopes, white.inside)
     height_mm = integrated(slopes, white, p.height)
     relief = ridge_relief(slopes, white, p.shapelets)
     if nir != white:
@@ -112,20 +115,18 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, warnings=warnings)
 
 
-def doubt_of_walls(
-    gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolArray, max_slope: float
-) -> tuple[str, ...]:
-    """A sentence where the surface (h, w) has walls, as a coin's rim: slopes longer than `max_slope`, which are cut.
+def doubt_of_walls(gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolArray) -> tuple[str, ...]:
+    """A sentence where the surface (h, w) has walls, as a coin's rim: slopes longer than `MAX_SLOPE`, which are cut.
 
     A ball has few of these (3 % of its view) beside many slopes that are nearly as steep; a wall has none beside it.
     """
     steepness = np.hypot(gradient_x, gradient_y)[inside]
-    cut, steep = (int((steepness > part * max_slope).sum()) for part in (0.999, 0.25))
+    cut, steep = (int((steepness > part * MAX_SLOPE).sum()) for part in (0.999, 0.25))
     if cut < WALL_PART * inside.sum() or cut < WALL_OF_STEEP * steep:
         return ()
     rim = inside & ~erode(inside, RIM_PART * float(np.sqrt(inside.sum())))
-    at_rim = (np.hypot(gradient_x, gradient_y)[rim] > 0.999 * max_slope).sum() / cut
-    angle, part = np.rad2deg(np.arctan(max_slope)), 100 * cut / int(inside.sum())
+    at_rim = (np.hypot(gradient_x, gradient_y)[rim] > 0.999 * MAX_SLOPE).sum() / cut
+    angle, part = np.rad2deg(np.arctan(MAX_SLOPE)), 100 * cut / int(inside.sum())
     what = "has a steep rim" if at_rim > 0.5 else "has steep walls"
     advice = "give a `mask` that ends inside the rim" if at_rim > 0.5 else "photograph it from another side"
     return (
@@ -159,13 +160,13 @@ def metric_skin(
     the relief and refine the shape (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are
     separated by their colours.
     """
-    images = coarse_images(bands, grid, p.coarse_pitch_mm, p.plane_mm)
+    images = coarse_images(bands, grid, p.plane_mm)
     shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)
     white = bands[0].channels
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)
     if networks is None:
-        other = skin.optics(images.channels, colour, 1 + skin.scattering_uncertainty)
+        other = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
         smooth, estimate = relief_of_colours(images, shape, optics, other, p.rounds)
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
@@ -436,17 +437,17 @@ def near_slopes(
             lambda images, rows: distant_normals(images, lights, inside[rows], p),
             without_clipped=p.method == "robust",
         )
-        return slopes_of(normals, photographs, p.max_slope), albedo, normals
+        return slopes_of(normals, photographs), albedo, normals
     view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     surface = np.full(inside.shape, photographs.plane_mm, dtype=np.float32)
 
     def lit(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-        return _near_normals(images, rig, surface[rows], inside[rows], robust=p.robust, view=view.of_rows(rows))
+        return _near_normals(images, rig, surface[rows], inside[rows], view=view.of_rows(rows))
 
     distant = all(led.position_mm is None for led in rig.leds)
-    for turn in range(rounds := 1 if distant else p.rounds):
-        normals, albedo = by_rows(photographs, lit, without_clipped=p.robust is not None)
-        slopes = gradients_from_normals(normals, inside, p.max_slope)
+    for turn in range(rounds := 1 if distant else ROUNDS):
+        normals, albedo = by_rows(photographs, lit, without_clipped=True)
+        slopes = gradients_from_normals(normals, inside, MAX_SLOPE)
         if turn < rounds - 1:
             surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
     return slopes, albedo, view.in_rig(normals)

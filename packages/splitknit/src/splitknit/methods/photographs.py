@@ -576,7 +576,7 @@ def mirror_views(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
     from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
 
     require(not settings.visible_alone, NOT_SPLIT)
-    return seen_in_mirrors(capture, settings.mask, settings.shape.mirror)
+    return seen_in_mirrors(capture, settings.shape.mirror)
 
 
 def on_mirror_shape(
@@ -589,7 +589,7 @@ def on_mirror_shape(
     from splitknit.mirrors.captured import mirror_shape_of
 
     detail_mm = None if settings.method == "thesis" else surface.shape_mm
-    shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, settings.shape.mirror, detail_mm)
+    shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, detail_mm)
     photographs.finger = replace(photographs.finger, mask=mask)
     facts = {**surface.facts, **facts}
     said = (*surface.warnings, *seen.shape.doubts)

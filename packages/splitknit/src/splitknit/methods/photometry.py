@@ -25,6 +25,8 @@ from splitknit.steps import IN_MEMORY, step
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
+MAX_SLOPE = 6.0
+"""Steeper slopes are shortened to this."""
 SLOW_MM = 0.32
 """Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
 LEAST_CERTAINTY = 0.003
@@ -85,26 +87,26 @@ def distant_normals(
 ) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo by photometric stereo under distant lights (L, 3)."""
     if p.method == "robust":
-        return robust(images, lights, inside, p.robust)
+        return robust(images, lights, inside)
     return lambertian(images, lights, inside)
 
 
 @step("normals")
-def slopes_of(normals: FloatArray, photographs: FingerBand, max_slope: float) -> Slopes:
+def slopes_of(normals: FloatArray, photographs: FingerBand) -> Slopes:
     """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
     view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
-    return gradients_from_normals(own, photographs.inside, max_slope)
+    return gradients_from_normals(own, photographs.inside, MAX_SLOPE)
 
 
 @step("surface")
 def integrated(slopes: Slopes, photographs: FingerBand, p: HeightSettings) -> FloatArray:
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
     if p.method == "frankot_chellappa":
-        return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
+        return frankot_chellappa(*slopes, photographs.inside) * photographs.pitch_mm
     inside = photographs.inside
     certainty = 1.0 / np.square(1.0 + slopes[0] ** 2 + slopes[1] ** 2)  # 1 / variance of a slope, of a normal's noise
-    height = poisson(*slopes, inside, np.maximum(certainty, LEAST_CERTAINTY), p.poisson)
+    height = poisson(*slopes, inside, np.maximum(certainty, LEAST_CERTAINTY))
     steepest = float(np.hypot(*slopes).max())
     depth, across = np.nanmax(height) - np.nanmin(height), sum(inside.any(axis=k).sum() for k in (0, 1))
     require(depth <= max(steepest * across, 1.0), IMPOSSIBLE)

@@ -41,7 +41,7 @@ def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     Zheng and Lin are EA with other parameters (:mod:`splitknit.presets`).
     """
     normals, albedo = visible_normals(white, p.photometry)
-    height_mm = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    height_mm = integrated(slopes_of(normals, white), white, p.height)
     relief = fast_part(height_mm, white)
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, whole=True)
 
@@ -49,7 +49,7 @@ def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
 def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
     normals, albedo = visible_normals(white, p.photometry)
-    slopes = slopes_of(normals, white, p.max_slope)
+    slopes = slopes_of(normals, white)
     height_mm = integrated(slopes, white, p.height)
     relief = ridge_relief(slopes, white, p.shapelets)
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
@@ -58,7 +58,7 @@ def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
 def snk(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
     """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
     normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
-    relief = ridge_relief(slopes_of(normals, white, p.max_slope), white, p.shapelets)  # 3.3.1.3
+    relief = ridge_relief(slopes_of(normals, white), white, p.shapelets)  # 3.3.1.3
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)  # 3.3.2
     return FingerSurface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
 
@@ -67,7 +67,7 @@ def snk_by_crossover(white: FingerBand, nir: FingerBand, p: Parameters) -> Finge
     """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
     normals, albedo = visible_normals(white, p.photometry)
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
-    visible = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    visible = integrated(slopes_of(normals, white), white, p.height)
     height_mm = crossover(visible, shape, ridge_response(white, p.shapelets), white.inside)
     return FingerSurface(height_mm, height_mm - shape, shape, albedo, normals)
 
@@ -122,7 +122,7 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
 def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
     normals, _ = distant_normals(_grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
-    return slopes_of(normals, nir, p.normals.max_slope)
+    return slopes_of(normals, nir)
 
 
 def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
-from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
 from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.band import bin_mean, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
@@ -24,12 +23,12 @@ from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.mirrors.views import Views, find_views, view_binning
+from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
+DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
 SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
-OUTLINE_PX_PER_MM = 10.0  # scale at which outlines are found; between its pixels they are interpolated
 APART_MM = 1.0  # distance of the places whose slopes are used
 RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
 
@@ -44,12 +43,12 @@ class SeenInMirrors:
 
 
 def mirror_shape_of(
-    finger: Finger, seen: SeenInMirrors, settings: MirrorShapeSettings, detail_mm: FloatArray | None
+    finger: Finger, seen: SeenInMirrors, detail_mm: FloatArray | None
 ) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
     """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far as the mirrors show
     it; and facts for the result. Every pixel of the front view has its own z of the shape, so that relief and shape
-    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the
-    settings is kept: creases, and what no smooth section has; None: nothing is.
+    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than `DETAIL_MM`
+    is kept: creases, and what no smooth section has; None: nothing is.
     """
     camera = seen.capture.rig.camera
     window, inside = finger.window, finger.inside
@@ -59,7 +58,7 @@ def mirror_shape_of(
         shape = view_of(camera, *window, along_rays=True).along(z)
         shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
     if detail_mm is not None:
-        cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
+        cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
         from_light = np.where(inside, detail_mm, np.float32(0))
         finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
@@ -99,32 +98,24 @@ def require_mirrors(rig: Rig) -> None:
     require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
 
 
-def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
+def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
     rig = capture.rig
     require_mirrors(rig)
-    views, grey = found_views(capture, mask)
+    views, grey = found_views(capture)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)
     return SeenInMirrors(views, mirror_shape(views, rig, settings, tip_direction_deg=tip, slopes_on=slopes_on), capture)
 
 
-def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
+def found_views(capture: Capture) -> tuple[Views, FloatArray]:
     """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
-    Raises BadInput as :func:`splitknit.mirrors.views.find_views`.
+    Raises BadInput as :func:`splitknit.mirrors.views.views_in`.
     """
     rig = capture.rig
     binning = view_binning(rig.camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
-    return views_in(mean, rig, binning, mask), grey
-
-
-def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Views:
-    """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
-    fine, coarse = min(mask.fine_px_per_mm, OUTLINE_PX_PER_MM), min(mask.coarse_px_per_mm, 0.55 * OUTLINE_PX_PER_MM)
-    mask = replace(mask, fine_px_per_mm=fine, coarse_px_per_mm=coarse)
-    region, outline = partial(finger_region, settings=mask), partial(finger_outline, settings=mask)
-    return find_views(mean, rig, region, binning, outline)
+    return views_in(mean, rig, binning), grey
 
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.mirrors.body import MAX_SQUARE, Body, Slopes, basis, slopes_across
 from splitknit.mirrors.reflection import Plane, Touching
-from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
+from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, SQUARENESS_SD
 from splitknit.model import BoolArray
 
 Array = NDArray[np.float64]
@@ -271,12 +271,10 @@ _END_SURE = 2  # corrections before points of an outline may be left out altoget
 _END_SETTLED = 2e-4  # a correction (mm, rad) below this is the last one
 
 
-def _fitted_ends(
-    estimate: Estimate, outlines: Outlines, ends: list[str], names: _Parameters, settings: MirrorShapeSettings
-) -> Estimate:
+def _fitted_ends(estimate: Estimate, outlines: Outlines, ends: list[str], names: _Parameters) -> Estimate:
     """With those parameters fitted to the views from beyond the tip."""
     body = estimate.body
-    form = {"squareness": (body.squareness, settings.squareness_spread), "shear": (body.shear, 0.5 * SHEAR_SD)}
+    form = {"squareness": (body.squareness, SQUARENESS_SD), "shear": (body.shear, 0.5 * SHEAR_SD)}
 
     def misfit(estimate: Estimate) -> Array:
         return np.concatenate([estimate.residual_in(name, outlines) for name in ends])
@@ -300,6 +298,7 @@ def _fitted_ends(
     return estimate
 
 
+ROUNDS = 9  # corrections
 SURE_FROM = 4  # corrections before points of an outline may be left out altogether
 _HELD, _HELD_ROUNDS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}, 3
 """Mirrors stay where they nominally are for so many corrections, in which the body finds its size: under spreading rays
@@ -310,22 +309,25 @@ SETTLED = 0.01  # a correction of the splines (mm) below this is the last one
 def fit_body(
     start: Estimate,
     outlines: Outlines,
-    settings: MirrorShapeSettings,
+    squareness: tuple[float, float],
     slopes: Slopes | None = None,
+    *,
+    rounds: int = ROUNDS,
     sure_from: int = SURE_FROM,
 ) -> Fit:
     """Fit body and poses from a first guess `start`, the `outlines` of all views and, if given, `slopes` of the skin.
-    `sure_from`: corrections before points of an outline may be left out altogether.
+    `squareness`: expected, and its standard deviation; `rounds`: of corrections; `sure_from`: corrections before points
+    of an outline may be left out altogether.
     """
     if any(mirror.from_tip for mirror in outlines.mirrors.values()):
-        return _with_ends(start, outlines, settings, slopes)
+        return _with_ends(start, outlines, squareness, slopes, rounds)
     estimate, names, ends = start, outlines.names, outlines.ends
     parameters = _global_names(names, slopes is not None)
     count = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = {
         **_POSE,
-        "squareness": (settings.squareness, settings.squareness_spread),
+        "squareness": squareness,
         "shear": (0.0, SHEAR_SD),
         "shear_slope": (0.0, 0.3 * SHEAR_SD),
         "tip_mm": (start.body.tip_mm, TIP_SD_MM),
@@ -333,7 +335,7 @@ def fit_body(
     for name, mirror in outlines.mirrors.items():
         if mirror.turn_sd_rad is not None:
             expected[f"turn_rad {name}"] = mirror.turn_rad, mirror.turn_sd_rad
-    for turn in range(settings.rounds):
+    for turn in range(rounds):
         residual, spline = _linearised(estimate, outlines)
         by_global = np.column_stack([_change(estimate, name, size, outlines, residual) for name, size in parameters])
         weight = _robust_weights(residual, ends, sure=turn >= sure_from)
@@ -362,11 +364,17 @@ def fit_body(
 APART_MM = 0.12  # views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
 
 
-def fit_views(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None = None) -> Fit:
+def fit_views(
+    start: Estimate,
+    outlines: Outlines,
+    squareness: tuple[float, float],
+    slopes: Slopes | None = None,
+    rounds: int = ROUNDS,
+) -> Fit:
     """:func:`fit_body`; where the views do not agree, without the one edge of a mirror's view that explains it: a dim
     edge of the finger is sometimes taken to end at the holder behind it.
     """
-    best = fit_body(start, outlines, settings, slopes)
+    best = fit_body(start, outlines, squareness, slopes, rounds=rounds)
     if max(best.rms_mm.values()) < APART_MM:
         return best
 
@@ -381,13 +389,15 @@ def fit_views(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings
                 continue
             fields = (getattr(mirror.touching, field)[kept] for field in Touching.__dataclass_fields__)
             part = {**outlines.mirrors, name: replace(mirror, touching=Touching(*fields))}
-            fit = fit_body(start, replace(outlines, mirrors=part), settings, slopes)
+            fit = fit_body(start, replace(outlines, mirrors=part), squareness, slopes, rounds=rounds)
             if off(fit) < min(off(best), 0.7 * off(first)):
                 best = fit
     return best
 
 
-def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None) -> Fit:
+def _with_ends(
+    start: Estimate, outlines: Outlines, squareness: tuple[float, float], slopes: Slopes | None, rounds: int
+) -> Fit:
     """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again. They see
     the largest sections only, and those beside the tip hide the rest: they do not constrain lines along the finger.
     """
@@ -395,15 +405,16 @@ def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSetting
     beside = {name: mirror for name, mirror in outlines.mirrors.items() if not mirror.from_tip}
     ends = sorted(name for name in outlines.mirrors if name not in beside)
     sides = Outlines(outlines.front, beside)
-    first = fit_body(Estimate(start.body, {name: poses[name] for name in beside}), sides, settings, slopes)
+    without_ends = Estimate(start.body, {name: poses[name] for name in beside})
+    first = fit_body(without_ends, sides, squareness, slopes, rounds=rounds)
     estimate = Estimate(first.body, {**first.poses, **{name: poses[name] for name in outlines.mirrors if name in ends}})
     places = [(f"{kind} {name}", 1e-4) for name in ends for kind in ("turn_rad", "lean_rad", "shift_mm")]
     form = [("squareness", 1e-4), ("shear", 1e-4)]
-    estimate = _fitted_ends(estimate, outlines, ends, [*form, *places], settings)
-    again = replace(settings, squareness=estimate.body.squareness, squareness_spread=1e-3)
+    estimate = _fitted_ends(estimate, outlines, ends, [*form, *places])
     poses = {name: estimate.poses[name] for name in beside}
-    last = fit_body(Estimate(estimate.body, poses), sides, again, sure_from=0)
-    estimate = _fitted_ends(Estimate(last.body, {**estimate.poses, **last.poses}), outlines, ends, places, settings)
+    known = estimate.body.squareness, 1e-3
+    last = fit_body(Estimate(estimate.body, poses), sides, known, rounds=rounds, sure_from=0)
+    estimate = _fitted_ends(Estimate(last.body, {**estimate.poses, **last.poses}), outlines, ends, places)
     misfit, weights = dict(last.misfit_mm), dict(last.weights)
     for name in ends:
         misfit[name] = estimate.residual_in(name, outlines)
@@ -496,7 +507,7 @@ def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
         require(worst < MAX_DEG, f"{fault}: {off}; check that one finger alone is in view, or correct the rig file.")
 
 
-def facts_of(fit: Fit, settings: MirrorShapeSettings, slopes: Slopes | None) -> dict[str, Any]:
+def facts_of(fit: Fit, slopes: Slopes | None) -> dict[str, Any]:
     """For the report: poses, misfits, the sections' form."""
     body = fit.body
     return {

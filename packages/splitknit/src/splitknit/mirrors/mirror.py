@@ -18,6 +18,7 @@ from splitknit.imaging.view import pixels_of, view_of
 from splitknit.mirrors.body import Body, SeenHeights, Slopes
 from splitknit.mirrors.fit import (
     APART_MM,
+    ROUNDS,
     Estimate,
     Fit,
     MirrorOutline,
@@ -38,7 +39,7 @@ from splitknit.mirrors.outline import (
     touching_planes,
 )
 from splitknit.mirrors.reflection import Plane, Touching, reflect_points
-from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.settings import SQUARENESS_SD, MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
 
@@ -238,7 +239,7 @@ def mirror_shape(
     Raises BadInput if the views do not fit one finger. Source: the thesis, section 3.3.2.3. Cipolla and Giblin 2000,
     Visual Motion of Curves and Surfaces (frontier points).
 
-    views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
+    views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.views_in`
     rig : its camera, and where its mirrors nominally are
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
     slopes_on : measures slopes of the skin in the front view, given a first shape, optional: they determine the
@@ -252,21 +253,21 @@ def mirror_shape(
     if settings.method == "thesis":
         return _by_thesis(views, rig, axis, front)
     seen = _seen_outlines(views, rig, axis, cut_too=cut_too)
-    if seen.cut and cut_too:  # the first guess is further off
-        settings = replace(settings, rounds=max(settings.rounds, _CUT_ROUNDS))
+    squareness = settings.squareness, SQUARENESS_SD
+    rounds = _CUT_ROUNDS if seen.cut and cut_too else ROUNDS  # where it is cut, the first guess is further off
     whole_first = sorted(seen.lateral, key=lambda name: (name in seen.cut, name))
     body = first_body(front, {name: seen.lateral[name] for name in whole_first}, seen.mirrors, seen.poses, settings)
     outlines = Outlines(touching_planes(front.beyond(body.tip_mm - body.length_mm), rig.camera), seen.mirrors)
     start, slopes = Estimate(body, seen.poses), None
-    fit = fit_views(start, outlines, settings)
+    fit = fit_views(start, outlines, squareness, rounds=rounds)
     refuse_misfit(fit, seen.mirrors)
-    if slopes_on is not None and settings.slopes:
+    if slopes_on is not None:
         slopes = slopes_on(MirrorShape(rig.camera, fit.body, {}, {"front": front}, fit))
     if slopes is not None:
-        fit = fit_views(start, outlines, settings, slopes)
+        fit = fit_views(start, outlines, squareness, slopes, rounds)
         refuse_misfit(fit, seen.mirrors)
     beside = {"front": outlines.front, **{name: seen.mirrors[name].touching for name in seen.lateral}}
-    facts = {**facts_of(fit, settings, slopes), "views_cut_off": seen.cut, "views_useless": seen.useless}
+    facts = {**facts_of(fit, slopes), "views_cut_off": seen.cut, "views_useless": seen.useless}
     return MirrorShape(rig.camera, fit.body, facts, {"front": front, **seen.rows}, fit, beside)
 
 

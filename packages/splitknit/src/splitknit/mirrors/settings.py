@@ -10,6 +10,7 @@ from splitknit.settings import Checked, Limits
 ANGLE_DEG = 1.5  # standard deviation of the mirrors' angles about their nominal ones
 OFFSET_MM = 1.5  # standard deviation of the mirrors' places about their nominal ones
 OUTLINE_MM = 0.05  # standard deviation of a point of an outline
+SQUARENESS_SD = 0.08  # standard deviation of the expected squareness; slopes and a mirror beyond the tip are stronger
 ROW_MM = 0.15  # distance of the rows in which the outlines are measured
 
 
@@ -22,12 +23,3 @@ class MirrorShapeSettings(Checked):
     """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
     """Flatness of the pad that is expected; the fit finds its own. 0 is an ellipse."""
-    squareness_spread: Annotated[float, Limits(0, above=True)] = 0.08
-    """Standard deviation of that expectation; slopes of the skin and a mirror beyond the tip are stronger evidence."""
-    rounds: Annotated[int, Limits(1, 50)] = 9
-    """Corrections."""
-    slopes: bool = True
-    """Let the skin's slopes in white light determine the form and the roll of the sections."""
-    detail_mm: Annotated[float, Limits(0, above=True)] = 1.5
-    """What is finer than this is taken from white light, where the preset undoes the skin's blur: creases. Light by way
-    of the mirrors bends what is wider."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
 from splitknit.model import BoolArray, FloatArray, Rig
@@ -39,7 +40,13 @@ def view_binning(px_per_mm: float) -> int:
     return max(1, round(px_per_mm / _PX_PER_MM))
 
 
-def find_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: int, find_outline: FindOutline) -> Views:
+def views_in(
+    image: FloatArray,
+    rig: Rig,
+    binning: int,
+    find_finger: FindFinger = finger_region,
+    find_outline: FindOutline = finger_outline,
+) -> Views:
     """Find the finger itself and its mirror images.
 
     The front view is what `find_finger` sees of the image without the mirrors' nominal outlines; each mirror's view is
@@ -50,8 +57,8 @@ def find_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: in
 
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
-    find_finger : segmentation mask of an image, such as :func:`splitknit.finger.mask.finger_mask`
-    find_outline : of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`
+    find_finger : segmentation mask of an image
+    find_outline : the same of a finger roughly known
     """
     require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))

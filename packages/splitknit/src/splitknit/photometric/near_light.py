@@ -13,9 +13,7 @@ from splitknit.imaging.light_field import light_vectors_at, surface_array
 from splitknit.imaging.view import View, view_of
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, surface_by_chunks
-from splitknit.photometric.robust import RobustSettings, robust_fit
-
-ROBUST = RobustSettings()
+from splitknit.photometric.robust import robust_fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,8 +42,9 @@ def near_light(  # noqa: PLR0917
     surface_mm: Any,
     mask: Any = None,
     weights: Any = None,
-    robust: RobustSettings | None = ROBUST,
     view: View | None = None,
+    *,
+    robust: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo with a light vector of its own for every pixel, from LED positions and the current surface.
 
@@ -62,12 +61,12 @@ def near_light(  # noqa: PLR0917
         The surface; by default where `surface_mm` is finite.
     weights : (L, H, W), optional
         Trust in each light at each pixel, not negative; replaces the robust weights.
-    robust : RobustSettings, optional
-        How shadowed and glossy lights are found where no `weights` are given; None weights all lights equally.
     view : View, optional
         Where the pixels look, for a window or binned images; the camera's own by default. If it is one along the rays,
         `surface_mm` is the height along them and the normals are those of the pixels' own frames
         (:mod:`splitknit.imaging.view`).
+    robust : bool
+        Weight shadowed and glossy lights less, where no `weights` are given.
 
     Returns
     -------
@@ -93,8 +92,8 @@ def near_light(  # noqa: PLR0917
 
     def solved(chunk: slice, here: BoolArray) -> FloatArray:
         _, lights, images = scene.cut(chunk)
-        if given is None and robust is not None:
-            return robust_fit(images[0], lights, robust)[0]
+        if given is None and robust:
+            return robust_fit(images[0], lights)[0]
         return _solve(images, lights, None if given is None else gather(given, chunk, here))[0]
 
     return surface_by_chunks(scene.mask, count, solved)

@@ -21,6 +21,14 @@ from splitknit.errors import require
 from splitknit.settings import Checked, Limits
 
 CHANNELS = ("red", "green", "blue", "nir")
+SCATTERING_PER_MM = (3.39, 4.12, 5.18, 2.16)
+"""Reduced scattering in the channels: 4.6 (wavelength / 500 nm)^-1.42 per mm (Jacques 2013)."""
+SCATTERING_SD = 0.3
+"""Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
+ABSORPTION_PER_MM = (0.030, 0.20, 0.40, 0.020)
+"""Absorption in the channels, in light skin."""
+COLOUR_TRUST = 0.6
+"""How much the absorption in green and blue follows this finger's colour: 0 not at all, 1 fully."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,35 +37,26 @@ class SkinSettings(Checked):
 
     invert_blur: bool | None = None
     """Undo the blur: None does so where the capture's material is skin."""
-    scattering_per_mm: Annotated[tuple[float, float, float, float], Limits(0, above=True)] = (3.39, 4.12, 5.18, 2.16)
-    """Reduced scattering of red, green, blue and near-infrared light: 4.6 (wavelength / 500 nm)^-1.42 per mm."""
     scattering_factor: Annotated[float, Limits(0, above=True)] = 1.0
-    """Multiplies all four."""
-    scattering_uncertainty: Annotated[float, Limits(0, 1, below=True)] = 0.3
-    """Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
-    absorption_per_mm: Annotated[tuple[float, float, float, float], Limits(0)] = (0.030, 0.20, 0.40, 0.020)
-    """Absorption of the same channels in light skin."""
-
-    colour_trust: Annotated[float, Limits(0, 1)] = 0.6
-    """How much the absorption in green and blue follows this finger's colour: 0 not at all, 1 fully."""
+    """Multiplies the scattering that is assumed in light of all colours."""
 
     def scattering(self, channel: str) -> float:
         """Reduced scattering per mm in `channel` (``red``, ``green``, ``blue`` or ``nir``)."""
-        return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
+        return SCATTERING_PER_MM[CHANNELS.index(channel)] * self.scattering_factor
 
     def absorption(self, channel: str, colour: float | None = None) -> float:
         """Absorption per mm in `channel`, adapted to the finger's `colour` (over red, under white light) if given.
 
         The absorption in red is taken as it is; green and blue get what brings the ratio of the albedos of
-        :func:`diffusion` to the colour, as far as `colour_trust` says (in the logarithm).
+        :func:`diffusion` to the colour, as far as `COLOUR_TRUST` says (in the logarithm).
         """
-        assumed = self.absorption_per_mm[CHANNELS.index(channel)]
-        if colour is None or channel not in ("green", "blue") or self.colour_trust == 0:
+        assumed = ABSORPTION_PER_MM[CHANNELS.index(channel)]
+        if colour is None or channel not in ("green", "blue"):
             return assumed
         scattering = self.scattering(channel)
-        red = diffusion(self.scattering("red"), self.absorption_per_mm[0]).albedo
+        red = diffusion(self.scattering("red"), ABSORPTION_PER_MM[0]).albedo
         usual = diffusion(scattering, assumed).albedo / red
-        wanted = red * usual * (max(colour, 1e-3) / usual) ** self.colour_trust
+        wanted = red * usual * (max(colour, 1e-3) / usual) ** COLOUR_TRUST
         trial = np.geomspace(assumed / 4 + 1e-4, assumed * 12 + 1e-2, 60)
         albedo = np.array([diffusion(scattering, float(a)).albedo for a in trial])
         return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))

@@ -12,15 +12,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import contrast
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
-from splitknit.settings import Checked, Limits, check_fields
-from splitknit.skin.grid import BandImages, Grid
+from splitknit.settings import Checked, Limits
+from splitknit.skin.grid import WORKING_PITCH_MM, BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
 
 
@@ -28,10 +27,6 @@ from splitknit.skin.learned import Networks, can_learn
 class MetricSettings(Checked):
     """Grids and iterations of the `metric` preset on skin."""
 
-    working_pitch_mm: Annotated[float, Limits(0, above=True)] = 0.0264
-    """Pitch of the fine grid; skin's blur leaves less than 2 % of any finer detail."""
-    coarse_pitch_mm: float = 0.106
-    """Pitch of the coarse grid."""
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
     rounds: Annotated[int, Limits(1)] = 2
@@ -45,11 +40,6 @@ class MetricSettings(Checked):
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     shape_network: str = "shape"
     """The same for the network that refines the shape in the last round; empty: none."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        ordered = self.working_pitch_mm <= self.coarse_pitch_mm
-        require(ordered, "metric.working_pitch_mm must be at most metric.coarse_pitch_mm.")
 
 
 _TILE_PX = 704
@@ -112,7 +102,7 @@ def working_images(
     """
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
     seen = _within(window[0], rows), _within(window[1], columns)
-    grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns], settings.working_pitch_mm)
+    grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns])
     crossed = _crossed(capture, bands[0], images[0], seen, binning)
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)
@@ -149,7 +139,11 @@ def _within(whole: slice, part: slice) -> slice:
 
 
 def skin_images(
-    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, pitch_mm: float
+    capture: Capture,
+    bands: tuple[Band, ...],
+    window: Window,
+    inside: BoolArray,
+    pitch_mm: float = WORKING_PITCH_MM,
 ) -> tuple[Grid, tuple[BandImages, ...], float]:
     """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks. Parameters as
     for :func:`working_images`.

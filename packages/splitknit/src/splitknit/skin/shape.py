@@ -14,7 +14,7 @@ from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
-from splitknit.skin.grid import BandImages, Grid, Slopes, coarsen, refine
+from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, Slopes, coarsen, refine
 from splitknit.skin.light import (
     GlareFit,
     Lighting,
@@ -66,9 +66,9 @@ class Shape:
     """Roughness and strength of the specular reflection by the last channel of each band."""
 
 
-def coarse_images(bands: tuple[BandImages, ...], grid: Grid, pitch_mm: float, plane_mm: float) -> CoarseImages:
-    """Means of the images on the fine grid over blocks of about `pitch_mm`."""
-    factor = max(1, round(pitch_mm / grid.pitch_mm))
+def coarse_images(bands: tuple[BandImages, ...], grid: Grid, plane_mm: float) -> CoarseImages:
+    """Means of the images on the fine grid over blocks of about `COARSE_PITCH_MM`."""
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     rows, columns = low.shape
     blocks = (..., slice(rows * factor), slice(columns * factor))
