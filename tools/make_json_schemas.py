@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Union
 
-from splitknit import json_text
+from splitknit.io.provenance import json_text
 from splitknit_match.gallery.enrol import Enrolment
 from splitknit_match.gallery.identify import Identification, RankedCandidate
 from splitknit_match.matching.methods import Match

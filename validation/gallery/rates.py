@@ -25,7 +25,7 @@ import numpy as np
 from index import FOLDS, HERE, PPI, joined, templates
 from scipy.stats import beta
 
-from splitknit import read_print_png
+from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.entry import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.identify import templates_hash

@@ -33,8 +33,8 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
 
-from splitknit import PEOPLE
 from splitknit.errors import BadInput
+from splitknit.finger.ridge_period import PEOPLE
 from splitknit_match.matching import methods
 from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import print_template

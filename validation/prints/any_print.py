@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit import PrintFile, read_print_png
+from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of

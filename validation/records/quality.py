@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import read_print_png
+from splitknit.io.prints import read_print_png
 from splitknit_match.matching.fusion import _of, _pixels, fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.minutia_pairs import on_ridges, pair_minutiae

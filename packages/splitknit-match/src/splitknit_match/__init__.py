@@ -2,6 +2,6 @@
 stands in ``__init__.pyi`` may be imported.
 """
 
-from splitknit import door
+from splitknit.exports import door
 
 __getattr__, __dir__, __all__ = door(__name__, __file__)

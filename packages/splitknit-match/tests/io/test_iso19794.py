@@ -12,8 +12,8 @@ import pytest
 
 import fmr_samples
 from fmr_samples import ANSI_BYTES, ISO_BYTES, three_minutiae
-from splitknit import write_file
 from splitknit.errors import BadInput
+from splitknit.io.atomic import write_file
 from splitknit_match.records.fmr_bytes import ISO_2005, ISO_2011, standard_of
 from splitknit_match.records.minutiae_files import (
     decode_minutiae_record,

@@ -7,6 +7,6 @@ What stands in ``__init__.pyi`` may be imported.
 ['nir', 'white']
 """
 
-from splitknit import door
+from splitknit.exports import door
 
 __getattr__, __dir__, __all__ = door(__name__, __file__)

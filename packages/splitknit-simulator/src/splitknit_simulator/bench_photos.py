@@ -12,24 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    Band,
-    Camera,
-    Capture,
-    Films,
-    Led,
-    PixelArray,
-    Progress,
-    Rig,
-    atomic_folder,
-    check_capture,
-    no_progress,
-    nominal_rig,
-    require,
-    write_capture,
-    write_image,
-    write_rig,
-)
+from splitknit import Band, Camera, Capture, Led, Rig, write_capture, write_rig
+from splitknit.errors import require
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.images import write_image
+from splitknit.io.targets import check_capture
+from splitknit.model import Films, PixelArray, no_progress, nominal_rig
+from splitknit.verbs import Progress
 from splitknit_simulator.calibration_set.bench import (
     BenchSettings,
     DarkScene,

@@ -7,18 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit import (
-    TRUTH_ARRAYS,
-    Progress,
-    atomic_folder,
-    check_target,
-    make_report,
-    no_progress,
-    read_capture,
-    reconstruct,
-    write_capture,
-    write_results,
-)
+from splitknit import read_capture, reconstruct, write_capture
+from splitknit.accuracy import TRUTH_ARRAYS
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.targets import check_target
+from splitknit.model import no_progress
+from splitknit.report.result import make_report, write_results
+from splitknit.verbs import Progress
 from splitknit_simulator.twin import simulate_capture, twin_settings
 
 PRESETS = ("metric", "ea")

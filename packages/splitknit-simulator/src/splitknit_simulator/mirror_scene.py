@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splitknit import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig, require
+from splitknit import Camera, Led, Mirror, Rig
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
     LED_RADIUS_MM,
     Patch,

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, Capture, Mirror, Rig, require
+from splitknit import Camera, Capture, Mirror, Rig
+from splitknit.errors import require
+from splitknit.model import BoolArray
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.finger import FingerPose, PoseRanges, SimulatedFinger, finger_surface, placement_of
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, FloatArray, Led, Mirror, require
+from splitknit import Camera, Led, Mirror
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.raycast import (
     CoarseHits,

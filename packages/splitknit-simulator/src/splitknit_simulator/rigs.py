@@ -13,23 +13,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
+from splitknit import Camera, Led, Mirror, Rig
+from splitknit.errors import require
+from splitknit.model import (
     COLOURS,
     CROSSTALK,
     HALF_ANGLE_DEG,
-    Camera,
-    Checked,
-    Led,
-    Limits,
-    Mirror,
-    Rig,
-    check_fields,
     default_rig,
     lobe_exponent,
     nominal_rig,
-    require,
     shared_exposures,
 )
+from splitknit.settings import Checked, Limits, check_fields
 
 Array = NDArray[np.float64]
 

@@ -13,21 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    COLOURS,
-    Band,
-    Camera,
-    Capture,
-    Checked,
-    FloatArray,
-    Led,
-    Limits,
-    PixelArray,
-    Rig,
-    check_fields,
-    require,
-    spectral_band,
-)
+from splitknit import Band, Camera, Capture, Led, Rig
+from splitknit.errors import require
+from splitknit.model import COLOURS, FloatArray, PixelArray, spectral_band
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.finger.conditions import Condition

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, FloatArray, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
 WATER = 1.333  # refractive index of water (Hale and Querry 1973)

@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import Opened, Rig, default_rig, override, require
+from splitknit import Rig
+from splitknit.devices import Opened
+from splitknit.errors import require
+from splitknit.model import default_rig
+from splitknit.settings import override
 from splitknit_simulator.bench_photos import BOARD
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene

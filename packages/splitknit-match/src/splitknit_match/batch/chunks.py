@@ -14,8 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, atomic_file, canonical_json, parse_json, read_npz, refusing, require, settings_hash
-from splitknit import write_npz as write_arrays
+from splitknit import BadInput
+from splitknit.errors import refusing, require
+from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import parse_json
+from splitknit.io.npz import read_npz
+from splitknit.io.npz import write_npz as write_arrays
+from splitknit.io.provenance import canonical_json, settings_hash
 
 SUFFIX = ".npz"
 Table = dict[str, NDArray[Any]]

@@ -17,20 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    BadInput,
-    Progress,
-    Refused,
-    atomic_file,
-    check_file,
-    given_folders,
-    hold,
-    no_progress,
-    open_at_once,
-    private_modes,
-    require,
-    sweep,
-)
+from splitknit import BadInput
+from splitknit.errors import Refused, given_folders, open_at_once, require
+from splitknit.io.atomic import atomic_file, hold, private_modes, sweep
+from splitknit.io.targets import check_file
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
 from splitknit_match.batch.chunks import Table, read_chunk
 from splitknit_match.batch.execution import Cluster, connected, run_tasks
 from splitknit_match.batch.features import FeatureTask, MinutiaeTask, extract_minutiae, reconstruct_group

@@ -8,7 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from splitknit import FINGERS, Progress, Refused, no_progress, require, run_jobs
+from splitknit.errors import Refused, require
+from splitknit.io.enrolment import FINGERS
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
+from splitknit.workers import run_jobs
 from splitknit_match.gallery.enrol import (
     Enrolling,
     Made,

@@ -14,7 +14,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splitknit import BadInput, importing, provenance, require, run_jobs, running, use_device, with_given_folders
+from splitknit import BadInput
+from splitknit.errors import importing, require, with_given_folders
+from splitknit.io.provenance import provenance
+from splitknit.networks.unet import running, use_device
+from splitknit.workers import run_jobs
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")

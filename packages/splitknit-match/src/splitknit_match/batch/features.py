@@ -9,23 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    BadExposure,
-    BadInput,
-    Memory,
-    decode_png,
-    encode_print_png,
-    inside,
-    provenance,
-    provenance_texts,
-    read_capture,
-    reconstruct,
-    require,
-    running,
-    settings_hash,
-    surface_of,
-    surface_print,
-)
+from splitknit import BadInput, read_capture, reconstruct
+from splitknit.errors import BadExposure, require
+from splitknit.finger.ridges import surface_print
+from splitknit.io.fields import inside
+from splitknit.io.png import decode_png
+from splitknit.io.prints import encode_print_png, provenance_texts
+from splitknit.io.provenance import provenance, settings_hash
+from splitknit.model import surface_of
+from splitknit.networks.unet import running
+from splitknit.steps import Memory
 from splitknit_match.batch.chunks import SUFFIX, chunk_name, read_chunk, read_origin, write_chunk, write_timings
 from splitknit_match.batch.execution import TaskDone
 from splitknit_match.batch.population import CaptureRef

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import PLAN_FILE, Fields, PlannedCapture, open_enrolment, read_json, require
+from splitknit.errors import require
+from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
+from splitknit.io.fields import Fields, read_json
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
 _SIMULATED = "population.json"

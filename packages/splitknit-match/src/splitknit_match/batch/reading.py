@@ -11,7 +11,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from splitknit import BadInput, Surface, naming, require
+from splitknit import BadInput
+from splitknit.errors import naming, require
+from splitknit.model import Surface
 from splitknit_match.batch.chunks import read_chunk
 from splitknit_match.batch.surfaces import unpack_surface
 from splitknit_match.matching.surface import surface_images

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit import canonical_json, provenance
+from splitknit.io.provenance import canonical_json, provenance
 from splitknit_match.batch.chunks import SUFFIX, chunk_name, write_chunk, write_timings
 from splitknit_match.batch.execution import TaskDone
 from splitknit_match.batch.matchers import READY, matcher

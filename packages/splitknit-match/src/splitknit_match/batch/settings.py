@@ -8,7 +8,11 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Any
 
-from splitknit import Checked, Limits, PipelineSettings, check_fields, override, preset_settings, require, settings_hash
+from splitknit import preset_settings
+from splitknit.errors import require
+from splitknit.io.provenance import settings_hash
+from splitknit.presets import PipelineSettings
+from splitknit.settings import Checked, Limits, check_fields, override
 from splitknit_match.matching.surface import MatchingSettings
 
 MATCHERS = ("ridge", "thesis", "thesis-code", "minutiae")

@@ -9,22 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    MAX_JSON_BYTES,
-    BadInput,
-    as_number,
-    atomic_file,
-    differing,
-    json_text,
-    make_folder,
-    parse_json,
-    plain_json,
-    provenance,
-    read_bytes,
-    refusing,
-    require,
-    settings_hash,
-)
+from splitknit import BadInput
+from splitknit.errors import read_bytes, refusing, require
+from splitknit.io.atomic import atomic_file, make_folder
+from splitknit.io.fields import MAX_JSON_BYTES, as_number, parse_json
+from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
+from splitknit.settings import differing
 from splitknit_match.batch.chunks import SUFFIX, Table, read_chunk
 from splitknit_match.batch.matchers import matcher
 from splitknit_match.batch.population import Population

@@ -15,16 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BoolArray,
-    FloatArray,
-    Surface,
-    bounding_box,
-    height_gradients,
-    normals_from_gradients,
-    refusing,
-    require,
-)
+from splitknit.errors import refusing, require
+from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
+from splitknit.model import BoolArray, FloatArray, Surface
 
 _HEAD = struct.Struct("<4sII4IId9dII")
 """Magic; rows, columns; top, left, rows and columns of the box; 1 if normals are stored, and 2 more if the surface is

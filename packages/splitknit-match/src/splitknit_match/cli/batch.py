@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any
 
-from splitknit import AnyPath, BadInput, Device, Fraction, Help, Job, Natural, Progress, Verb, path, require
+from splitknit import BadInput
+from splitknit.cli.verb import Verb
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Device, Fraction, Help, Job, Natural, Progress, path
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,7 @@ def _names(text: str, option: str, such: str) -> list[str]:
 
 def _case(text: str) -> Any:
     """Read ``NAME=PRESET:STAGE.FIELD=VALUE,...``; commas inside brackets belong to a value."""
-    from splitknit import parse_assignment
+    from splitknit.cli.options import parse_assignment
     from splitknit_match.batch.settings import Case
 
     name, equals, rest = text.partition("=")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, Literal
 
-from splitknit import AnyPath, Help, Job, Outcome, Progress, Verb, path
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.verbs import AnyPath, Help, Job, Progress, path
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,8 @@ class CompareJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Compare, and write the report."""
-        from splitknit import check_target, read_result
+        from splitknit import read_result
+        from splitknit.io.targets import check_target
         from splitknit_match.evaluation.pair import compare_results
         from splitknit_match.evaluation.pair_page import FORMAT, write_comparison
 

@@ -5,24 +5,22 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import (
+from splitknit import BadInput
+from splitknit.cli.verb import Outcome, Verb, count
+from splitknit.errors import require
+from splitknit.verbs import (
     FINGER,
     AnyPath,
-    BadInput,
     Help,
     HowReconstructed,
     InputPpi,
     Job,
     KeyFile,
     Natural,
-    Outcome,
     Progress,
     Settings,
-    Verb,
-    count,
     path,
     refuse_given,
-    require,
 )
 from splitknit_match.cli.pad import Refusal, refuse_attacks
 from splitknit_match.matching.photo_finger import PhotoBox, PhotoFinger, PhotoMask
@@ -66,7 +64,7 @@ class EnrollJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Enrol sources, or a population."""
-        from splitknit import override
+        from splitknit.settings import override
         from splitknit_match.gallery.enrol import Enrolling  # verbs import what they need
         from splitknit_match.gallery.key import key_of
         from splitknit_match.matching.surface import MatchingSettings
@@ -85,7 +83,7 @@ class EnrollJob(Job):
         return facts if presented is None else {**facts, "presentation": presented}, lines
 
     def _sources(self, how: Enrolling, key: Any, progress: Progress) -> Outcome:
-        from splitknit import known_json
+        from splitknit.io.provenance import known_json
         from splitknit_match.gallery.gallery import enroll
 
         require(self.workers is None, "`workers` is for `population`.")

@@ -6,7 +6,9 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from splitknit import AnyPath, Help, Job, KeyFile, Natural, Outcome, Progress, Verb, path, require
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
 from splitknit_match.evaluation.evaluate_job import Average, Cluster, Dissimilarity
 
 _METHODS = ("linear", "minmax", "llr", "trained")
@@ -51,7 +53,9 @@ class EvaluationJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Evaluate, and write the report."""
-        from splitknit import check_file, check_target, json_text, write_file
+        from splitknit.io.atomic import write_file
+        from splitknit.io.provenance import json_text
+        from splitknit.io.targets import check_file, check_target
         from splitknit_match.evaluation.intervals import BootstrapSettings
         from splitknit_match.evaluation.page import FORMAT, write_evaluation
         from splitknit_match.evaluation.study import EvaluationSettings, evaluate_scores

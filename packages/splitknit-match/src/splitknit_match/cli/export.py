@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from splitknit import Outcome, Verb, count, refuse_given
+from splitknit.cli.verb import Outcome, Verb, count
+from splitknit.verbs import refuse_given
 from splitknit_match.gallery.export_job import ExportJob
 
 if TYPE_CHECKING:
-    from splitknit import ImportJob, Progress
+    from splitknit.cli.import_photos import ImportJob
+    from splitknit.verbs import Progress
 
 
 def _show(facts: dict[str, Any], job: ExportJob) -> Outcome:

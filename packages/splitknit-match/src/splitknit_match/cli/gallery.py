@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from splitknit import AnyPath, Help, Job, KeyFile, Natural, Outcome, Progress, Refused, Verb, count, path, require
+from splitknit.cli.verb import Outcome, Verb, count
+from splitknit.errors import Refused, require
+from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.file import GalleryFile

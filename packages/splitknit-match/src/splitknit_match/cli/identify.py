@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from splitknit import Outcome, Progress, Verb, count
+from splitknit.cli.verb import Outcome, Verb, count
+from splitknit.verbs import Progress
 from splitknit_match.cli.match import Raw, basis_words, decided_at, one_in
 from splitknit_match.cli.pad import Refusal, refuse_attacks
 from splitknit_match.gallery.identify_job import IdentifyJob
@@ -27,7 +28,7 @@ class _Guarded(IdentifyJob):
 
 
 def _show(found: Identification, job: IdentifyJob, how: Raw) -> Outcome:
-    from splitknit import known_json  # verbs import what they need
+    from splitknit.io.provenance import known_json  # verbs import what they need
 
     return known_json(found), _words(found, how.raw)
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from splitknit import BadInput, Help, Outcome, Progress, Verb
+from splitknit import BadInput
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.verbs import Help, Progress
 from splitknit_match.matching.match_job import MakeTemplateJob, MatchJob
 
 if TYPE_CHECKING:
@@ -51,7 +53,7 @@ class _Words(MatchJob):
 
 
 def _show(found: Match | TemplateMade, job: MatchJob, how: Raw) -> Outcome:
-    from splitknit import known_json  # verbs import what they need
+    from splitknit.io.provenance import known_json  # verbs import what they need
     from splitknit_match.matching.methods import TemplateMade
 
     if isinstance(found, TemplateMade):

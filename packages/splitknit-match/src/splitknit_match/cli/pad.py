@@ -8,7 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from splitknit import AnyPath, BadInput, Help, HowReconstructed, Job, Outcome, Progress, Verb, path, require
+from splitknit import BadInput
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, HowReconstructed, Job, Progress, path
 
 _LOG = logging.getLogger(__name__)
 Refusal = Annotated[bool, Help("refuse presentation attacks; where it is unknown whether it is one, a note says so")]
@@ -66,17 +69,9 @@ def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Pr
 
 
 def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
-    from splitknit import (  # verbs import what they need
-        BASIS,
-        BadExposure,
-        Presentation,
-        judge,
-        not_covered,
-        pad_features,
-        pad_images,
-        read_capture,
-        reconstruct,
-    )
+    from splitknit import read_capture, reconstruct
+    from splitknit.errors import BadExposure
+    from splitknit.pad import BASIS, Presentation, judge, not_covered, pad_features, pad_images
 
     no_capture = f"'{folder}' is not a capture folder (capture.json), which attacks show in."
     require((folder / "capture.json").is_file(), no_capture)

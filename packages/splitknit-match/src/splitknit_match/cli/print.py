@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from splitknit import Verb
+from splitknit.cli.verb import Verb
 from splitknit_match.prints.print_job import PrintJob
 
 PRINT = Verb(PrintJob, lambda facts, job: (facts, _words(facts)))

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from splitknit import AnyPath, BadInput, Help, Job, Outcome, Progress, Verb, count, path, require
+from splitknit import BadInput
+from splitknit.cli.verb import Outcome, Verb, count
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, Job, Progress, path
 
 if TYPE_CHECKING:
-    from splitknit import PrintFile
+    from splitknit.io.prints import PrintFile
     from splitknit_match.records.minutiae_record import FingerView
 
 _FIRST_BYTES = 4096
@@ -23,7 +26,10 @@ class WhatJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Look at its bytes; that it cannot be read is a result, where it is known what it is."""
-        from splitknit import PrintFile, file_hash, open_file, write_file  # verbs import what they need
+        from splitknit.errors import open_file
+        from splitknit.io.atomic import write_file
+        from splitknit.io.prints import PrintFile
+        from splitknit.io.provenance import file_hash  # verbs import what they need
         from splitknit_match.gallery.file import is_gallery
         from splitknit_match.records.fmr_bytes import standard_of, what_bytes_are
         from splitknit_match.records.print_formats import FORMATS, read_prints
@@ -73,7 +79,9 @@ def _drawn(held: tuple[PrintFile | FingerView, ...], name: str) -> bytes:
     import cv2
     import numpy as np
 
-    from splitknit import ORANGE, SKY, PrintFile, encode_image
+    from splitknit.io.images import encode_image
+    from splitknit.io.pictures import ORANGE, SKY
+    from splitknit.io.prints import PrintFile
     from splitknit_match.gallery.records import minutiae_in
     from splitknit_match.prints.from_file import print_at_500_ppi
     from splitknit_match.records.finger_image import MAX_PIXELS

@@ -10,21 +10,11 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from splitknit import (
-    AnyPath,
-    BadInput,
-    Help,
-    Job,
-    KeyFile,
-    Limits,
-    Outcome,
-    Progress,
-    Verb,
-    importing,
-    path,
-    printable,
-    require,
-)
+from splitknit import BadInput
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.errors import importing, printable, require
+from splitknit.settings import Limits
+from splitknit.verbs import AnyPath, Help, Job, KeyFile, Progress, path
 
 LOCAL = ("127.0.0.1", "::1", "localhost")
 

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import AnyPath, Help, Job, Progress, function_of
+from splitknit.verbs import AnyPath, Help, Job, Progress, function_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,7 +18,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from splitknit import BadInput, Checked, Limits, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit_match.evaluation.protocol import mismatch, pair_up
 from splitknit_match.evaluation.scores import Ids, Scores
 

@@ -11,7 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, Progress, file_hash, no_progress
+from splitknit import BadInput
+from splitknit.io.provenance import file_hash
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.entry import session_order

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from splitknit import BadInput, Checked, Limits, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit_match.evaluation import rates
 from splitknit_match.evaluation.rates import SLACK, Counting, error_bound
 from splitknit_match.evaluation.scores import Ids, Scores

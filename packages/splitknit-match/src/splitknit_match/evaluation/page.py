@@ -13,19 +13,10 @@ import numpy as np
 from markupsafe import Markup
 from scipy.special import ndtri
 
-from splitknit import (
-    Axis,
-    Curve,
-    Values,
-    atomic_folder,
-    json_text,
-    line_chart,
-    percent_marks,
-    plain_json,
-    provenance,
-    round_marks,
-    template,
-)
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.provenance import json_text, plain_json, provenance
+from splitknit.report import template
+from splitknit.report.charts import Axis, Curve, Values, line_chart, percent_marks, round_marks
 from splitknit_match.evaluation import rates
 from splitknit_match.evaluation.facts import Cmc, Result, cmc, rank_one_interval
 from splitknit_match.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval

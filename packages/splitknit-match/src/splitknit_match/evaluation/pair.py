@@ -24,18 +24,11 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.spatial.transform import Rotation
 
-from splitknit import (
-    BoolArray,
-    FloatArray,
-    Reconstruction,
-    bounding_box,
-    eroded,
-    height_gradients,
-    read_result,
-    require,
-    require_scale,
-    smoothed,
-)
+from splitknit import Reconstruction, read_result
+from splitknit.accuracy import eroded
+from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
+from splitknit.model import BoolArray, FloatArray, require_scale
 from splitknit_match.evaluation.intervals import CONFIDENCE
 from splitknit_match.matching.elastic import Affine, Agreement, PatchGrid, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match

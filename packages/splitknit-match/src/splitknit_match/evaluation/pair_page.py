@@ -10,19 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import (
-    Picture,
-    atomic_folder,
-    bounding_box,
-    captioned,
-    colour,
-    colour_bar,
-    json_text,
-    on_paper,
-    provenance,
-    template,
-    write_picture,
-)
+from splitknit.imaging.geometry import bounding_box
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.pictures import colour, on_paper
+from splitknit.io.provenance import json_text, provenance
+from splitknit.io.results import write_picture
+from splitknit.report import template
+from splitknit.report.charts import colour_bar
+from splitknit.report.photos import Picture, captioned
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, PairComparison
 
 FORMAT = "splitknit-comparison"

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, require
+from splitknit import BadInput
+from splitknit.errors import require
 from splitknit_match.evaluation.scores import Ids, Scores
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from splitknit import require
+from splitknit.errors import require
 
 # What the rate of a rare thing may still be.
 

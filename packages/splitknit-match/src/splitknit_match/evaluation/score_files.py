@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, plain_text, read_bytes, require
+from splitknit import BadInput
+from splitknit.errors import read_bytes, require
+from splitknit.io.csv_table import plain_text
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")

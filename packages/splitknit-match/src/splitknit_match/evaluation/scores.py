@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import csv_text, require
+from splitknit.errors import require
+from splitknit.io.csv_table import csv_text
 
 Codes = NDArray[np.int64]
 

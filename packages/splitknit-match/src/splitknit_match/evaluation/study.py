@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from splitknit import BadInput, Checked, Progress, no_progress, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.model import no_progress
+from splitknit.settings import Checked
+from splitknit.verbs import Progress
 from splitknit_match.evaluation.facts import Result, notes_of
 from splitknit_match.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit_match.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences

@@ -18,19 +18,13 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from splitknit import (
-    BadInput,
-    Capture,
-    Progress,
-    Reconstruction,
-    encode_print_png,
-    file_hash,
-    no_progress,
-    read_bytes,
-    read_capture,
-    require,
-    surface_print,
-)
+from splitknit import BadInput, Capture, Reconstruction, read_capture
+from splitknit.errors import read_bytes, require
+from splitknit.finger.ridges import surface_print
+from splitknit.io.prints import encode_print_png
+from splitknit.io.provenance import file_hash
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
 from splitknit_match.gallery.entry import Entry, NewCapture, check_person, check_session, known_finger
 from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify import (

@@ -6,7 +6,8 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-from splitknit import FINGERS, require
+from splitknit.errors import require
+from splitknit.io.enrolment import FINGERS
 
 LONGEST_NAME = 100
 """Characters of a person's name, at most."""

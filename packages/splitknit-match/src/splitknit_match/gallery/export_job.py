@@ -6,7 +6,8 @@ import datetime
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, Literal
 
-from splitknit import AnyPath, Help, HowReconstructed, InputPpi, Job, KeyFile, Progress, check, require
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, HowReconstructed, InputPpi, Job, KeyFile, Progress, check
 
 PrintFormat = Literal[
     "iso-19794-2", "iso-19794-2-2011", "ansi-378", "ansi-378-2009", "iso-19794-4", "iso-19794-4-2011", "iso-39794-4",

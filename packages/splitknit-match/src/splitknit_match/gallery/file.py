@@ -18,18 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit import (
-    UNFINISHED,
-    VERB,
-    AnyPath,
-    BadInput,
-    append_line,
-    importing,
-    printable,
-    private_modes,
-    require,
-    shown_path,
-)
+from splitknit import BadInput
+from splitknit.errors import UNFINISHED, importing, printable, require, shown_path
+from splitknit.io.atomic import append_line, private_modes
+from splitknit.verbs import VERB, AnyPath
 from splitknit_match.gallery.entry import Entry, NewCapture
 from splitknit_match.gallery.key import Key, key_of
 from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minutiae

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from splitknit import AnyPath, Progress, no_progress
+from splitknit.model import no_progress
+from splitknit.verbs import AnyPath, Progress
 from splitknit_match.gallery.enrol import Duplicates, Enrolling, Enrolment, enroll_fingers
 from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify import Identification, identify_finger

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from splitknit import BadInput, Progress, naming, no_progress, override, settings_hash
+from splitknit import BadInput
+from splitknit.errors import naming
+from splitknit.io.provenance import settings_hash
+from splitknit.model import no_progress
+from splitknit.settings import override
+from splitknit.verbs import Progress
 from splitknit_match.gallery.entry import Entry, check_person, known_finger, session_order
 from splitknit_match.gallery.file import GalleryFile, People
 from splitknit_match.gallery.identify_job import IdentifyJob

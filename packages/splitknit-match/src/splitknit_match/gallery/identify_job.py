@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from splitknit import (
+from splitknit.errors import require
+from splitknit.verbs import (
     FINGER,
     KEY_FILE,
     AnyPath,
@@ -18,7 +19,6 @@ from splitknit import (
     Settings,
     check,
     function_of,
-    require,
 )
 from splitknit_match.matching.match_job import TAKES, Finger, ResolutionPpi
 

@@ -11,7 +11,9 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from splitknit import AnyPath, BadInput, open_at_once, require, shown_path
+from splitknit import BadInput
+from splitknit.errors import open_at_once, require, shown_path
+from splitknit.verbs import AnyPath
 
 KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
 _MAX_KEY_BYTES = 4096

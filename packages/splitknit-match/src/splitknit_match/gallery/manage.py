@@ -9,19 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from splitknit import (
-    BadInput,
-    Fields,
-    atomic_folder,
-    check_target,
-    csv_text,
-    json_text,
-    plain_text,
-    read_bytes,
-    read_json,
-    refusing,
-    require,
-)
+from splitknit import BadInput
+from splitknit.errors import read_bytes, refusing, require
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.csv_table import csv_text, plain_text
+from splitknit.io.fields import Fields, read_json
+from splitknit.io.provenance import json_text
+from splitknit.io.targets import check_target
 from splitknit_match.gallery.enrol import LARGEST_RAW, content_of
 from splitknit_match.gallery.entry import Entry, NewCapture, check_person
 from splitknit_match.gallery.file import GalleryFile

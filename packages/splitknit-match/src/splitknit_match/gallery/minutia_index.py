@@ -20,7 +20,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import FloatArray, cores, naming
+from splitknit.errors import naming
+from splitknit.io.images import cores
+from splitknit.model import FloatArray
 from splitknit_match.matching.minutia_pairs import CYLINDER, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack

@@ -16,34 +16,20 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from splitknit import SURFACES as KINDS
-from splitknit import (
-    AnyPath,
-    BadInput,
-    Fields,
-    Led,
-    PrintFile,
-    Progress,
-    __version__,
-    atomic_folder,
-    check_target,
-    file_hash,
-    gaussian_mean,
-    json_text,
-    naming,
-    no_progress,
-    path,
-    photographs_hint,
-    provenance,
-    provenance_texts,
-    read_capture,
-    read_json,
-    read_result,
-    reconstruct,
-    require,
-    surface_bytes,
-    write_light_list,
-)
+from splitknit import BadInput, Led, __version__, read_capture, read_result, reconstruct
+from splitknit.errors import naming, require
+from splitknit.imaging.geometry import gaussian_mean
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import photographs_hint
+from splitknit.io.fields import Fields, read_json
+from splitknit.io.light_list import write_light_list
+from splitknit.io.prints import PrintFile, provenance_texts
+from splitknit.io.provenance import file_hash, json_text, provenance
+from splitknit.io.results import SURFACES as KINDS
+from splitknit.io.results import surface_bytes
+from splitknit.io.targets import check_target
+from splitknit.model import no_progress
+from splitknit.verbs import AnyPath, Progress, path
 from splitknit_match.gallery.entry import Entry
 from splitknit_match.gallery.export_job import ExportJob
 from splitknit_match.gallery.file import GalleryFile, is_gallery

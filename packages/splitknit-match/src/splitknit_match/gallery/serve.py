@@ -22,7 +22,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from splitknit import BadInput, PrintFile, append_line, cores, importing, known_json, printable, read_bytes, require
+from splitknit import BadInput
+from splitknit.errors import importing, printable, read_bytes, require
+from splitknit.io.atomic import append_line
+from splitknit.io.images import cores
+from splitknit.io.prints import PrintFile
+from splitknit.io.provenance import known_json
 from splitknit_match.gallery.entry import LONGEST_NAME
 from splitknit_match.gallery.file import Unavailable
 from splitknit_match.gallery.gallery import Gallery

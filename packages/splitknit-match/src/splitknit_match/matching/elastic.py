@@ -14,7 +14,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""

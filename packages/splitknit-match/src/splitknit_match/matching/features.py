@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, check_image, require
+from splitknit.errors import check_image, require
+from splitknit.model import BoolArray, FloatArray
 
 # Codes of local binary patterns are bytes: bit k is set where the neighbour at the angle 2 pi k / 8, counter-clockwise
 # from the right, is at least as large as the pixel itself.

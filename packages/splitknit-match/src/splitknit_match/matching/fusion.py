@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import FloatArray
+from splitknit.model import FloatArray
 from splitknit_match.matching.elastic import (
     Affine,
     Agreement,

@@ -12,20 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BadInput,
-    Capture,
-    Fields,
-    Progress,
-    Reconstruction,
-    Surface,
-    naming,
-    no_progress,
-    open_file,
-    read_json,
-    require,
-    surface_of,
-)
+from splitknit import BadInput, Capture, Reconstruction
+from splitknit.errors import naming, open_file, require
+from splitknit.io.fields import Fields, read_json
+from splitknit.model import Surface, no_progress, surface_of
+from splitknit.verbs import Progress
 from splitknit_match.matching.minutiae import at_500_ppi
 from splitknit_match.matching.minutiae_record import (
     PPI,
@@ -169,7 +160,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         surface = _read_surface(path / "height.npz" if folder else path)
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
     if folder:
-        from splitknit import photographs_hint, read_capture  # a template needs none of it
+        from splitknit import read_capture
+        from splitknit.io.capture import photographs_hint  # a template needs none of it
 
         require(
             (path / "capture.json").is_file(),
@@ -271,7 +263,7 @@ def print_template(
     `pressed`: ridges of a photograph, which are taken in place of the picture: its noise is as strong as they are.
     Raises BadInput as :func:`splitknit_match.matching.ridge_band.print_band`.
     """
-    from splitknit import PrintFile  # templates of others need none of these
+    from splitknit.io.prints import PrintFile  # templates of others need none of these
     from splitknit_match.prints.from_file import pressed_print
     from splitknit_match.prints.make import enhance, minutiae_by_phase
     from splitknit_match.prints.pressed import pressed_ridges
@@ -297,7 +289,7 @@ def print_template(
 
 def _read_surface(path: Path) -> Surface:
     """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
-    from splitknit import read_fields  # a template needs none of it
+    from splitknit.io.results import read_fields  # a template needs none of it
 
     arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
     return Surface(**arrays)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from splitknit import FINGER, AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, Settings, function_of
+from splitknit.verbs import FINGER, AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, Settings, function_of
 from splitknit_match.matching.photo_finger import PhotoBox, PhotoMask
 
 if TYPE_CHECKING:  # a comparison of templates loads neither

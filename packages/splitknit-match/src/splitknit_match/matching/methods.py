@@ -13,7 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, Progress, Surface, naming, no_progress, override, path, require
+from splitknit import BadInput
+from splitknit.errors import naming, require
+from splitknit.model import Surface, no_progress
+from splitknit.settings import override
+from splitknit.verbs import Progress, path
 from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
@@ -229,7 +233,7 @@ def make_template_file(job: MakeTemplateJob, progress: Progress = no_progress) -
 
 
 def _check_template_file(template: Path, *inputs: Any) -> None:
-    from splitknit import check_file  # a comparison needs none of it
+    from splitknit.io.targets import check_file  # a comparison needs none of it
 
     empty = template.suffix == ".skt"  # is a failure to acquire
     check_file(template, "a template", lambda data: is_template(data) if data else empty)
@@ -506,7 +510,7 @@ def side_minutiae(side: Side) -> Minutiae:
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
     """The print of a side at 500 ppi, and whether it comes from a file."""
     if side.surface is not None:
-        from splitknit import surface_print  # a template needs none of it
+        from splitknit.finger.ridges import surface_print  # a template needs none of it
 
         return naming(side.path, partial(surface_print, side.surface, PPI)), False
     if side.picture is None:

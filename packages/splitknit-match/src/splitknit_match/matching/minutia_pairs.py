@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]

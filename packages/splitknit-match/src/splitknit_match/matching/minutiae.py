@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, importing, require
+from splitknit.errors import importing, require
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.minutiae_record import (
     BIFURCATION,
     ENDING,

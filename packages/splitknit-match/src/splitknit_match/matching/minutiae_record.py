@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import require
+from splitknit.errors import require
 
 # What the bytes of minutiae and codes have in common: a head with magic, version, sizes, checksum, then the body.
 

@@ -8,7 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
-from splitknit import AnyPath, BadInput, BoolArray, Help, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.model import BoolArray
+from splitknit.verbs import AnyPath, Help
 
 PhotoMask = Annotated[
     AnyPath | None, Help("the finger of a photograph: an image of its size, white on the finger; of two, A's", "FILE")
@@ -35,7 +38,7 @@ class PhotoFinger:
         """(H, W) bool of the mask."""
         if self.mask is None:
             return None
-        from splitknit import read_photo  # a template needs none of it
+        from splitknit.io.photos import read_photo  # a template needs none of it
 
         white = read_photo(self.mask).pixels.mean(axis=-1)
         return np.asarray(white > 0.5 * max(float(white.max()), 1.0))

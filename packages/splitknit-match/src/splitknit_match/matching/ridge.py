@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, gaussian_mean, require
+from splitknit.errors import require
+from splitknit.imaging.geometry import gaussian_mean
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.elastic import (
     Affine,
     Agreement,

@@ -13,17 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BoolArray,
-    Checked,
-    FloatArray,
-    Limits,
-    check_mask,
-    gaussian_mean,
-    height_gradients,
-    require,
-    sampled_at,
-)
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]

@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from splitknit import read_json, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.io.fields import read_json
 
 _TAIL = 50
 """Impostors by which rates are extrapolated."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from splitknit import Surface, height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.model import Surface
 from splitknit_match.matching.ridge import RidgeMatchSettings
 from splitknit_match.matching.ridge_band import RidgeBandSettings, ridge_band
 from splitknit_match.matching.template import Template, TemplateSettings, make_template

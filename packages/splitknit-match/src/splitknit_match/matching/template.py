@@ -17,7 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, require
+from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import (
     LARGEST_MM2,
     PPI,

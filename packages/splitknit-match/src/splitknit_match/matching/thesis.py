@@ -11,7 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, check_fields, check_mask, require, warp
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box, warp
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.score import dissimilarity
 

@@ -14,7 +14,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.features import REFERENCE_PX_PER_MM
 from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, overlaps, tip_column
 

@@ -18,7 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, bounding_box, check_mask, require
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives the window."""

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BadInput, BoolArray, FloatArray, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.ridge_field import RidgeField, overlap_added, ridge_field
 
 _SIGMA_PERIODS = 0.5

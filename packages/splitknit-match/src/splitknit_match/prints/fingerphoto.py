@@ -17,28 +17,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    FINGER_WIDTH,
-    PEOPLE,
-    SUFFIXES,
-    BadInput,
-    BoolArray,
-    FloatArray,
-    Photo,
-    Upright,
-    bounding_box,
-    check_borders,
-    check_mask,
-    find_crease,
-    find_upright,
-    is_coloured,
-    largest_component,
-    naming,
-    phalange_mask,
-    read_photo,
-    reduce_image,
-    require,
-)
+from splitknit import BadInput
+from splitknit.errors import check_mask, naming, require
+from splitknit.finger.mask import check_borders
+from splitknit.finger.orientation import Upright, find_upright
+from splitknit.finger.phalange import find_crease, phalange_mask
+from splitknit.finger.regions import largest_component, reduce_image
+from splitknit.finger.ridge_period import PEOPLE
+from splitknit.imaging.geometry import bounding_box
+from splitknit.io.photos import SUFFIXES, Photo, read_photo
+from splitknit.io.prints import is_coloured
+from splitknit.model import BoolArray, FloatArray
+from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes

@@ -11,25 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BadInput,
-    JsonValue,
-    PrintFile,
-    Progress,
-    atomic_folder,
-    canonical_json,
-    check_target,
-    file_hash,
-    json_text,
-    naming,
-    no_progress,
-    override,
-    provenance,
-    require,
-    write_file,
-    write_npz,
-    write_print_png,
-)
+from splitknit import BadInput
+from splitknit.errors import naming, require
+from splitknit.io.atomic import atomic_folder, write_file
+from splitknit.io.npz import write_npz
+from splitknit.io.prints import PrintFile, write_print_png
+from splitknit.io.provenance import JsonValue, canonical_json, file_hash, json_text, provenance
+from splitknit.io.targets import check_target
+from splitknit.model import no_progress
+from splitknit.settings import override
+from splitknit.verbs import Progress
 from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import Enhanced, as_print, ridge_mask, thin

@@ -12,7 +12,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BadInput, BoolArray, FloatArray, PrintFile, fill_holes, largest_component, read_print_png, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.finger.regions import fill_holes, largest_component
+from splitknit.io.prints import PrintFile, read_print_png
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, FloatArray, ink, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.finger.ridges import ink
+from splitknit.model import FloatArray
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.prints.curvature import CurvatureSettings, curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import FloatArray, require, sampled_at
+from splitknit.errors import require
+from splitknit.imaging.geometry import sampled_at
+from splitknit.model import FloatArray
 from splitknit_match.matching.minutiae_record import BIFURCATION, ENDING, Minutiae
 from splitknit_match.prints.enhance import Enhanced
 

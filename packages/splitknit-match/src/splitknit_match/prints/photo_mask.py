@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 
 _SOUGHT, _FITTED, _FINE = 96, 256, 512
 """Longer side of the picture in which fingers are sought, fitted, and in which the outline is found."""

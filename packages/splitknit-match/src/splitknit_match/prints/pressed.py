@@ -16,7 +16,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, blur, fill_holes, wide_blur
+from splitknit.finger.regions import blur, fill_holes
+from splitknit.imaging.geometry import wide_blur
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi

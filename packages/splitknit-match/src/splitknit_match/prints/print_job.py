@@ -6,21 +6,9 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import (
-    AnyPath,
-    BadInput,
-    Help,
-    HowReconstructed,
-    InputPpi,
-    Job,
-    Progress,
-    PxPerMm,
-    RidgePeriod,
-    Settings,
-    check,
-    check_scale,
-    function_of,
-)
+from splitknit import BadInput
+from splitknit.io.photographs import PxPerMm, RidgePeriod, check_scale
+from splitknit.verbs import AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, Settings, check, function_of
 from splitknit_match.matching.photo_finger import PhotoBox, PhotoMask
 
 if TYPE_CHECKING:
@@ -121,7 +109,8 @@ class MakePrintJob(Job):
 
     def run(self, progress: Progress) -> Print:
         """Make it."""
-        from splitknit import Capture, Reconstruction, override
+        from splitknit import Capture, Reconstruction
+        from splitknit.settings import override
         from splitknit_match.prints.make import PrintingSettings, make_print, make_rolled_print
         from splitknit_match.prints.sources import read_source, source_of, source_of_capture
 

@@ -14,17 +14,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import (
-    MM_PER_INCH,
-    BoolArray,
-    FloatArray,
-    bin_mean,
-    bounding_box,
-    check_mask,
-    gaussian_mean,
-    require,
-    upright_from_print,
-)
+from splitknit.errors import check_mask, require
+from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
+from splitknit.imaging.band import bin_mean
+from splitknit.imaging.geometry import bounding_box, gaussian_mean
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.unroll import Unrolled
 from splitknit_match.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 

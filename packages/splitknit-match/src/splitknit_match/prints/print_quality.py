@@ -8,7 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import MM_PER_INCH, BadInput, BoolArray, FloatArray, gaussian_mean, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.imaging.geometry import gaussian_mean
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.ridge_field import RidgeField
 

@@ -14,7 +14,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import MM_PER_INCH, BadInput, BoolArray, FloatArray, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.model import BoolArray, FloatArray
 
 # lengths in mm on the print
 _STEP_MM = 0.2

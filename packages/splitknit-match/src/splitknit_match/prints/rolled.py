@@ -9,17 +9,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import (
-    BoolArray,
-    FloatArray,
-    Progress,
-    naming,
-    read_capture,
-    require,
-    surface_mesh,
-    without_films,
-    write_ply,
-)
+from splitknit import read_capture
+from splitknit.errors import naming, require
+from splitknit.imaging.polarised import without_films
+from splitknit.io.mesh import surface_mesh, write_ply
+from splitknit.model import BoolArray, FloatArray
+from splitknit.verbs import Progress
 from splitknit_match.prints.print_map import PrintMap, unrolled_map
 from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import KINDS, NODES_MM, Unrolled, unroll

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, BoolArray, Capture, FloatArray, Progress, Reconstruction, naming, no_progress, require
+from splitknit import BadInput, Capture, Reconstruction
+from splitknit.errors import naming, require
+from splitknit.model import BoolArray, FloatArray, no_progress
+from splitknit.verbs import Progress
 from splitknit_match.prints.pressed import PressedRidges
 
 
@@ -69,7 +72,9 @@ def read_source(
     `photo`, `surface`: whether these are needed; `px_per_mm`, `ridge_period_mm`: the scale, or the distance of the
     ridges that it follows from, where it is unknown.
     """
-    from splitknit import photographs_hint, read_capture, with_scale  # photographs of fingers need none of them
+    from splitknit import read_capture
+    from splitknit.io.capture import photographs_hint
+    from splitknit.pipeline import with_scale  # photographs of fingers need none of them
 
     progress("reading", 0.05)
     try:
@@ -95,7 +100,7 @@ def read_source(
 
 def source_of(result: Reconstruction) -> Source:
     """What prints need of a reconstruction in memory. Raises BadInput where its scale is unknown."""
-    from splitknit import require_scale
+    from splitknit.model import require_scale
 
     require_scale(result)
     return Source(
@@ -106,7 +111,9 @@ def source_of(result: Reconstruction) -> Source:
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
-    from splitknit import file_hash, read_fields, scale_of_ridges
+    from splitknit.finger.ridge_period import scale_of_ridges
+    from splitknit.io.provenance import file_hash
+    from splitknit.io.results import read_fields
 
     names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
     needed = (*names, "normals") if ridge_period_mm is not None else names
@@ -128,7 +135,9 @@ def source_of_capture(
     capture: Capture, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
 ) -> Source:
     """What prints need of a capture, see :func:`read_source`."""
-    from splitknit import find_finger, preset_settings, reconstruct, require_scale
+    from splitknit import preset_settings, reconstruct
+    from splitknit.finger.locate import find_finger
+    from splitknit.model import require_scale
 
     require_scale(capture.rig.camera)
     light = _photograph(capture) if photo else None
@@ -147,7 +156,8 @@ def source_of_capture(
 
 def _photograph(capture: Capture) -> FloatArray:
     """(H, W) mean of the white images; of colours the blue one, which enters the skin least deeply."""
-    from splitknit import has_colour, linear_channels, without_films
+    from splitknit.imaging.band import has_colour, linear_channels
+    from splitknit.imaging.polarised import without_films
 
     require("white" in capture.bands, "the capture has no band 'white', in which fingers are photographed.")
     band = without_films(capture).bands["white"]

@@ -13,7 +13,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import Checked, Limits, require
+from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit_match.prints.unroll_grid import SurfaceGrid
 
 # How far a flat map of the skin stretches it: two principal stretches everywhere, as maps and as numbers.

@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, FloatArray, bounding_box, check_mask, require
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
 
 AnyArray = np.ndarray[Any, Any]
 Array = NDArray[np.float64]

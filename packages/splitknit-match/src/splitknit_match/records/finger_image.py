@@ -15,15 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BadInput,
-    PrintFile,
-    decode_image,
-    decode_jpeg2000,
-    encode_jpeg2000,
-    encode_print_png,
-    require,
-)
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.io.images import decode_image
+from splitknit.io.prints import PrintFile, decode_jpeg2000, encode_jpeg2000, encode_print_png
 from splitknit_match.records.fmr_bytes import Cursor, check_length
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,

@@ -6,7 +6,8 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit import BadInput, require
+from splitknit import BadInput
+from splitknit.errors import require
 
 MAX_RECORD_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""

@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, PrintFile, decode_image, decode_jpeg2000, importing, refusing, require
+from splitknit import BadInput
+from splitknit.errors import importing, refusing, require
+from splitknit.io.images import decode_image
+from splitknit.io.prints import PrintFile, decode_jpeg2000
 from splitknit_match.records.finger_image import MAX_PIXELS, WRITTEN, encode_print
 from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
 from splitknit_match.records.wsq_image import decode_wsq

@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import BadInput, PrintFile, importing, refusing, require
+from splitknit import BadInput
+from splitknit.errors import importing, refusing, require
+from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, encode_print
 from splitknit_match.records.minutiae_record import (
     FINGER_CODES,

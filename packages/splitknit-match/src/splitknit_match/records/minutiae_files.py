@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import naming, read_bytes, require
+from splitknit.errors import naming, read_bytes, require
 from splitknit_match.records.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,

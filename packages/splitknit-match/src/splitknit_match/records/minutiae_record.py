@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import require
+from splitknit.errors import require
 
 FINGER_CODES = {
     "unknown": 0,

@@ -11,19 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from splitknit import (
-    BMP_SIGNATURE,
-    JPEG_SIGNATURE,
-    BadInput,
-    PrintFile,
-    decode_print_image,
-    encode_print_png,
-    encode_print_tiff,
-    open_file,
-    require,
-)
-from splitknit import SIGNATURE as PNG
-from splitknit import SIGNATURES as TIFF_SIGNATURES
+from splitknit import BadInput
+from splitknit.errors import open_file, require
+from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE
+from splitknit.io.png import SIGNATURE as PNG
+from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
+from splitknit.io.tiff import SIGNATURES as TIFF_SIGNATURES
 from splitknit_match.records import finger_image, iso39794, wsq_image
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, ISO_2011, MAX_RECORD_BYTES, what_bytes_are
 from splitknit_match.records.itl_reading import TransactionFacts, decode_transaction, encode_transaction

@@ -11,7 +11,9 @@ import hashlib
 import os
 import struct
 
-from splitknit import BadInput, read_bytes, require, write_file
+from splitknit import BadInput
+from splitknit.errors import read_bytes, require
+from splitknit.io.atomic import write_file
 
 MAGIC = b"SKTMPL\r\n"
 _HEAD = struct.Struct("<8sHHI32s")

@@ -21,7 +21,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, PrintFile, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.io.prints import PrintFile
 
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files

@@ -8,7 +8,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, require
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_match.rolled.register import RidgeSearchSettings
 
 Array = NDArray[np.float64]

@@ -14,7 +14,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import FloatArray, Sight, View, sampled_at
+from splitknit.imaging.geometry import sampled_at
+from splitknit.imaging.view import View
+from splitknit.mirrors.reflection import Sight
+from splitknit.model import FloatArray
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Capture, FloatArray, Glass, require
+from splitknit import Capture
+from splitknit.errors import require
+from splitknit.mirrors.reflection import Glass
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, RolledSettings, blend
 from splitknit_match.rolled.chart import Chart, surface_normals
 from splitknit_match.rolled.work import MIN_MEETING, MirrorViews, ReliefSettings, Work

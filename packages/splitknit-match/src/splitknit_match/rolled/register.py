@@ -12,7 +12,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, FloatArray, Limits, Sight, check_fields, pixels_of, require
+from splitknit.errors import require
+from splitknit.imaging.view import pixels_of
+from splitknit.mirrors.reflection import Sight
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit_match.rolled.chart import Chart, read
 
 # Ridges by themselves: a relief without what is smooth in it.

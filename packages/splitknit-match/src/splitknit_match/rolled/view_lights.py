@@ -13,21 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    FloatArray,
-    Glass,
-    Grid,
-    Led,
-    Rig,
-    Sight,
-    facing_fraction,
-    height_gradients,
-    led_image,
-    mirrored_fraction,
-    normals_from_gradients,
-    shade_of,
-    smooth_step,
-)
+from splitknit import Led, Rig
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.mirrors.reflection import Glass, Sight, facing_fraction, led_image, mirrored_fraction, shade_of
+from splitknit.model import FloatArray
+from splitknit.skin.grid import Grid, smooth_step
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full

@@ -9,26 +9,19 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BEYOND_CREASE_MM,
-    Body,
-    BoolArray,
-    Capture,
-    FingerSettings,
-    FloatArray,
-    MirrorShapeSettings,
-    enlarged_mask,
-    find_crease,
-    find_upright,
-    glass_in,
-    linear_survey,
-    mirror_shape,
-    pick_channel,
-    require,
-    skin_slopes,
-    view_binning,
-    views_in,
-)
+from splitknit import Capture
+from splitknit.errors import require
+from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
+from splitknit.finger.orientation import find_upright
+from splitknit.finger.phalange import find_crease
+from splitknit.imaging.band import linear_survey, pick_channel
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.captured import skin_slopes
+from splitknit.mirrors.mirror import mirror_shape
+from splitknit.mirrors.reflection import glass_in
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.mirrors.views import view_binning, views_in
+from splitknit.model import BoolArray, FloatArray
 from splitknit_match.rolled.work import MirrorView, MirrorViews
 
 Array = NDArray[np.float64]

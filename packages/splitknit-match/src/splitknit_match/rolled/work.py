@@ -12,47 +12,26 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit import (
-    COARSE_PITCH_MM,
-    FACTOR,
-    REFERENCE_PX_PER_MM,
-    WORKING_PITCH_MM,
-    BandImages,
-    Body,
-    BoolArray,
-    Capture,
-    FloatArray,
-    Glass,
-    Grid,
-    Lighting,
-    MetricSettings,
-    MirrorShapeSettings,
-    ShapeletSettings,
-    Sight,
-    Window,
+from splitknit import Capture
+from splitknit.imaging.band import Window, has_colour, linear_channels
+from splitknit.imaging.geometry import (
     bounding_box,
-    can_learn,
-    coarsen,
-    coarser,
     enlarged,
-    features,
-    fine_lighting,
-    finer_grid,
-    finer_images,
     gradients_from_normals,
-    has_colour,
     height_gradients,
-    linear_channels,
     normals_from_gradients,
-    pseudo_normals,
-    refine,
-    relief_by_network,
-    shapelets,
-    shipped_networks,
-    slant_of,
-    trust_of,
-    view_of,
 )
+from splitknit.imaging.view import view_of
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.reflection import Glass, Sight
+from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.model import BoolArray, FloatArray
+from splitknit.photometric.near_light import pseudo_normals
+from splitknit.skin.grid import COARSE_PITCH_MM, WORKING_PITCH_MM, BandImages, Grid, coarsen, refine
+from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
+from splitknit.skin.learned import can_learn, features, relief_by_network
+from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit_match.rolled.blend import RolledSettings
 from splitknit_match.rolled.chart import Chart, heights, read, surface_normals
 from splitknit_match.rolled.register import MIN_CORRELATION, RidgeSearchSettings, ViewRidges, align, ridges_of, search

@@ -9,7 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import Array, BadInput, FloatArray, require
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.model import Array, FloatArray
 from splitknit_rig.calibration.targets import Board
 
 TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order

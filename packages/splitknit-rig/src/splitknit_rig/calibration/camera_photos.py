@@ -15,29 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    CAMERA_HEIGHT,
-    MAX_BYTES,
-    Array,
-    BadInput,
-    Camera,
-    PixelArray,
-    Progress,
-    Rig,
-    check_rig_file,
-    decode_image,
-    default_rig,
-    naming,
-    natural_order,
-    no_progress,
-    path,
-    provenance,
-    read_bytes,
-    read_image,
-    read_rig,
-    require,
-    write_rig,
-)
+from splitknit import BadInput, Camera, Rig, read_rig, write_rig
+from splitknit.errors import naming, read_bytes, require
+from splitknit.io.images import MAX_BYTES, decode_image, read_image
+from splitknit.io.plain import natural_order
+from splitknit.io.provenance import provenance
+from splitknit.io.targets import check_rig_file
+from splitknit.model import Array, PixelArray, default_rig, no_progress
+from splitknit.plausible import CAMERA_HEIGHT
+from splitknit.verbs import Progress, path
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
 from splitknit_rig.calibration.jobs import CameraJob
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose

@@ -26,7 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Array, Camera, Led, plane_points, require, shading_at
+from splitknit import Camera, Led
+from splitknit.errors import require
+from splitknit.imaging.view import plane_points, shading_at
+from splitknit.model import Array
 
 UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
 

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from splitknit import Array, BoolArray, Camera, Led, require
+from splitknit import Camera, Led
+from splitknit.errors import require
+from splitknit.model import Array, BoolArray
 from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.

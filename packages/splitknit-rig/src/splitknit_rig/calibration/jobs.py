@@ -6,7 +6,9 @@ import math
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import AnyPath, BadInput, Encoding, Help, Job, Limits, Positive, Progress, function_of
+from splitknit import BadInput
+from splitknit.settings import Limits
+from splitknit.verbs import AnyPath, Encoding, Help, Job, Positive, Progress, function_of
 
 if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.camera_photos import MeasuredCamera

@@ -21,7 +21,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit import Array, BadInput, Camera, csv_text, plane_points, refusing, require
+from splitknit import BadInput, Camera
+from splitknit.errors import refusing, require
+from splitknit.imaging.view import plane_points
+from splitknit.io.csv_table import csv_text
+from splitknit.model import Array
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7

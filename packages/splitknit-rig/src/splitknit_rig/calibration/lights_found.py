@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import Array, BadInput, Camera, Led, Rig, plane_points, require
+from splitknit import BadInput, Camera, Led, Rig
+from splitknit.errors import require
+from splitknit.imaging.view import plane_points
+from splitknit.model import Array
 from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import (
     BANDS,

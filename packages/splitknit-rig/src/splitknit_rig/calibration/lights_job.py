@@ -12,38 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    FORMATS,
-    LIST_TITLE,
-    SUFFIXES,
-    Array,
-    Camera,
-    FloatArray,
-    Led,
-    Progress,
-    Refused,
-    Rig,
-    camera_without_scale,
-    check_file,
-    check_rig_file,
-    encoding_of,
-    file_hash,
-    natural_order,
-    no_progress,
-    path,
-    plain_json,
-    plane_points,
-    provenance,
-    read_bytes,
-    read_photo,
-    read_rig,
-    refusing,
-    require,
-    shading_is_srgb,
-    side_lights,
-    write_light_list,
-    write_rig,
-)
+from splitknit import Camera, Led, Rig, read_rig, write_rig
+from splitknit.errors import Refused, read_bytes, refusing, require
+from splitknit.imaging.response import shading_is_srgb
+from splitknit.imaging.view import plane_points
+from splitknit.io.light_list import LIST_TITLE, write_light_list
+from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
+from splitknit.io.plain import natural_order
+from splitknit.io.provenance import file_hash, plain_json, provenance
+from splitknit.io.targets import check_file, check_rig_file
+from splitknit.model import Array, FloatArray, camera_without_scale, no_progress, side_lights
+from splitknit.verbs import Progress, path
 from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Circle, Tip, combine, listed, read_tips
 from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, find_leds, rig_of

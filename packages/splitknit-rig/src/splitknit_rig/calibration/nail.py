@@ -27,7 +27,10 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2
 
-from splitknit import Array, Camera, pixels_of, plane_points, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.imaging.view import pixels_of, plane_points
+from splitknit.model import Array
 from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
 
 _NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height

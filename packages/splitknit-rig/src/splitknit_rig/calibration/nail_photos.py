@@ -10,29 +10,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splitknit import (
-    MAX_BYTES,
-    ORANGE,
-    PAPER,
-    SKY,
-    Array,
-    Camera,
-    ColourArray,
-    FloatArray,
-    Progress,
-    check_file,
-    check_picture,
-    decode_image,
-    decode_photo,
-    encoding_of,
-    linear_image,
-    natural_order,
-    no_progress,
-    read_bytes,
-    require,
-    write_file,
-    write_image,
-)
+from splitknit import Camera
+from splitknit.errors import read_bytes, require
+from splitknit.imaging.band import linear_image
+from splitknit.io.atomic import write_file
+from splitknit.io.images import MAX_BYTES, decode_image, write_image
+from splitknit.io.photos import decode_photo, encoding_of
+from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
+from splitknit.io.plain import natural_order
+from splitknit.io.targets import check_file, check_picture
+from splitknit.model import Array, FloatArray, no_progress
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
 

@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import Array, require
+from splitknit.errors import require
+from splitknit.model import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,33 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from splitknit import (
-    GREY_WEIGHTS,
-    Array,
-    Band,
-    BoolArray,
-    Capture,
-    Films,
-    FloatArray,
-    Progress,
-    block_means,
-    check_picture,
-    check_rig_file,
-    crossed_place,
-    linear_channels,
-    naming,
-    no_progress,
-    path,
-    pick_channel,
-    plain_json,
-    provenance,
-    read_capture,
-    require,
-    undone,
-    with_rig,
-    write_image,
-    write_rig,
-)
+from splitknit import Band, Capture, read_capture, write_rig
+from splitknit.errors import naming, require
+from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
+from splitknit.imaging.polarised import crossed_place, undone
+from splitknit.io.capture import with_rig
+from splitknit.io.images import write_image
+from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.targets import check_picture, check_rig_file
+from splitknit.model import Array, BoolArray, Films, FloatArray, no_progress
+from splitknit.verbs import Progress, path
 from splitknit_rig.calibration.jobs import PolarisersJob
 from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
 from splitknit_rig.calibration.sensor import noise_model, noise_samples

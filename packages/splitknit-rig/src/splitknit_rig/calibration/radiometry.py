@@ -12,19 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    Array,
-    Band,
-    Capture,
-    FloatArray,
-    Led,
-    Rig,
-    linear_image,
-    linear_stack,
-    pick_channel,
-    refusing,
-    require,
-)
+from splitknit import Band, Capture, Led, Rig
+from splitknit.errors import refusing, require
+from splitknit.imaging.band import linear_image, linear_stack, pick_channel
+from splitknit.model import Array, FloatArray
 from splitknit_rig.calibration.card_model import CardPlane, card_light
 from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
 

@@ -10,32 +10,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import (
-    Array,
-    Capture,
-    ColourArray,
-    Fields,
-    FloatArray,
-    PixelArray,
-    Progress,
-    Rig,
-    check_picture,
-    check_rig_file,
-    colour,
-    file_hash,
-    inside,
-    naming,
-    no_progress,
-    path,
-    provenance,
-    read_capture,
-    read_image,
-    read_json,
-    read_rig,
-    require,
-    write_image,
-    write_rig,
-)
+from splitknit import Capture, Rig, read_capture, read_rig, write_rig
+from splitknit.errors import naming, require
+from splitknit.io.fields import Fields, inside, read_json
+from splitknit.io.images import read_image, write_image
+from splitknit.io.pictures import ColourArray, colour
+from splitknit.io.provenance import file_hash, provenance
+from splitknit.io.targets import check_picture, check_rig_file
+from splitknit.model import Array, FloatArray, PixelArray, no_progress
+from splitknit.verbs import Progress, path
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.jobs import RadiometryJob
 from splitknit_rig.calibration.radiometry import (

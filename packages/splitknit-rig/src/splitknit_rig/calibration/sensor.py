@@ -14,7 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import Array, PixelArray, require
+from splitknit.errors import require
+from splitknit.model import Array, PixelArray
 
 _DEGREE = 5  # degree of the polynomial
 _LIMIT_PERCENT = 1.0  # values are linear if they depart from a line by no more than this many per cent of full scale

@@ -13,7 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import Array, BoolArray, FloatArray, check_mask, check_stack, require
+from splitknit.errors import check_mask, check_stack, require
+from splitknit.model import Array, BoolArray, FloatArray
 
 _RAYS, _REACH, _AGREE = 360, 0.1, 0.007
 """Rays from a ball's middle; parts of its radius by which its rim may lie off the outline, and rays off each other."""

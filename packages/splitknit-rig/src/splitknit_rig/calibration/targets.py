@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Array, FloatArray, require
+from splitknit.errors import require
+from splitknit.model import Array, FloatArray
 
 _WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 

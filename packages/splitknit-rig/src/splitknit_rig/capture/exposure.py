@@ -10,7 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Checked, ExposureRange, FloatArray, Frame, Limits, check_image, check_mask, require
+from splitknit.devices import ExposureRange, Frame
+from splitknit.errors import check_image, check_mask, require
+from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""

@@ -11,21 +11,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit import (
-    BadInput,
-    Enrolment,
-    Opened,
-    PlannedCapture,
-    Progress,
-    Refused,
-    Turn,
-    atomic_folder,
-    check_capture,
-    json_text,
-    no_progress,
-    provenance,
-    write_capture,
-)
+from splitknit import BadInput, write_capture
+from splitknit.devices import Opened, Turn
+from splitknit.errors import Refused
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.enrolment import Enrolment, PlannedCapture
+from splitknit.io.provenance import json_text, provenance
+from splitknit.io.targets import check_capture
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
 from splitknit_rig.capture.session import Session, SessionSettings, WatchFocus, run_session
 
 MARKER = "session.json"

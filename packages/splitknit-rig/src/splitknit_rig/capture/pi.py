@@ -19,21 +19,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    BadInput,
-    Checked,
-    Closing,
-    ExposureRange,
-    Frame,
-    GuardedLights,
-    Opened,
-    PixelArray,
-    Rig,
-    check_fields,
-    importing,
-    nominal_rig,
-    require,
-)
+from splitknit import BadInput, Rig
+from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights, Opened
+from splitknit.errors import importing, require
+from splitknit.model import PixelArray, nominal_rig
+from splitknit.settings import Checked, check_fields
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
 
 

@@ -20,7 +20,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from splitknit import Rig, require
+from splitknit import Rig
+from splitknit.errors import require
 
 WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)  # BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)
 NIR_PINS = (18, 23, 24, 25, 12, 16, 20)  # BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)

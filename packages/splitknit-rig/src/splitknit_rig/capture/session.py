@@ -15,24 +15,13 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from splitknit import (
-    BadInput,
-    Band,
-    BoolArray,
-    CameraDevice,
-    Capture,
-    FloatArray,
-    Frame,
-    LightBank,
-    Progress,
-    Rig,
-    Turn,
-    bounding_box,
-    finger_mask,
-    no_progress,
-    require,
-    spectral_band,
-)
+from splitknit import BadInput, Band, Capture, Rig
+from splitknit.devices import CameraDevice, Frame, LightBank, Turn
+from splitknit.errors import require
+from splitknit.finger.mask import finger_mask
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray, no_progress, spectral_band
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.lights import listed
 from splitknit_rig.capture.exposure import (
     BRIGHT,

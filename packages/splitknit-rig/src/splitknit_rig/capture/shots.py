@@ -10,28 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import (
-    MIN_RELIABILITY,
-    WORKING_PX_PER_MM,
-    Array,
-    Band,
-    BoolArray,
-    CameraDevice,
-    Checked,
-    FloatArray,
-    Frame,
-    LightBank,
-    Limits,
-    PixelArray,
-    Rig,
-    blur,
-    dilate,
-    reduce_image,
-    relative_exposure,
-    shot_motion,
-    side_lights,
-    spectral_band,
-)
+from splitknit import Band, Rig
+from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
+from splitknit.finger.motion import MIN_RELIABILITY, WORKING_PX_PER_MM, shot_motion
+from splitknit.finger.regions import blur, dilate, reduce_image
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray, side_lights, spectral_band
+from splitknit.settings import Checked, Limits
 from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit_rig.capture.pins import led_names
 

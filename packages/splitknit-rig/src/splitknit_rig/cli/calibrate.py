@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from splitknit import AnyPath, Help, Outcome, Progress, Verb, path, refuse_given
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.verbs import AnyPath, Help, Progress, path, refuse_given
 from splitknit_rig.calibration.jobs import CameraJob, LightsJob, PolarisersJob, RadiometryJob
 
 if TYPE_CHECKING:

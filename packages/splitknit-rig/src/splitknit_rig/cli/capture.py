@@ -10,26 +10,14 @@ from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from splitknit import (
-    AnyPath,
-    Help,
-    Job,
-    Natural,
-    Outcome,
-    Overwrite,
-    Progress,
-    Scale,
-    Settings,
-    Verb,
-    flatten,
-    path,
-    refuse_given,
-    require,
-    wants_json,
-)
+from splitknit.cli.verb import Outcome, Verb, wants_json
+from splitknit.errors import require
+from splitknit.settings import flatten
+from splitknit.verbs import AnyPath, Help, Job, Natural, Overwrite, Progress, Scale, Settings, path, refuse_given
 
 if TYPE_CHECKING:
-    from splitknit import Opened, PlannedCapture
+    from splitknit.devices import Opened
+    from splitknit.io.enrolment import PlannedCapture
     from splitknit_rig.capture.exposure import Focus, FocusWatch
     from splitknit_rig.capture.folder import CaptureOptions
 
@@ -80,7 +68,7 @@ class CaptureJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Capture one finger, or those that an enrolment waits for."""
-        from splitknit import override
+        from splitknit.settings import override
         from splitknit_rig.capture.folder import CaptureOptions  # so that --help is quick
         from splitknit_rig.capture.session import SessionSettings
 
@@ -105,7 +93,8 @@ class CaptureJob(Job):
 
     def _pi(self, changes: dict[str, Any]) -> Opener:
         """What opens the Raspberry Pi's devices."""
-        from splitknit import override, read_rig
+        from splitknit import read_rig
+        from splitknit.settings import override
         from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
 
         strays = [name for name in changes if not name.startswith("pi.")]
@@ -120,14 +109,15 @@ class CaptureJob(Job):
 
     def _twin(self, changes: dict[str, Any]) -> Opener:
         """What opens the twin's devices, which the simulator's member brings."""
-        from splitknit import DEVICES, SIMULATOR, extension, read_rig
+        from splitknit import read_rig
+        from splitknit.registry import DEVICES, SIMULATOR, extension
 
         rig = None if self.rig is None else read_rig(self.rig)
         twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, self.scale)
         return partial(twin.opened, pattern=self.pattern, target=self.target)
 
     def _check(self) -> None:
-        from splitknit import FINGERS, check_subject_id
+        from splitknit.io.enrolment import FINGERS, check_subject_id
 
         require(
             (self.out is None) != (self.enrolment is None),
@@ -149,7 +139,7 @@ class CaptureJob(Job):
         )
 
     def _one(self, how: CaptureOptions, opener: Opener, progress: Progress) -> dict[str, Any]:
-        from splitknit import check_capture
+        from splitknit.io.targets import check_capture
         from splitknit_rig.capture.folder import capture_to_folder
 
         assert self.out is not None
@@ -166,7 +156,7 @@ class CaptureJob(Job):
             return capture_to_folder(devices, out, how, subject=subject, progress=progress)
 
     def _enrolled(self, how: CaptureOptions, opener: Opener, progress: Progress) -> dict[str, Any]:
-        from splitknit import FINGERS, open_enrolment
+        from splitknit.io.enrolment import FINGERS, open_enrolment
         from splitknit_rig.capture.folder import capture_enrolment
 
         assert self.enrolment is not None

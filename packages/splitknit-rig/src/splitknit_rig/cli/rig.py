@@ -6,7 +6,8 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from splitknit import AnyPath, Help, Job, Outcome, Progress, Verb, path
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.verbs import AnyPath, Help, Job, Progress, path
 
 _SHEET = Path(__file__).parents[1] / "calibration" / "target.pdf"  # hardware/target.py draws it
 
@@ -26,7 +27,8 @@ class TargetJob(Job):
 
     def run(self, progress: Progress) -> Outcome:
         """Write it."""
-        from splitknit import atomic_folder, check_file, check_target, write_file
+        from splitknit.io.atomic import atomic_folder, write_file
+        from splitknit.io.targets import check_file, check_target
 
         out, data = path(self.out), _SHEET.read_bytes()
         sheet = out if out.suffix.lower() == ".pdf" else out / _SHEET.name

@@ -16,7 +16,10 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from splitknit import Camera, Checked, FloatArray, Led, Limits, PixelArray, require
+from splitknit import Camera, Led
+from splitknit.errors import require
+from splitknit.model import FloatArray, PixelArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera import lens
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at

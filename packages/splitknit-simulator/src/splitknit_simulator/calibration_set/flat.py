@@ -8,7 +8,9 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from splitknit import BadInput, Camera, Checked, Limits, require
+from splitknit import BadInput, Camera
+from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     GroundScene,

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Led, require
+from splitknit import Led
+from splitknit.errors import require
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     SightLines,

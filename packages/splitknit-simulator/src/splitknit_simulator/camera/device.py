@@ -14,7 +14,11 @@ from typing import Annotated, Protocol
 import cv2
 import numpy as np
 
-from splitknit import Camera, Checked, Closing, ExposureRange, FloatArray, Frame, GuardedLights, Led, Limits, require
+from splitknit import Camera, Led
+from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Camera, FloatArray, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import FloatArray
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Camera, Checked, FloatArray, Limits, PixelArray, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import FloatArray, PixelArray
+from splitknit.settings import Checked, Limits
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {
     "white": (0.90, 1.00, 0.47),

@@ -6,7 +6,8 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from splitknit import AnyPath, Help, Job, Natural, Outcome, Progress, Scale, Verb, path
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.verbs import AnyPath, Help, Job, Natural, Progress, Scale, path
 
 
 @dataclass(frozen=True, slots=True)

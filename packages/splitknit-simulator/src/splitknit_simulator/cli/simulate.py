@@ -6,21 +6,9 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Annotated, Any, Literal
 
-from splitknit import (
-    AnyPath,
-    Help,
-    Job,
-    Natural,
-    Outcome,
-    Overwrite,
-    Progress,
-    Scale,
-    Settings,
-    Verb,
-    path,
-    refuse_given,
-    require,
-)
+from splitknit.cli.verb import Outcome, Verb
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, Job, Natural, Overwrite, Progress, Scale, Settings, path, refuse_given
 
 _WORKERS = 2
 _OF_POPULATIONS = ("subjects", "fingers", "sessions", "workers", "prints")
@@ -137,7 +125,7 @@ class SimulateJob(Job):
         ]
 
     def _bench(self, changes: Mapping[str, Any], progress: Progress) -> Outcome:
-        from splitknit import override
+        from splitknit.settings import override
         from splitknit_simulator.bench_photos import BenchPhotos, bench_to_folder
 
         out, photos = path(self.out), override(BenchPhotos(), changes)
@@ -154,7 +142,8 @@ class SimulateJob(Job):
         return facts, lines
 
     def _population(self, progress: Progress) -> Outcome:
-        from splitknit import FINGERS, override
+        from splitknit.io.enrolment import FINGERS
+        from splitknit.settings import override
         from splitknit_simulator.population.folder import simulate_population
         from splitknit_simulator.population.sessions import PopulationSettings
 

@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit import Camera, Checked, FloatArray, Limits, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import around, smooth_noise

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from splitknit import require
+from splitknit.errors import require
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.surface import Array
 

@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit import BoolArray, Camera, Checked, Limits, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import BoolArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view

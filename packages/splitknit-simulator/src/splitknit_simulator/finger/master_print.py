@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from splitknit import Checked, FloatArray, Limits, check_fields, require
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
     OrientationField,

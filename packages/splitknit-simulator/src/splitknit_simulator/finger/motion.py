@@ -13,7 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Camera, Checked, Limits
+from splitknit import Camera
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.deformation import Deformation, deformed, draw_deformation
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of

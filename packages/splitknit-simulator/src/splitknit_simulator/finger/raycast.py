@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, FloatArray, require
+from splitknit import Camera
+from splitknit.errors import require
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import slopes_of_pixels
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap

@@ -16,7 +16,8 @@ import scipy.fft
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from splitknit import FloatArray, require
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit_simulator.surface import Array
 
 Point = tuple[float, float]

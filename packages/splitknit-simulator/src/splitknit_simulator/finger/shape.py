@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from splitknit import BoolArray, Checked, Limits, require
+from splitknit.errors import require
+from splitknit.model import BoolArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.surface import Array
 
 

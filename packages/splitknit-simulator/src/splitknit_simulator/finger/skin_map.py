@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 from scipy import ndimage
 
-from splitknit import Checked, FloatArray, Limits
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.surface import Array

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BoolArray, Camera, FloatArray, Led
+from splitknit import Camera, Led
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.light.lighting import Patch, angular_size, towards
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, diffuse_transmittance, fresnel
 from splitknit_simulator.surface import WATER, Coat, Film, Grains

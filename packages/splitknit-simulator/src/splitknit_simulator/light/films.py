@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, Checked, FloatArray, Led, Limits, Rig, side_lights
+from splitknit import BadInput, Led, Rig
+from splitknit.model import FloatArray, side_lights
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import Patch, arriving
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
 from splitknit_simulator.surface import Array

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Camera, FloatArray, Led, require
+from splitknit import Camera, Led
+from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.surface import SimulatedSurface

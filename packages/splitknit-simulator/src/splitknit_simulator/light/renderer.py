@@ -17,7 +17,9 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit import Checked, FloatArray, Led, Limits
+from splitknit import Led
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, arriving, cut_out, light_on, towards
 from splitknit_simulator.light.skin import CHANNELS, Channel, Medium, diffuse_transmittance, diffusion_profile, fresnel

@@ -18,7 +18,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from splitknit import Checked, FloatArray, Led, Limits, require
+from splitknit import Led
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics

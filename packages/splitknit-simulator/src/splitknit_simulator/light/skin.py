@@ -24,7 +24,9 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import j1
 
-from splitknit import Checked, FloatArray, Limits, require
+from splitknit.errors import require
+from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)

@@ -16,33 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import (
-    PLAN_FILE,
-    Enrolment,
-    PlannedCapture,
-    Progress,
-    atomic_folder,
-    check_file,
-    csv_text,
-    differing,
-    file_hash,
-    hold,
-    json_text,
-    naming,
-    no_progress,
-    open_enrolment,
-    plain_json,
-    plan_enrolment,
-    provenance,
-    read_json,
-    refusing,
-    require,
-    run_jobs,
-    settings_hash,
-    sweep,
-    write_capture,
-    write_file,
-)
+from splitknit import write_capture
+from splitknit.errors import naming, refusing, require
+from splitknit.io.atomic import atomic_folder, hold, sweep, write_file
+from splitknit.io.csv_table import csv_text
+from splitknit.io.enrolment import PLAN_FILE, Enrolment, PlannedCapture, open_enrolment, plan_enrolment
+from splitknit.io.fields import read_json
+from splitknit.io.provenance import file_hash, json_text, plain_json, provenance, settings_hash
+from splitknit.io.targets import check_file
+from splitknit.model import no_progress
+from splitknit.settings import differing
+from splitknit.verbs import Progress
+from splitknit.workers import run_jobs
 from splitknit_simulator.finger.finger import SimulatedFinger
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.population.sessions import DRAWS, PopulationSettings, population_capture

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from splitknit import Checked, Limits, require
+from splitknit.errors import require
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import TRAITS, SimulatedFinger, crease_of, relief_of, shape_of
 from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerShape

@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from splitknit import Camera, Capture, Checked, Limits, Rig, default_rig, require
+from splitknit import Camera, Capture, Rig
+from splitknit.errors import require
+from splitknit.model import default_rig
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.deformation import deformed, draw_deformation

@@ -26,7 +26,7 @@ def ray(slant_deg: float, azimuth_deg: float = 0.0) -> tuple[float, float, float
 
 def mounted(**settings: float):
     films = FilmSettings("analyser", **({"extinction": 1e9} | settings))
-    return mounted_films(films, splitknit.default_rig().leds[:7], np.random.default_rng(1))
+    return mounted_films(films, default_rig().leds[:7], np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(
