@@ -10,6 +10,7 @@ import pytest
 import splitknit
 import splitknit_simulator
 from splitknit.errors import BadInput
+from splitknit.model import default_rig
 from splitknit_simulator.light.films import FilmSettings, fresnel_amplitudes, mounted_films, reflected_through
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.scene import TwinSettings
