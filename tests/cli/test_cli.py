@@ -289,7 +289,7 @@ def test_a_success_moves_no_cursor_whatever_its_files_are_called(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["rig", "circuit", "--out", "a\x1b[2Jb\nc\u202eexe"]) == 0
+    assert main(["simulate", "--scale", "0.05", "--out", "a\x1b[2Jb\nc\u202eexe"]) == 0
     out = capsys.readouterr().out
     assert all(line.isprintable() for line in out.split("\n"))
     assert "a\\x1b[2Jb\\nc\\u202eexe" in out
@@ -403,7 +403,7 @@ def _names(parser: argparse.ArgumentParser) -> set[str]:
     return found
 
 
-OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi"}
+OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi", "view"}
 """Arguments of functions that no verb has."""
 
 

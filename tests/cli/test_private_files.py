@@ -32,7 +32,6 @@ def test_verbs_write_private_files(
             ["enroll", str(out / "people.skg"), str(out / "result"), "--person", "A", "--finger", "left_index"],
             ["gallery", "export", str(out / "people.skg"), "--out", str(out / "exported")],
             ["simulate", "--scale", "0.1", "--out", str(out / "capture")],
-            ["rig", "circuit", "--out", str(out / "circuit")],
         ):
             assert main([*words, *option]) == 0, capsys.readouterr().err
             assert os.environ.get(GROUP_READABLE, "") == before

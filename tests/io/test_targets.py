@@ -16,8 +16,6 @@ WRITERS = (
     ["print", "RESULT"],
     ["evaluate", "--scores", "scores.csv"],
     ["gallery", "export", "gallery.skg"],
-    ["rig", "circuit"],
-    ["rig", "cad"],
     ["simulate"],
     ["simulate", "--bench"],
     ["demo"],
