@@ -756,7 +756,7 @@ def _tipped(data: bytes) -> None:
 
 def _radiometry() -> list[Files]:
     images = [f"{k}.png" for k in range(6)]
-    document = {"format": "splitknit-radiometry", "version": 1, "dark": ["dark.png"]}
+    document = {"format": "splitknit-radiometry", "version": 1}
     document |= {"exposures": [{"file": one, "exposure_s": 0.01 * (k + 1)} for k, one in enumerate(images)]}
     pictures: Files = {name: encode_image(_noise(5, 6, seed=9), ".png") for name in (*images, "dark.png")}
     stack = {f"white_{k}.png": pictures["0.png"] for k in range(2)} | {"ambient_white.png": pictures["dark.png"]}

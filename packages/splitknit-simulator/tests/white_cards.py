@@ -13,7 +13,7 @@ import numpy as np
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
 from splitknit.model import Band, Capture, Rig
-from splitknit_simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.rigs import built_rig
@@ -87,8 +87,6 @@ def card_folder(
     capture = photograph(rig, stored, seed, **how)
     write_capture(capture, folder)
     sensor = how.get("sensor", SENSOR)
-    dark = DarkScene(camera=rig.camera, leds=rig.leds)
-    write_image(folder / "dark.png", photograph_bench(dark, (), 5, exposure=1.0, sensor=sensor))
     card = scene_of(rig)
     base = well_exposed(card, [(0,)], 0.75)
     entries = []
@@ -96,6 +94,6 @@ def card_folder(
         shot = photograph_bench(card, (0,), 40 + k, exposure=base * fraction, sensor=sensor)
         write_image(folder / f"step_{k}.png", shot)
         entries.append({"file": f"step_{k}.png", "exposure_s": 0.001 * fraction})
-    document = {"format": "splitknit-radiometry", "version": 1, "dark": "dark.png", "exposures": entries}
+    document = {"format": "splitknit-radiometry", "version": 1, "exposures": entries}
     (folder / "radiometry.json").write_text(json.dumps(document))
     return rig, stored

@@ -21,7 +21,6 @@ from splitknit.model import Films, PixelArray, no_progress, nominal_rig
 from splitknit.verbs import Progress
 from splitknit_simulator.calibration_set.bench import (
     BenchSettings,
-    DarkScene,
     SightLines,
     photograph_bench,
     well_exposed,
@@ -55,8 +54,6 @@ class BenchPhotos:
     """Photographs of the checkerboard that is held in the hand, at least 3."""
     nails: int = 4
     """Places of the nail, 1 to 4; at each it is photographed under every LED."""
-    dark: int = 2
-    """Dark frames, photographs without any light, at least 1."""
     polarisers: bool = False
     """Also a printed card and a glossy black ball behind polarising films."""
 
@@ -68,7 +65,6 @@ class BenchPhotos:
             1 <= self.nails <= len(NAIL_PLACES_MM),
             f"the nail can stand in 1 to {len(NAIL_PLACES_MM)} places, but {self.nails} were asked for.",
         )
-        require(self.dark >= 1, "a bench needs at least one dark frame.")
 
 
 def bench_to_folder(
@@ -83,8 +79,8 @@ def bench_to_folder(
     """Photograph everything that calibrates the rig that person `seed` built.
 
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
-    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
-    exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
+    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with an exposure
+    series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
     calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
     """
     photos = photos or BenchPhotos()
@@ -135,7 +131,7 @@ def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Itera
     for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
         nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
-    yield "card", partial(_card, CardScene(**under), rig, of_card, photos.dark)
+    yield "card", partial(_card, CardScene(**under), rig, of_card)
 
 
 def behind_films(
@@ -208,8 +204,8 @@ def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path, target:
             write_image(target / folder / f"{band}_{number}.png", pixels)
 
 
-def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, dark: int, target: Path) -> None:
-    """A capture folder of the card, dark frames and an exposure series."""
+def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path) -> None:
+    """A capture folder of the card, and an exposure series."""
     bands = {}
     for name in ("white", "nir"):
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
@@ -221,17 +217,13 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, dark: int, t
     drawn = replace(nominal_rig(rig.camera.image_size[0] / 2200), provenance={"source": "as drawn"})
     folder = target / "card"
     write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
-    names = [f"dark_{k}.png" for k in range(dark)]
-    darkness = DarkScene(camera=scene.camera, leds=scene.leds)
-    for name in names:
-        write_image(folder / name, photograph_bench(darkness, [], seed.spawn(1)[0], exposure=1.0))
     steps = []
     brightest = well_exposed(scene, [[0]], _EXPOSED)
     for k, seconds in enumerate(EXPOSURES_S):
         pixels = photograph_bench(scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST)
         write_image(folder / f"step_{k}.png", pixels)
         steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
-    document = {"format": "splitknit-radiometry", "version": 1, "dark": names, "exposures": steps}
+    document = {"format": "splitknit-radiometry", "version": 1, "exposures": steps}
     (folder / "radiometry.json").write_text(json.dumps(document, indent=2) + "\n", encoding="ascii")
 
 

@@ -184,7 +184,7 @@ def rounded(value: float) -> float:
 
 DOCUMENT = "radiometry.json"
 FORMAT, VERSION = "splitknit-radiometry", 1
-_KNOWN = {"format", "version", "dark", "exposures"}  # dark frames were measured once
+_KNOWN = {"format", "version", "exposures"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +202,8 @@ def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
         return _RadiometryPlan()
     fields = Fields(read_json(file)[0], str(file))
     fields.format(FORMAT, VERSION)
+    dark = f"{file}: dark frames are not measured any more; state the black level in the rig file, and remove 'dark'."
+    require(not fields.has("dark"), dark)
     unknown = sorted(set(fields.keys()) - _KNOWN)
     require(not unknown, f"{file}: the field '{unknown[0] if unknown else ''}' is not known; correct or remove it.")
     exposures = []

@@ -253,19 +253,6 @@ def card_radiance(led: Led) -> float:
     return float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DarkScene:
-    """The lens cap is on: no light, whatever is switched on."""
-
-    camera: Camera
-    leds: tuple[Led, ...]
-
-    def light(self, lit: Sequence[int]) -> FloatArray:
-        """(H, W, 3) of zeros."""
-        tuple(_switched_on(self.leds, lit))
-        return np.zeros((*self.camera.image_size, 3), dtype=np.float32)
-
-
 def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
     """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale."""
     brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)

@@ -9,7 +9,7 @@ import pytest
 
 from bench_help import DARK_ROOM, built, drawn, grey, parallel, seen
 from splitknit.errors import BadInput
-from splitknit_simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -79,7 +79,6 @@ def scenes(**things):
         "nail": NailScene(**things, position_mm=(3, 1)),
         "chrome": SphereScene(**things, surround=0.0),
         "matt": SphereScene(**things, chrome=False),
-        "dark": DarkScene(**things),
     }
 
 
@@ -89,15 +88,14 @@ def test_leds_add_and_the_room_stays(name):
     room, one, other, both = (scene.light(lit) for lit in ([], [0], [9], [0, 9]))
     assert np.allclose(both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6))
     assert (one >= room - 1e-7).all()
-    if name != "dark":
-        assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
+    assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
 
 
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
 def test_orthographic_cameras_see_every_scene(name):
     light = scenes(**parallel())[name].light([3])
     assert np.isfinite(light).all()
-    assert (light.max() > 0) == (name != "dark")
+    assert light.max() > 0
 
 
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
@@ -157,18 +155,9 @@ def test_a_photograph_is_the_light_times_the_exposure():
     assert np.percentile(image, 99.9) == pytest.approx(0.6, abs=3e-3)
 
 
-def test_under_the_lens_cap_only_noise_is_left():
-    scene = DarkScene(**drawn())
-    image = photograph_bench(scene, [0, 5], 3, exposure=5.0, sensor=SensorSettings(bits=16, binned=False))
-    assert scene.light([0]).max() == 0
-    assert image.max() < 0.01 * 65535
-    assert image.std() > 0
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda _: well_exposed(DarkScene(**drawn()), [[0]]), "all images are black"),
         (lambda _: BenchSettings(ambient=-0.1), "bench.ambient must be from 0 to 1"),
         (lambda _: BenchSettings(led_radius_mm=np.nan), "bench.led_radius_mm must be from 0 to 10"),
     ],

@@ -107,7 +107,8 @@ def test_larger_checks_let_more_light_count_as_direct():
     means = [_truth(egg, LED, check_mm=mm, phases="centred").direct.mean(axis=(1, 2)) for mm in (0.2, 0.4, 0.8)]
     assert (np.diff(means, axis=0) > 0).all()
     glare = _truth(egg, LED, phases="centred").glare.mean()
-    # measurements.md, a finger with ridges of 75 um as here: 3.0 and 4.6 times the surface reflection at 0.21 and 0.42 mm, in green
+    # measurements.md, a finger with ridges of 75 um as here: 3.0 and 4.6 times the surface reflection at 0.21 and
+    # 0.42 mm, in green
     assert 1.8 < means[0][1] / glare < 4.0
     assert 3.4 < means[1][1] / glare < 6.2
 
