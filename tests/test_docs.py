@@ -175,7 +175,8 @@ def work_through(page: Path, folder: Path) -> list[str]:
         (programs / name).write_text(text)
         (programs / name).chmod(0o755)
     environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "MPLBACKEND": "agg"}
-    (folder / "packages").symlink_to(ROOT / "packages")
+    for part in ("packages", "hardware"):
+        (folder / part).symlink_to(ROOT / part)
     data = Path(os.environ.get("SPLITKNIT_DATA", ROOT.parent / "shared" / "data"))
     output, missing = "", []
     for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):

@@ -797,7 +797,7 @@ def _viewed(folder: Path, files: Files) -> object:
 
 
 def _requests() -> list[Files]:
-    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "facts", "surface", "nothing")]
+    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "facts", "surface")]
     lines += ["HEAD /TOKEN/ HTTP/1.0"]
     more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\n\r\n"
     return _each("bytes", *(f"{line}\r\n{more}".encode() for line in lines))

@@ -74,7 +74,6 @@ def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys)
     facts = json.loads(capsys.readouterr().out)
     assert (facts["method"], facts["surface"]) == ("specular", "plane")
     assert facts["minutiae"]["written"]
-    assert facts["minutiae"]["in_space"] > 0
     assert splitknit_match.make_print(read_result(folder), "specular").image.dtype == np.uint8
 
 

@@ -10,7 +10,10 @@ section 11.2.2.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import struct
+import threading
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -70,6 +73,34 @@ def check_held(rows: int, columns: int, least_each: float, stored: int, name: st
     require(rows * columns * least_each <= stored, f"{name} is damaged: {impossible}")
 
 
+class _Silence:
+    """While any thread is inside, nothing reaches the process's stderr: libpng and libjpeg print what they refuse."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._stderr = threading.Lock(), 0, -1
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                with contextlib.suppress(OSError):  # closed
+                    self._stderr = os.dup(2)
+                    null = os.open(os.devnull, os.O_WRONLY)
+                    os.dup2(null, 2)
+                    os.close(null)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0 and self._stderr >= 0:
+                os.dup2(self._stderr, 2)
+                os.close(self._stderr)
+                self._stderr = -1
+
+
+_SILENCE = _Silence()
+
+
 def decoded(data: bytes, name: str) -> NDArray[Any]:
     """Pixels (H, W, C) of an image file whose header was checked, as stored, in the order red, green, blue, alpha.
     Raises BadInput where OpenCV cannot decode them.
@@ -77,7 +108,7 @@ def decoded(data: bytes, name: str) -> NDArray[Any]:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it would print is refused here
     damaged = f"{name} is damaged: its image data cannot be decoded; copy it again, or save it as PNG."
     image: Any = None
-    with refusing(damaged):
+    with refusing(damaged), _SILENCE:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     require(image is not None, damaged)
     if image.ndim == 2:
@@ -124,6 +155,7 @@ def _image_chunks(data: bytes, name: str, header: PngHeader) -> bytes:
         require(sound, f"{name} is damaged: a checksum does not match; copy it again.")
         known = kind in (b"IHDR", b"IDAT", b"IEND", b"PLTE") or bool(kind[0] & 0x20)
         require(known, f"{name} is damaged: the PNG chunk {kind!r} is not known.")
+        require((kind == b"IHDR") == (position == 8), f"{name} is damaged: its PNG chunks are out of order.")
         kept += [view[position:end]] if kind in wanted else []
         position = end
     return b"".join(kept)
