@@ -522,6 +522,8 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
         hashes[f"{folder.name}/{file.name}"] = photo.sha256
     differ = f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
     require(len(light) == count, f"{differ}; give one for each, in the order of their names.")
+    alike = all(one.shape == light[0].shape for one in light)
+    require(alike, f"the flat photographs in {folder} differ in size; take all with the camera as it stands.")
     return np.stack(light), hashes
 
 
