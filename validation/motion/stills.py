@@ -29,7 +29,7 @@ def measured(folder: Path) -> dict[str, float]:
     settings = preset_settings("metric")
     capture = read_capture(folder)
     finger = find_finger(capture, settings)
-    found = register(capture, finger, settings)
+    found = register(capture, finger)
     motion = {"seen_mm": seen_motion_mm(finger), "registered_mm": found.most_mm}
     return {name: round(value, 4) for name, value in {**motion, "left_over_before": found.after / found.before}.items()}
 

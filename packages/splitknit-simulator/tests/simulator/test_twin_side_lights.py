@@ -12,7 +12,7 @@ import pytest
 import splitknit
 import splitknit_simulator
 from splitknit.finger import steady
-from splitknit.finger.locate import Finger, FingerSettings
+from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import lights_in_front
 from splitknit.imaging.polarised import without_side_lights
 from splitknit.methods.photographs import SIDE_UNUSED
@@ -133,7 +133,7 @@ def test_motion_before_the_side_images_is_what_all_share(
     shifts[[0, 4]] = 0.0  # went astray
     facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
     monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
-    kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
+    kept, warnings = steady.without_moved_side(parted, cast("Finger", None))
     assert warnings == (steady.SIDE_MOVED,) * moved
     assert (kept is parted) is not moved
 
@@ -146,7 +146,7 @@ def test_a_side_image_that_moved_alone_is_left_out(lit: Capture, monkeypatch: py
     shifts[3] = 0.0, -0.12
     facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
     monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
-    kept, warnings = steady.without_moved_side(parted, cast("Finger", None), FingerSettings())
+    kept, warnings = steady.without_moved_side(parted, cast("Finger", None))
     assert warnings == (steady.SOME_MOVED.format(1),)
     left = kept.bands["white"].side
     assert left is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import lzma
 import struct
 import tracemalloc
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.npz import map_npy, read_npz, write_npz
+from splitknit.io.npz import read_npz, write_npz
 
 ARRAYS = {
     "plain": np.arange(12.0).reshape(3, 4),
@@ -91,9 +90,6 @@ def test_a_bomb_is_refused_before_memory_is_taken(tmp_path: Path) -> None:
 def test_headers_that_do_not_fit_are_refused(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(BadInput, match="damaged"):
         read_npz(archive(tmp_path / "a.npz", ("a.npy", content)))
-    (tmp_path / "a.npy").write_bytes(content)
-    with pytest.raises(BadInput, match="damaged"):
-        map_npy(tmp_path / "a.npy")
 
 
 def test_archives_of_other_kinds_are_refused(tmp_path: Path) -> None:
@@ -113,16 +109,6 @@ def test_archives_of_other_kinds_are_refused(tmp_path: Path) -> None:
     for name in ("twice", "lzma", "many", "locked", "changed", "none"):
         with pytest.raises(BadInput, match=f"{name}.npz cannot be read as arrays"):
             read_npz(tmp_path / f"{name}.npz")
-
-
-def test_arrays_are_mapped_as_they_are(tmp_path: Path) -> None:
-    for array in (ARRAYS["plain"], ARRAYS["by_columns"]):
-        stream = io.BytesIO()
-        np.save(stream, array)
-        (tmp_path / "a.npy").write_bytes(stream.getvalue())
-        found = map_npy(tmp_path / "a.npy")
-        np.testing.assert_array_equal(found, array)
-        assert isinstance(found, np.memmap) and not found.flags.writeable
 
 
 def test_an_archive_is_the_same_on_any_number_of_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

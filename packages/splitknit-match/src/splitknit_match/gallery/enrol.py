@@ -365,8 +365,6 @@ def _kept(path: Path | Held, side: Side, keep: str) -> bytes | None:
         return _zipped(path)
     if side.kind in ("template", "minutiae"):
         return None
-    if side.kind == "touches":
-        raise BadInput(f"of {_name_of(path)}, a folder of touches, no thumbnail is made; keep `raw` or none.")
     if side.picture is not None:
         rows, columns = side.picture.shape
         size = (max(1, columns // 2), max(1, rows // 2))

@@ -194,7 +194,7 @@ def identify_finger(
         none = MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
         at = (rated[0].decision if rated else None) or none
         decision = SearchDecision(at.match, at.fmr, at.threshold, at.expected_fmr, facts.captures * at.fmr)
-    if doubt is not None and not (decision and decision.match and side.kind != "touches"):  # a match confirms a print's
+    if doubt is not None and not (decision and decision.match):  # a match confirms the scale
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     candidates = [

@@ -203,7 +203,7 @@ def _read(
 def _made(source: Source, around: Rolled | None, how: tuple[str, str], ppi: float, settings: PrintingSettings) -> Print:
     """The print of a source by a method, where it is made."""
     if around is not None:
-        return make_rolled_print(around, source, how[1], ppi, settings)
+        return make_rolled_print(around, source, how[1], ppi)
     made = make_print(source, *how, ppi, settings)
     if source.quality is None or ppi != PPI:
         return made

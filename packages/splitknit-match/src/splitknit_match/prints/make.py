@@ -106,7 +106,7 @@ def make_print(
     return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
 
 
-def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, settings: PrintingSettings) -> Print:
+def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float) -> Print:
     """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
     from splitknit_match.prints.rolled import laid_flat  # slow to import
 

@@ -121,7 +121,7 @@ class MakePrintJob(Job):
             if isinstance(finger, Capture | Reconstruction):
                 raise BadInput("a rolled print needs the path of a capture folder.")
             source, rolled = read_rolled(Path(finger), "metric", chosen.rolled, progress)
-            return make_rolled_print(rolled, source, "free", self.ppi, chosen)
+            return make_rolled_print(rolled, source, "free", self.ppi)
         if isinstance(finger, Reconstruction):
             source = source_of(finger)
         elif isinstance(finger, Capture):

@@ -175,12 +175,12 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     suspect = capture.material == "skin" and seen_mm >= CORRECT_MM  # gloss of other things looks like motion
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
-    registered = register(capture, finger, settings) if wanted and enough else None
+    registered = register(capture, finger) if wanted and enough else None
     if registered is not None and motion.correct == "auto" and not _worth_undoing(registered, seen_mm):
         registered = None
     where = "shots"
     if registered is None and capture.material == "skin" and "white_crossed" in capture.bands:
-        registered, where = register(capture, finger, settings, still_white=True), "parallel and the crossed series"
+        registered, where = register(capture, finger, still_white=True), "parallel and the crossed series"
         least = _SERIES_MM if has_colour(capture.bands["white"]) else CORRECT_MM
         helps = _helps(registered.facts["motion_white_crossed"])
         if motion.correct == "off" or registered.most_mm < least or not helps:
@@ -199,7 +199,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
 
 
-def without_moved_side(capture: Capture, finger: Finger, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
+def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple[str, ...]]:
     """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
     where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
     """
@@ -207,7 +207,7 @@ def without_moved_side(capture: Capture, finger: Finger, settings: FingerSetting
     for band in capture.bands.values():
         if band.side is not None:
             pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
-            found = register(replace(capture, bands=pair), finger, settings, still_white=True)
+            found = register(replace(capture, bands=pair), finger, still_white=True)
             shifts = np.array(found.facts["motion_white_crossed"]["shift_mm"])
             towards = _towards(capture, band.side.leds)
             numbers += np.flatnonzero(shifts.any(axis=1)).tolist()  # a shot that went astray has none
@@ -284,7 +284,7 @@ def seen_motion_mm(finger: Finger) -> float:
     return max(found)
 
 
-def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> _Registered:
+def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> _Registered:
     """Registration of the white band, unless `still_white`, of the others to it, and the report's facts on them."""
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))

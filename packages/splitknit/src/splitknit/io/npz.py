@@ -160,15 +160,6 @@ def plain_zip(stream: IO[bytes], size: int, damaged: str) -> zipfile.ZipFile:
     return archive
 
 
-def map_npy(path: str | os.PathLike[str], damaged: str | None = None) -> np.ndarray[Any, Any]:
-    """Map an ``.npy`` file, which may exceed memory, read-only. BadInput (`damaged`, with the remedy) if it is."""
-    damaged = damaged or f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
-    with open_file(path, 1 << 50) as (stream, size), refusing(damaged):
-        dtype, shape, order, start = _header(stream, damaged)
-        require(0 < size - start == dtype.itemsize * math.prod(shape), damaged)
-        return np.memmap(stream, dtype, "r", start, shape, order)
-
-
 def _stored(stream: IO[bytes], info: zipfile.ZipInfo, damaged: str) -> bytes:
     """The packed bytes of a file of an archive; no more than it can need are read."""
     require(info.compress_size <= info.file_size + info.file_size // 1000 + 1000, damaged)

@@ -193,7 +193,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     lit, notes = prepared_capture(capture, settings)
     lit, films = aligned(lit)  # before motion is measured, which would take the shift of the image for one
     steady, finger = find_steady_finger(without_side_lights(lit), settings)
-    steady, moved = without_moved_side(steady, finger, settings)
+    steady, moved = without_moved_side(steady, finger)
     steady = without_films(steady)
     said: list[str] = []
     white, fit = steady.bands["white"], None

@@ -297,8 +297,6 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
 
 RIDGES_MM = 0.6
 """Standard deviation of the Gaussian mean of the ridges' slopes."""
-SHAPE_COUNT = 32
-"""Fields of :func:`_shape_features`."""
 CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third harmonics are given."""
