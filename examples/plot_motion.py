@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--amplitude-mm", type=float, default=0.4, help="largest distance between two shots")
     parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--scale", type=float, default=0.35)
+    parser.add_argument("--scale", type=float, default=0.25)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     metric = PRESETS["metric"]
