@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,26 +136,6 @@ def test_without_matplotlib_the_plot_names_its_extra(result: Reconstruction, mon
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(BadInput, match=r"pip install 'splitknit\[plot\]'"):
         result.plot()
-
-
-def test_the_viewer_shows_a_result(
-    result: Reconstruction, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In a thread from a notebook; a program waits for Ctrl-C."""
-    from splitknit.viewer import server
-
-    at_exit: list[Callable[[], None]] = []
-    monkeypatch.setattr(server.webbrowser, "open", lambda _: False)
-    monkeypatch.setattr(server.atexit, "register", at_exit.append)
-    address = result.show(block=False)
-    assert address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(address, timeout=10) as answer:
-        assert b"<title>" in answer.read()
-    at_exit[0]()
-
-    monkeypatch.setattr(server.PageServer, "serve_forever", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
-    address = result.show()
-    assert capsys.readouterr().out == f"{address}\nOpen this address; Ctrl-C ends it.\n"
 
 
 def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:
