@@ -26,7 +26,7 @@ from typing import Any
 import cv2
 import numpy as np
 from fvc import FAR_0, REAL, Job, kept, made, prints
-from pressed_prints import PressRanges, press
+from pressed_prints import SENSORS, press
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput
@@ -49,22 +49,6 @@ KINDS = {
     "photograph": ("photo", None),
     "photograph, unrolled": ("photo", "free"),
 }
-DEFAULT = PressRanges()
-SENSORS = {
-    "fvc2000_db2b": replace(DEFAULT, half_width_mm=(6.0, 7.5), half_height_mm=(8.0, 9.5)),
-    "fvc2000_db3b": replace(DEFAULT, half_width_mm=(7.5, 11.0), half_height_mm=(9.6, 16.0)),
-    "fvc2002_db2b": replace(DEFAULT, half_width_mm=(5.0, 9.0), half_height_mm=(6.5, 11.5)),
-    "fvc2004_db1b": replace(
-        DEFAULT, half_width_mm=(4.5, 9.0), half_height_mm=(6.0, 11.5), stretch_mm=0.6, turn_deg=15.0
-    ),
-    "fvc2004_db2b": replace(
-        DEFAULT, half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
-        patches=0.2,
-    ),
-    "fvc2004_db3b": replace(
-        DEFAULT, half_width_mm=(4.8, 8.5), half_height_mm=(6.0, 10.5), noise_grey=(2.0, 6.0)
-    ),
-}  # fmt: skip
 
 
 def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:

@@ -1,7 +1,7 @@
 """Real prints of seven sensors by FVC's protocol: every system on the same pairs, peers included.
 
     python validation/match/fvc.py                                   # the shipped matcher and its peers, a table
-    python validation/match/fvc.py --systems fusion mcc --sets fvc2004_db1b fvc2004_db2b
+    python validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b
     python validation/match/fvc.py --systems fusion --leave-one-set-out --turned
     python validation/match/fvc.py --systems fusion --version enhance2   # features of changed code (see below)
 
@@ -34,7 +34,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from cylinders import cylinders, mcc_similarity
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
@@ -100,19 +99,12 @@ def bozorth(a: Any, b: Any) -> float:
     return minutiae_match(a, b) if a.acquired and b.acquired else float("nan")
 
 
-def mcc(a: Any, b: Any) -> float:
-    """The published cylinder code."""
-    return mcc_similarity(a, b) if len(a.turn) and len(b.turn) else float("nan")
-
-
 SYSTEMS = {
     "fusion": System("template", Prepared, fused),
     "ridge": System("template", Prepared, ridges),
     "minutiae": System("phase", lambda one: one, bozorth),
     "enhanced": System("enhanced", lambda one: one, bozorth),
     "nbis-py": System("raw", lambda one: one, bozorth),
-    "mcc": System("phase", cylinders, mcc),
-    "mcc-raw": System("raw", cylinders, mcc),
 }
 
 

@@ -2,7 +2,6 @@
 
     python validation/match/telephone.py segment --work FOLDER [--count 40]
     python validation/match/telephone.py scores --work FOLDER [--count 40]
-    python validation/match/telephone.py links --work FOLDER [--count 20]
 
 A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the simulator's master
 prints: one, a second beside it, a hand of four, or one before a fist. Drawn for each photograph: scale, pose (roll and
@@ -18,33 +17,28 @@ import json
 import pickle
 import sys
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from composited import NATURAL, TINTS, WANTED, Light, Picture, default_pictures, encoded, interval, linear
-from contactless import SENSORS
 from numpy.typing import NDArray
-from pressed_prints import STEP_MM, press
-from scipy.interpolate import LinearNDInterpolator
+from pressed_prints import SENSORS, press
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
+from scipy.stats import beta
 
 from splitknit.errors import BadInput
-from splitknit.finger.ridge_period import PEOPLE
 from splitknit_match.matching import methods
 from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import _PEOPLE_WIDTH, LEAST_QUALITY, _even, source_of_photo
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
 from splitknit_match.prints.photo_mask import finger_in_photo
-from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -54,6 +48,14 @@ CANVAS = (1632, 1224)
 PRESSES = ("fvc2002_db2b", "fvc2004_db1b")
 HANDS = ("one finger", "second finger", "hand", "fist")
 SCENES = ("paper", "garden", "room", "picture")
+NATURAL = ("astronaut.png", "brick.png", "chelsea.png", "coffee.png", "grass.png", "gravel.png", "motorcycle_left.png",
+           "rocket.jpg")  # fmt: skip
+TINTS = {"grass.png": (0.55, 0.8, 0.35), "gravel.png": (1.0, 0.93, 0.85), "brick.png": (0.9, 0.6, 0.5)}
+"""Colours of what is stored in grey."""
+WANTED = 0.95
+"""Overlap of a good segmentation."""
+Picture = NDArray[np.uint8]
+Light = NDArray[np.float64]
 Array = NDArray[np.float64]
 
 
@@ -68,6 +70,33 @@ class Telephone:
     width_mm: float
     hand: str
     scene: str
+
+
+def linear(picture: Picture | Light) -> Light:
+    """sRGB to linear light."""
+    value = picture / 255.0
+    return np.asarray(np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4))
+
+
+def encoded(light: Light) -> Picture:
+    """Linear light to sRGB."""
+    light = np.clip(light, 0.0, 1.0)
+    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * value).astype(np.uint8)
+
+
+def interval(hits: int, count: int) -> str:
+    """Percent with its 95 % interval (Clopper and Pearson)."""
+    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
+    return f"{100 * hits / count:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def default_pictures() -> Path:
+    """Where scikit-image keeps its pictures."""
+    import skimage.data
+
+    return Path(skimage.data.__file__).parent
 
 
 @lru_cache(maxsize=8)
@@ -422,57 +451,6 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
     return found
 
 
-def unrolled(uv: Array, shows: NDArray[np.bool_], light: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A photograph's `light` (H, W) laid where its skin truly lies (`uv`, where it `shows`), of 500 ppi, and where."""
-    rows, columns = np.nonzero(shows & (uv[..., 1] > -2))
-    few = (rows % 3 == 0) & (columns % 3 == 0)
-    rows, columns, step = rows[few], columns[few], 4 * 25.4 / 500
-    u, v = np.arange(-12, 12, step), np.arange(30, -3, -step)
-    skin = uv[rows, columns]
-    of = LinearNDInterpolator(skin, np.stack([columns, rows], axis=1).astype(np.float64), fill_value=-1.0)
-    place = of(np.stack(np.meshgrid(-u, v), axis=-1)).astype(np.float32)
-    shown = np.zeros(place.shape[:2], np.uint8)
-    row, column = np.rint((v[0] - skin[:, 1]) / step).astype(int), np.rint((-skin[:, 0] - u[0]) / step).astype(int)
-    shown[np.clip(row, 0, len(v) - 1), np.clip(column, 0, len(u) - 1)] = 1
-    shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) * (place[..., 0] >= 0)
-    size = 4 * len(u), 4 * len(v)
-    x, y = cv2.split(cv2.resize(place, size))
-    weight = (cv2.resize(shown.astype(np.float32), size) > 0.99).astype(np.float32)
-    return np.asarray(cv2.remap(light.astype(np.float32), x, y, cv2.INTER_LINEAR)), weight
-
-
-def links(count: int, work: Path) -> None:
-    """Scores of photographs and presses of the same fingers, one link at a time replaced by the truth."""
-    usual = USUAL_PERIOD_MM / STEP_MM, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))
-    found: dict[str, list[float]] = {}
-    for number in range(count):
-        of_program = side_of(number, 0, work)[0]
-        if of_program is None:
-            continue
-        one, master = drawn(number, 0, work), draw_finger(SEED + number).master()
-        rng = np.random.default_rng([number, 0, 2])
-        rays, eye, _, _ = view(body_of(number), one.hand, rng)
-        _, smooth, pitch, u0, v0 = ridges(number)
-        hit, point, normal, uv = seen(body_of(number), rays, eye)
-        facing = ((eye - point) * normal).sum(-1) > 0.35 * np.linalg.norm(eye - point, axis=-1)
-        at = np.stack([(v0 - uv[..., 1]) / pitch, (uv[..., 0] - u0) / pitch])
-        photos = {"photograph": of_program}
-        clean = 128 * (1 + 0.25 * map_coordinates(smooth, at, order=1, mode="nearest") / np.abs(smooth).max())
-        for name, light in (("true unrolling", one.pixels[..., 1]), ("true ridges and unrolling", clean)):
-            image = _even(*unrolled(uv, hit & one.masks[0] & facing, light))[0]
-            photos[name] = print_template(image, pressed=pressed_ridges(image, usual))
-        ranges = SENSORS[PRESSES[number % 2]]
-        for name, some in (("press", ranges), ("press without distortion", replace(ranges, stretch_mm=0.0))):
-            other = Prepared(print_template(press(master, number % 2, some)))
-            for photo, template in photos.items():
-                score = fused_photo(Prepared(template), other, (True, False))[0].similarity
-                found.setdefault(f"{photo}, {name}", []).append(score)
-        print(number, {name: f"{all_[-1]:.1f}" for name, all_ in found.items()}, flush=True)
-    for name, all_ in found.items():
-        low = sum(one < 5.06 for one in all_)
-        print(f"{name}: median {np.median(all_):.1f}, mean {np.mean(all_):.1f}, below 5.06: {low} of {len(all_)}")
-
-
 def genuine(row: dict[str, object]) -> bool:
     """Whether both sides of a row of scores are of one finger."""
     return str(row["a"]).split(".")[0] == str(row["b"]).removeprefix("press ").split(".")[0]
@@ -523,7 +501,7 @@ def write_table(name: str, rows: list[dict[str, object]]) -> None:
 def main() -> int:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["segment", "scores", "links"])
+    parser.add_argument("what", choices=["segment", "scores"])
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--work", type=Path, help="keeps the photographs")
     parser.add_argument("--write", action="store_true", help="write the table of impostor scores of `match`")
@@ -533,8 +511,6 @@ def main() -> int:
         options.work.mkdir(parents=True, exist_ok=True)
     if options.what == "segment":
         segment(options.count, options.work)
-    elif options.what == "links":
-        links(options.count, options.work or Path())
     else:
         scores(options.count, options.work or Path(), options.write)
     return 0
