@@ -1,7 +1,6 @@
-"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms; segmentation and scores.
+"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms; scores.
 
-    python validation/match/telephone.py segment --work FOLDER [--count 40]
-    python validation/match/telephone.py scores --work FOLDER [--count 40]
+    python validation/match/telephone.py --work FOLDER [--count 40]
 
 A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the simulator's master
 prints: one, a second beside it, a hand of four, or one before a fist. Drawn for each photograph: scale, pose (roll and
@@ -16,7 +15,6 @@ import csv
 import json
 import pickle
 import sys
-from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,7 +26,6 @@ from numpy.typing import NDArray
 from pressed_prints import SENSORS, press
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
-from scipy.stats import beta
 
 from splitknit.errors import BadInput
 from splitknit_match.matching import methods
@@ -38,7 +35,6 @@ from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
-from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -52,8 +48,6 @@ NATURAL = ("astronaut.png", "brick.png", "chelsea.png", "coffee.png", "grass.png
            "rocket.jpg")  # fmt: skip
 TINTS = {"grass.png": (0.55, 0.8, 0.35), "gravel.png": (1.0, 0.93, 0.85), "brick.png": (0.9, 0.6, 0.5)}
 """Colours of what is stored in grey."""
-WANTED = 0.95
-"""Overlap of a good segmentation."""
 Picture = NDArray[np.uint8]
 Light = NDArray[np.float64]
 Array = NDArray[np.float64]
@@ -83,13 +77,6 @@ def encoded(light: Light) -> Picture:
     light = np.clip(light, 0.0, 1.0)
     value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
     return np.rint(255.0 * value).astype(np.uint8)
-
-
-def interval(hits: int, count: int) -> str:
-    """Percent with its 95 % interval (Clopper and Pearson)."""
-    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
-    return f"{100 * hits / count:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def default_pictures() -> Path:
@@ -284,11 +271,9 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     return rays @ rotation, eye, rotation, px_per_mm
 
 
-def photographed(number: int, take: int, folder: Path, hand: str | None = None, scene: str | None = None) -> Telephone:
+def photographed(number: int, take: int, folder: Path, hand: str, scene: str) -> Telephone:
     """Photograph `take` of a finger, the same each time."""
     rng = np.random.default_rng([number, take, 2])
-    hand = hand or HANDS[rng.integers(len(HANDS))]
-    scene = scene or SCENES[rng.integers(len(SCENES))]
     rows, columns = CANVAS
     body = body_of(number)
     rays, eye, rotation, px_per_mm = view(body, hand, rng)
@@ -330,58 +315,14 @@ def photographed(number: int, take: int, folder: Path, hand: str | None = None, 
     return Telephone(decoded, tuple(masks), px_per_mm, 2 * body.half_mm, hand, scene)
 
 
-def drawn(number: int, take: int, work: Path | None) -> Telephone:
+def drawn(number: int, take: int, work: Path) -> Telephone:
     """Photograph of a finger, each hand and scene in turn; kept in `work`."""
-    file = None if work is None else work / f"photo_{number}_{take}.pickle"
-    if file is not None and file.is_file():
-        kept: Telephone = pickle.loads(file.read_bytes())
-        return kept
-    found = photographed(number, take, default_pictures(), HANDS[(number + take) % 4], SCENES[(number // 4 + take) % 4])
-    if file is not None:
-        file.write_bytes(pickle.dumps(found))
-    return found
-
-
-def segment(count: int, work: Path | None) -> None:
-    """Overlap of the part that is kept (1.5 widths from the tip) with the finger it lies on."""
-    rows = []
-    for number in range(count):
-        one = drawn(number, 0, work)
-        try:
-            found = finger_in_photo(one.pixels)
-            mask, others = tip_of(found.mask, found.direction_deg), found.others
-            overlap = max(
-                float(np.count_nonzero(mask & true) / np.count_nonzero(mask | true))
-                for true in (tip_of(each, found.direction_deg) for each in one.masks if each.any())
-            )
-        except BadInput:
-            overlap, others = 0.0, 0
-        rows.append(
-            {"number": number, "hand": one.hand, "scene": one.scene, "overlap": f"{overlap:.4g}", "others": others}
-        )
-        print(rows[-1], flush=True)
-    write_table("telephone_segmentation.csv", rows)
-    for group in ("hand", "scene"):
-        of = Counter(str(row[group]) for row in rows)
-        good = Counter(str(row[group]) for row in rows if float(row["overlap"]) >= WANTED)
-        print({name: interval(good[name], of[name]) for name in of})
-    good_all = sum(float(row["overlap"]) >= WANTED for row in rows)
-    print(
-        f"overlap of {WANTED} in {interval(good_all, len(rows))} %, refused",
-        sum(row["overlap"] == "0" for row in rows),
-    )
-
-
-def tip_of(mask: NDArray[np.bool_], direction_deg: float) -> NDArray[np.bool_]:
-    """The mask's first 1.5 widths from the tip that points there."""
-    angle = np.radians(direction_deg)
-    row, column = np.indices(mask.shape)
-    ahead = -np.sin(angle) * column - np.cos(angle) * row
-    across = np.cos(angle) * column - np.sin(angle) * row
-    front = ahead[mask].max()
-    near = mask & (ahead > front - 400)
-    width = np.ptp(across[near & (ahead < ahead[near].min() + 40)]) if near.any() else 1.0
-    return mask & (ahead > front - 1.5 * width)
+    file = work / f"photo_{number}_{take}.pickle"
+    if not file.is_file():
+        hand, scene = HANDS[(number + take) % 4], SCENES[(number // 4 + take) % 4]
+        file.write_bytes(pickle.dumps(photographed(number, take, default_pictures(), hand, scene)))
+    kept: Telephone = pickle.loads(file.read_bytes())
+    return kept
 
 
 def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]:
@@ -441,7 +382,7 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
         table = found[kind] = calibrate_scores(scored[np.isfinite(scored)])
         kept = {
             "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
-            "by": "validation/match/telephone.py scores --write", "seed": SEED, "impostors": table.impostors,
+            "by": "validation/match/telephone.py --write", "seed": SEED, "impostors": table.impostors,
             "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
         }  # fmt: skip
@@ -501,18 +442,13 @@ def write_table(name: str, rows: list[dict[str, object]]) -> None:
 def main() -> int:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["segment", "scores"])
     parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--work", type=Path, help="keeps the photographs")
+    parser.add_argument("--work", type=Path, required=True, help="keeps the photographs")
     parser.add_argument("--write", action="store_true", help="write the table of impostor scores of `match`")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.work is not None:
-        options.work.mkdir(parents=True, exist_ok=True)
-    if options.what == "segment":
-        segment(options.count, options.work)
-    else:
-        scores(options.count, options.work or Path(), options.write)
+    options.work.mkdir(parents=True, exist_ok=True)
+    scores(options.count, options.work, options.write)
     return 0
 
 
