@@ -14,7 +14,6 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
-from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.light.skin import (
     REFRACTIVE_INDEX,
     diffuse_transmittance,
@@ -93,27 +92,6 @@ def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
     assert (found.once <= found.radiance).all()
 
 
-@needs_numba
-def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
-    ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(40) * 0.7), (40, 40)))
-    leds = tuple(replace(led, band=band) for band in ("white", "nir") for led in LEDS)
-    optics = FingerOptics(spread=0.0, shot_noise=0.0, roughness=0.3)
-    rig = Rig(ridges.camera, leds)
-    light = finger.walk_finger(ridges, rig, optics, walks=2.0, rays=2, threads=1)
-    found = {}
-    for kept in (0.0, 0.4):
-        films = FilmSettings("analyser", extinction=1e6, kept=kept, transmission=(1.0, 1.0, 0.9))
-        capture, _, info = photograph_finger(ridges, rig, optics, light=light, films=films)
-        assert [band.polarisation for band in capture.bands.values()] == ["parallel", "crossed", ""]
-        parallel, crossed = (capture.bands[name].pixels.astype(float) for name in ("white", "white_crossed"))
-        assert info["films"]["kept"] == kept
-        found[kept] = parallel - crossed, parallel + crossed
-    # without it the difference is white but for the tint; with it, the skin's colour is in it as well
-    shine = found[0.0][0].mean(axis=(0, 1, 2))
-    assert shine / shine[0] == pytest.approx([1.0, 1.0, 0.81], rel=0.01)
-    assert found[0.4][0].sum() / found[0.4][1].sum() > 1.05 * found[0.0][0].sum() / found[0.0][1].sum()
-
-
 def test_regression_takes_noise_away_and_keeps_what_the_relief_explains():
     rng = np.random.default_rng(1)
     ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(80) * 0.7), (60, 80)))
@@ -133,26 +111,6 @@ def test_without_absorption_all_light_comes_out_again_as_from_a_matt_surface():
     # a slab of 12 mm: what leaves below is some 0.6 %, three mean free paths over 12 mm
     expected = ENTERING * TO_CAMERA / diffuse_transmittance()
     np.testing.assert_allclose(walked(FLAT, medium(40.0, 0.0), 10.0), expected, rtol=0.02)
-
-
-@needs_numba
-def test_dense_skin_is_lambertian_whatever_its_slope():
-    slope, pitch_mm = 0.4, 0.1
-    x = (np.arange(30) - 14.5) * pitch_mm
-    roof = patch(np.broadcast_to(-slope * np.abs(x), (30, 30)), pitch_mm)
-    solid, even = finger.solid_of(roof, LEDS), np.ones((30, 30), dtype=np.float32)
-    light = finger.walk_solid(
-        solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
-    ).radiance
-    albedo = diffusion_profile(10.0, 2.0).albedo
-    normal = np.array([slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
-    sides = []
-    for side in (-1, 1):
-        cosine = np.array([normal * [side, 1, 1] @ led.position_mm / np.linalg.norm(led.position_mm) for led in LEDS])
-        passed = STRENGTH * cosine * (1 - fresnel(cosine)) * (1 - float(fresnel(np.array(normal[2]))))
-        sides.append(albedo * passed / (np.pi * diffuse_transmittance()))
-    found = np.stack([light[:, :, 5:10].mean(axis=(1, 2)), light[:, :, 20:25].mean(axis=(1, 2))])
-    np.testing.assert_allclose(found, sides, rtol=0.04)
 
 
 @needs_numba
@@ -227,21 +185,6 @@ def test_specular_reflection_of_a_level_surface_follows_the_microfacet_formula()
     one_way = 2 * COSINE[0] / (COSINE[0] + np.sqrt(0.25**2 + (1 - 0.25**2) * COSINE[0] ** 2))
     expected = STRENGTH[0] * spread * one_way * float(fresnel(np.array(n_h))) / 4
     np.testing.assert_allclose(specular(FLAT, LEDS[0], 0.25)[11:13, 11:13], expected, rtol=5e-3)
-
-
-def test_optics_are_drawn_from_their_ranges():
-    rng = np.random.default_rng(1)
-    drawn = [finger.draw_optics(rng) for _ in range(50)]
-    assert all(0.3 <= one.scattering_factor <= 1.5 and 0.15 <= one.roughness <= 0.45 for one in drawn)
-    assert np.ptp([one.spread for one in drawn]) > 0.7
-
-
-@needs_numba
-def test_what_it_does_not_know_is_refused():
-    with pytest.raises(BadInput, match="without a lobe"):
-        finger.render_finger(FLAT, (replace(LEDS[0], lobe_exponent=2.0),), "red", EVEN)
-    with pytest.raises(BadInput, match="above zero"):
-        finger.render_finger(FLAT, LEDS, "red", EVEN, walks=0.0)
 
 
 def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch):

@@ -86,7 +86,7 @@ def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
 def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], float]:
     """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
-    from radiometry_cards import Card, as_placed, photograph
+    from radiometry_cards import as_placed, card_of, photograph
 
     from splitknit_rig.calibration.card_model import CardPlane
     from splitknit_rig.calibration.radiometry import fit_radiometry
@@ -95,9 +95,9 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
     tilt = tuple(rig.provenance["base_tilt_deg"]) if case.base_tilt == "known" else (0.0, 0.0)
-    capture = photograph(Card(rig, case, seed=seed), stored, case, seed)
+    capture = photograph(card_of(rig, case), stored, case, seed)
     found = fit_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
-    truth = Card(rig, case, even=True)
+    truth = card_of(rig, case, even=True)
     return found, errors(found.rig, truth, 0.0), float(found.flat_field.rms_percent.max())
 
 
@@ -113,7 +113,7 @@ def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
 def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     """Model against division by the card's images, for an even surface at heights above the plane."""
     import numpy as np
-    from radiometry_cards import CASES, Card
+    from radiometry_cards import CASES, card_of
 
     from splitknit_simulator.rigs import built_rig
 
@@ -122,9 +122,9 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     for seed in seeds:
         rig = built_rig(seed, scale=scale)
         calibrated = measure(seed, scale, case)[0].rig
-        card = _light(Card(rig, case, even=True))
+        card = _light(card_of(rig, case, even=True))
         for z in HEIGHTS_MM:
-            truth = _light(Card(rig, case, z, even=True))
+            truth = _light(card_of(rig, case, z, even=True))
             towards = _directions(rig, z)
             flat = _directions(rig, 0.0)[..., 2]  # a card's image has its cosine in it
             nothing = _directions_weight(rig, z)
