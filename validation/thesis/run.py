@@ -8,7 +8,7 @@
     python validation/thesis/report.py     # tables for reading, from what lies here
 
 ``all`` may be stopped at any moment: the same command goes on. A part is made again only if the population, the store,
-the options or the version changed since (or with --again); within a part finished captures and comparisons are kept in
+the options or the version changed since; within a part finished captures and comparisons are kept in
 --scratch.
 
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     truth = read_truth(options.population)
     for part in parts:
         inputs = _inputs(options, part)
-        if len(parts) > 1 and not options.again and finished(options.out, part, inputs):
+        if len(parts) > 1 and finished(options.out, part, inputs):
             print(part, "is finished", flush=True)
             continue
         started = time.perf_counter()
@@ -120,7 +120,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="what parts keep to go on when stopped"
     )
-    parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument(
         "--people", type=int, default=5, help="whose fingers scales and descriptors take, from the first on"
