@@ -14,6 +14,7 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
+from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.light.skin import (
     REFRACTIVE_INDEX,
     diffuse_transmittance,
@@ -90,6 +91,27 @@ def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
     once = 0.8 / (4 * np.pi) * ENTERING * (1 - float(fresnel(np.array(1.0)))) / REFRACTIVE_INDEX**2 / (inside + 1)
     np.testing.assert_allclose(found.once.mean(axis=(1, 2), dtype=np.float64), once, rtol=0.03)
     assert (found.once <= found.radiance).all()
+
+
+@needs_numba
+def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
+    ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(40) * 0.7), (40, 40)))
+    leds = tuple(replace(led, band=band) for band in ("white", "nir") for led in LEDS)
+    optics = FingerOptics(spread=0.0, shot_noise=0.0, roughness=0.3)
+    rig = Rig(ridges.camera, leds)
+    light = finger.walk_finger(ridges, rig, optics, walks=2.0, rays=2, threads=1)
+    found = {}
+    for kept in (0.0, 0.4):
+        films = FilmSettings("analyser", extinction=1e6, kept=kept, transmission=(1.0, 1.0, 0.9))
+        capture, _, info = photograph_finger(ridges, rig, optics, light=light, films=films)
+        assert [band.polarisation for band in capture.bands.values()] == ["parallel", "crossed", ""]
+        parallel, crossed = (capture.bands[name].pixels.astype(float) for name in ("white", "white_crossed"))
+        assert info["films"]["kept"] == kept
+        found[kept] = parallel - crossed, parallel + crossed
+    # without it the difference is white but for the tint; with it, the skin's colour is in it as well
+    shine = found[0.0][0].mean(axis=(0, 1, 2))
+    assert shine / shine[0] == pytest.approx([1.0, 1.0, 0.81], rel=0.01)
+    assert found[0.4][0].sum() / found[0.4][1].sum() > 1.05 * found[0.0][0].sum() / found[0.0][1].sum()
 
 
 def test_regression_takes_noise_away_and_keeps_what_the_relief_explains():

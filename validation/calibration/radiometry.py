@@ -23,28 +23,29 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 HEIGHTS_MM = (0.0, 2.5, 5.0, 7.5, 10.0)
 STEP = 4
+FIRST_SEED = 100
+SCALE = 0.12
+"""Of the images."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))  # before numpy is imported
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--scale", type=float, default=0.12, help="of the images (default: 0.12)")
     parser.add_argument("--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)")
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
     parser.add_argument("--tables", type=Path, help="folder for the tables as CSV")
     options = parser.parse_args(arguments)
-    seeds = range(options.first_seed, options.first_seed + options.rigs)
+    seeds = range(FIRST_SEED, FIRST_SEED + options.rigs)
     results: dict[str, Any] = {
         "format": "splitknit-calibration-radiometry",
         "version": 1,
         "rigs": options.rigs,
-        "first_seed": options.first_seed,
-        "scale": options.scale,
-        "plane": plane(seeds, options.scale),
-        "heights": heights(seeds, options.scale),
-        "drift": drift(options.fingers, options.first_seed),
+        "first_seed": FIRST_SEED,
+        "scale": SCALE,
+        "plane": plane(seeds, SCALE),
+        "heights": heights(seeds, SCALE),
+        "drift": drift(options.fingers, FIRST_SEED),
     }
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="ascii")
     print(summary(results))
