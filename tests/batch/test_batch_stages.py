@@ -213,7 +213,7 @@ def test_more_impostors_are_added_to_those_that_are_there(copies: tuple[Path, Pa
     assert some + rest == 48 == len(set(pairs_of(out, "ridge")))
     assert set(first) < set(pairs_of(out, "ridge"))
     assert json.loads((out / "store.json").read_text())["pairs"]["impostors"] == 1.0
-    with pytest.raises(BadInput, match="another pairs.seed"):
+    with pytest.raises(BadInput, match=r"another pairs\.seed"):
         run(population, out, "ridge", seed=5)
 
 
