@@ -127,12 +127,12 @@ def test_nothing_is_written_or_read_through_a_link(people: Path, store: Path, tm
 
 
 def test_a_score_file_of_the_user_is_not_replaced(people: Path, store: Path, tmp_path: Path) -> None:
-    file = tmp_path / "scores" / "ea_ridge.csv"
+    file = store / "csv" / "ea_ridge.csv"
     for _ in range(2):  # our own is replaced
-        assert run(people, store, "ridge", csv=file.parent)["csv"] == [str(file)]
+        assert run(people, store, "ridge")["csv"] == [str(file)]
     file.write_text("label,score\n1,0.9\n")
     with pytest.raises(BadInput, match="exists and is not a score file of a batch; name another"):
-        run(people, store, "ridge", csv=file.parent)
+        run(people, store, "ridge")
     assert file.read_text() == "label,score\n1,0.9\n"
 
 
@@ -192,9 +192,9 @@ def test_comparisons_are_the_matchers_own(copies: tuple[Path, Path]) -> None:
 
 def test_score_files_hold_what_the_store_holds(copies: tuple[Path, Path], tmp_path: Path) -> None:
     population, out = copies
-    run(population, out, "ridge", csv=tmp_path / "csv")
+    run(population, out, "ridge")
     table = Store(out).scores("ea", "ridge")
-    read = read_scores(tmp_path / "csv" / "ea_ridge.csv")
+    read = read_scores(out / "csv" / "ea_ridge.csv")
     np.testing.assert_array_equal(read.score, table["similarity"])
     np.testing.assert_array_equal(read.label, table["genuine"])
     assert read.label.sum() == 12
@@ -347,7 +347,7 @@ def test_cases_and_matchers_that_cannot_be(people: Path, tmp_path: Path) -> None
     with pytest.raises(BadInput, match="did you mean"):
         Case("mine", "ea", {"height.metod": 3})
     for changes, fault in (
-        ({"cases": (Case("a", "ea"), Case("a", "pr"))}, "named twice: .'a'"),
+        ({"cases": (Case("a", "ea"), Case("a", "pr"))}, "two cases have one name"),
         ({"cases": ()}, "at least one case"),
         ({"matchers": ("eyes",)}, "no matcher 'eyes'"),
         ({"impostors": 1.5}, "impostors must be from 0 to 1"),

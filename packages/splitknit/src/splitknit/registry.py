@@ -78,6 +78,7 @@ GONE: dict[str, str] = {
     "batch --cluster-ca": "name certificates in Dask's configuration (docs/guide/batch.md).",
     "batch --cluster-cert": "name certificates in Dask's configuration (docs/guide/batch.md).",
     "batch --cluster-key": "name certificates in Dask's configuration (docs/guide/batch.md).",
+    "batch --csv": "score files are in STORE/csv.",
     "batch --insecure-cluster": "use tls://, or a tunnel to tcp://127.0.0.1 (docs/guide/batch.md).",
     "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }

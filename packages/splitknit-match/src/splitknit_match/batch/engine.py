@@ -64,7 +64,6 @@ def run_batch(
     impostors: float = 1.0,
     seed: int = 0,
     surfaces: bool = True,
-    csv: Path | None = None,
     jobs: int = 2,
     scheduler: str | None = None,
     device: str = "cpu",
@@ -80,7 +79,7 @@ def run_batch(
     population : str or Path
         Folder of ``splitknit simulate population`` or of an enrolment.
     out : str or Path
-        Folder of the store.
+        Folder of the store, with score files that ``splitknit evaluate`` reads in ``csv``.
     cases : sequence of Case
         Methods of reconstruction, each of its own name.
     matchers : sequence of str
@@ -90,8 +89,6 @@ def run_batch(
     surfaces : bool
         Keep the surfaces, about 2.3 MB a reconstruction at 30 px/mm: the thesis's matcher needs
         them.
-    csv : Path, optional
-        Folder for score files that ``splitknit evaluate`` reads; ``csv`` in the store by default.
     jobs : int
         Processes at most.
     scheduler : str, optional
@@ -112,11 +109,10 @@ def run_batch(
     started = time.perf_counter()
     _check(cases, matchers, impostors, jobs)
     people, folder = Path(population), Path(out)
-    tables = folder / "csv" if csv is None else csv
     compared = [(case, name) for case in cases for name in matchers]
-    files = [tables / f"{case.name}_{name}.csv" for case, name in compared]
+    files = [folder / "csv" / f"{case.name}_{name}.csv" for case, name in compared]
     with contextlib.ExitStack() as stack:
-        stack.enter_context(given_folders(filter(None, (people, folder, csv))))
+        stack.enter_context(given_folders((people, folder)))
         for file in files:
             check_file(file, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
         captures = read_population(people)
@@ -148,12 +144,11 @@ def _check(cases: Sequence[Case], matchers: Sequence[str], impostors: float, job
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     require(0 <= impostors <= 1, f"impostors must be from 0 to 1, but it is {impostors}.")
     require(len(cases) > 0, "a batch needs at least one case.")
-    names = [*(case.name for case in cases), *matchers]
-    twice = [name for name in names if names.count(name) > 1]
-    require(not twice, f"a case or matcher is named twice: {twice[:1]}.")
-    unknown = [name for name in matchers if name not in MATCHERS]
-    known = f"known are {', '.join(MATCHERS)}."
-    require(not unknown, f"there is no matcher '{''.join(unknown[:1])}'; {known}")
+    names = {case.name for case in cases}
+    require(len(names) == len(cases), "two cases have one name; give each its own.")
+    for name in matchers:
+        known = f"known are {', '.join(MATCHERS)}."
+        require(name in MATCHERS, f"there is no matcher '{name}'; {known}")
 
 
 def _reconstruct(run: _Run, cases: Sequence[Case], surfaces: bool) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, read_capture, reconstruct
-from splitknit.errors import BadExposure, require
+from splitknit.errors import BadExposure
 from splitknit.finger.ridges import surface_print
 from splitknit.io.png import decode_png
 from splitknit.io.prints import encode_print_png, provenance_texts
@@ -25,7 +25,7 @@ from splitknit_match.batch.surfaces import pack_surface
 from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
 from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.minutiae import extract
-from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
 from splitknit_match.matching.surface import MatchingSettings, surface_template
 from splitknit_match.matching.template import pack
 
@@ -116,18 +116,10 @@ def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
     table = read_table(file, ["capture", "print"])
     rows = []
     for capture, data in zip(table["capture"].tolist(), table["print"].tolist(), strict=True):
-        minutiae = _minutiae(data, f"the print of '{capture}' in '{file}'")
+        name = f"the print of '{capture}' in '{file}'"
+        minutiae = extract(decode_png(data, name)[..., 0].astype(np.uint8)) if data else no_minutiae()
         packed = pack_minutiae(minutiae)
         rows.append({"capture": capture, "acquired": minutiae.acquired, "minutiae": packed})
     origin = read_origin(file) | {"kind": "minutiae", "kind_version": _MINUTIAE_VERSION}
     write_table(target / file.relative_to(features), rows, origin)
     return Done(1)
-
-
-def _minutiae(data: bytes, name: str) -> Minutiae:
-    if not data:
-        return no_minutiae()
-    pixels = decode_png(data, name)
-    grey = pixels.shape[2] == 1 and pixels.dtype == np.uint8
-    require(grey, f"{name} is not an 8-bit grey image.")
-    return extract(np.asarray(pixels[..., 0], dtype=np.uint8))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.errors import require
+from splitknit.errors import refusing, require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
 from splitknit.io.fields import Fields, read_json
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
@@ -44,12 +44,10 @@ def read_population(folder: Path) -> Population:
 
     Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
-    try:
-        known = (folder / PLAN_FILE).is_file()
-    except (OSError, ValueError):
-        known = False
     remedy = "name a folder of 'splitknit simulate population' or of an enrolment."
-    require(known, f"'{folder}' is not a population: it holds no {PLAN_FILE}; {remedy}")
+    fault = f"'{folder}' is not a population: it holds no {PLAN_FILE}; {remedy}"
+    with refusing(fault):
+        require((folder / PLAN_FILE).is_file(), fault)
     plan = open_enrolment(folder).plan
     captures = []
     fingers = [(subject, finger) for subject in plan.subject_ids() for finger in plan.fingers]
@@ -78,18 +76,13 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     """
 
     def drawn(finger: str, impostor: str) -> bool:
-        return draw(finger, impostor, seed) < impostors
+        first, second = sorted((finger, impostor))
+        digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
+        return int.from_bytes(digest[:8], "big") < impostors * 2.0**64
 
     fingers = [capture.finger for capture in captures]
     sessions = [capture.session for capture in captures]
     return comparisons(fingers, sessions, drawn if impostors < 1.0 else None)
-
-
-def draw(a: str, b: str, seed: int) -> float:
-    """Number in [0, 1) that belongs to two fingers, whatever their order."""
-    first, second = sorted((a, b))
-    digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
-    return int.from_bytes(digest[:8], "big") / 2.0**64
 
 
 def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], fingers: int) -> list[Comparisons]:

@@ -30,7 +30,6 @@ class BatchJob(Job):
     seed: Annotated[Natural, Help("which of them", "N")] = 0
     surfaces: Annotated[bool, Help(
         "keep no surfaces, which only the matcher thesis needs: a tenth of the disk")] = True
-    csv: Annotated[AnyPath | None, Help("folder of score files (default: csv in STORE)", "DIR")] = None
     jobs: Annotated[Natural, Help("processes at most, if memory allows", "N")] = 2
     device: Device = "cpu"
     scheduler: Annotated[str | None, Help(
@@ -55,7 +54,6 @@ class BatchJob(Job):
             impostors=self.impostors,
             seed=self.seed,
             surfaces=self.surfaces,
-            csv=path(self.csv),
             jobs=self.jobs,
             scheduler=self.scheduler,
             device=self.device,
