@@ -66,8 +66,7 @@ def write_scores(path: Path, table: Table) -> None:
             names["finger"].append([f"{subject}/{finger}" for subject, _, finger in parts])
             names["subject"].append([subject for subject, _, _ in parts])
             names["session"].append([session.removeprefix("session_") for _, session, _ in parts])
-    columns = ["similarity", *(name for name in table if name not in SCORES)]
-    scores = {name: table[name].tolist() for name in columns}
-    scores = {"score": scores.pop("similarity"), **scores}
+    own = {name: column.tolist() for name, column in table.items() if name not in SCORES}
+    scores = {"score": table["similarity"].tolist(), **own}
     sides = {kind: (a, b) for kind, (a, b) in names.items()}
     write_file(path, score_table(table["genuine"].tolist(), sides, scores))

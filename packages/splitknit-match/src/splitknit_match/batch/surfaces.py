@@ -61,7 +61,7 @@ def unpack_surface(payload: bytes) -> Surface:
         require(sound and bool(np.isfinite(matrix).all()), _DAMAGED)
         bits = np.frombuffer(payload, np.uint8, (high * wide + 7) // 8, _HEAD.size)
         inside = np.unpackbits(bits, count=high * wide).astype(np.bool_)
-        count = np.count_nonzero(inside)
+        count = int(np.count_nonzero(inside))
         layers = 6 if kinds % 2 else 3
         at = _HEAD.size + len(bits)
         require(count > 0 and len(payload) == at + 4 * count * layers, _DAMAGED)
