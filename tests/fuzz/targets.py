@@ -59,13 +59,12 @@ from splitknit.report.surface import scene
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
-from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
-from splitknit_match.batch.features import BANDS, QUALITY
-from splitknit_match.batch.features import COLUMNS as FEATURES
+from splitknit_match.batch.cases import Case
+from splitknit_match.batch.features import failed_row
 from splitknit_match.batch.population import read_population
-from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import Store, open_store
 from splitknit_match.batch.surfaces import pack_surface, unpack_surface
+from splitknit_match.batch.tables import read_origin, write_table
 from splitknit_match.cli.records import WhatJob
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.score_files import read_exclusions, read_scores
@@ -113,7 +112,8 @@ from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import _read_radiometry_plan
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
-EA = BatchSettings(cases=preset_cases(("ea",)), matchers=())
+DOCUMENTS: tuple[dict[str, Any], ...] = ({"ea": Case("ea", "ea").document()}, {}, {})
+"""Cases, matchers and pairs of the store."""
 
 
 @dataclass(frozen=True)
@@ -704,16 +704,12 @@ def _store() -> Files:
         there = read_population(population)
         store = out / "store"
         store.mkdir()
-        open_store(store, there, EA)
+        open_store(store, there.sha256, *DOCUMENTS)
         rows = []
         for number, capture in enumerate(there.captures):
-            row: dict[str, object] = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
-            row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
-            row |= {"session": capture.session, "acquired": True, "failure": "", "area_mm2": 70.0, "warnings": []}
-            row |= {"input_sha256": f"{number:064x}", "template": waves(capture.finger, number), "print": b""}
-            rows.append(row | {"images": _surface()})
-        write_chunk(store / "features" / "ea" / "00000-x.npz", rows, FEATURES, {"kind": "features"})
-        write_timings(store / "timings" / "ea", "00000-x", {capture.name: 1.5 for capture in there.captures})
+            filled = {"acquired": True, "template": waves(capture.finger, number), "images": _surface()}
+            rows.append(failed_row(capture, "") | filled)
+        write_table(store / "features" / "ea" / "00000-x.npz", rows, {"kind": "features"})
 
     return _folder(make)
 
@@ -721,16 +717,15 @@ def _store() -> Files:
 def _batch(folder: Path, files: Files) -> object:
     def opened() -> None:
         if os.path.lexists(folder / "store" / "store.json"):  # where there is none, a store is begun
-            open_store(folder / "store", read_population(folder / "people"), EA)
+            open_store(folder / "store", read_population(folder / "people").sha256, *DOCUMENTS)
 
     store = Store(folder / "store")
     return _any(
         opened,
         store.document,
-        lambda: store.captures("ea"),
         lambda: store.features("ea"),
-        lambda: store.features("ea", ["capture", "template", "seconds"]),
-        lambda: store.images("ea", "S01/session_1/right_index"),
+        lambda: store.features("ea", ["capture", "template"]),
+        lambda: [place.surface() for place in store.places("features", "ea").values()],
         lambda: [read_origin(file) for file in store.files("features", "ea")],
     )
 

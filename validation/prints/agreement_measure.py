@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
-from splitknit_match.batch.chunks import read_chunk
-from splitknit_match.batch.reading import stored_places
 from splitknit_match.batch.store import Store
-from splitknit_match.batch.surfaces import unpack_surface
 from splitknit_match.matching.minutiae import extract, nfiq2
 from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.make import Print, enhance, make_print
@@ -43,21 +39,15 @@ class Surfaces:
     def source(self, case: str, capture: str) -> Source | None:
         """A reconstruction as prints need it; its height is shape and relief together."""
         if case not in self.places:
-            self.places[case] = stored_places(self.store.files("features", case))
+            self.places[case] = self.store.places("features", case)
         where = self.places[case].get(capture)
-        payload = None if where is None else _payloads(where.file)[where.row]
-        if not payload:
+        s = None if where is None else where.surface()
+        if s is None:
             return None
-        s = unpack_surface(payload)
         return Source(
             "result", s.mask, s.pitch_mm, s.input_from_upright, s.upright_size, s.ridge_mm + s.shape_mm, s.ridge_mm,
             s.shape_mm, preset=case,
         )  # fmt: skip
-
-
-@lru_cache(maxsize=2)
-def _payloads(file: Path) -> list[bytes | None]:
-    return list(read_chunk(file, ["images"])["images"].tolist())
 
 
 def photograph(folder: Path) -> NDArray[np.float32]:

@@ -73,6 +73,12 @@ GONE: dict[str, str] = {
     "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
     "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
     "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "batch --cluster": "use '--scheduler' (docs/guide/batch.md).",
+    "batch --cluster-ca": "name certificates in Dask's configuration (docs/guide/batch.md).",
+    "batch --cluster-cert": "name certificates in Dask's configuration (docs/guide/batch.md).",
+    "batch --cluster-key": "name certificates in Dask's configuration (docs/guide/batch.md).",
+    "batch --csv": "score files are in STORE/csv.",
+    "batch --insecure-cluster": "use tls://, or a tunnel to tcp://127.0.0.1 (docs/guide/batch.md).",
     "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }
 """Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
