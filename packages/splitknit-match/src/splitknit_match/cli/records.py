@@ -82,7 +82,7 @@ def _drawn(held: tuple[PrintFile | FingerView, ...], name: str) -> bytes:
     from splitknit.io.images import encode_image
     from splitknit.io.pictures import ORANGE, SKY
     from splitknit.io.prints import PrintFile
-    from splitknit_match.gallery.records import minutiae_in
+    from splitknit_match.prints.export import minutiae_in
     from splitknit_match.prints.from_file import print_at_500_ppi
     from splitknit_match.records.finger_image import MAX_PIXELS
 

@@ -28,15 +28,13 @@ from splitknit.io.atomic import append_line
 from splitknit.io.images import cores
 from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import known_json
-from splitknit_match.gallery.entry import LONGEST_NAME
-from splitknit_match.gallery.file import Unavailable
+from splitknit_match.gallery.file import MAX_NAME, Unavailable
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match_job import make_template
 from splitknit_match.matching.minutiae_record import PPI, pack_minutiae
 from splitknit_match.prints.from_file import minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
-from splitknit_match.records.minutiae_record import PALM_CODES
 from splitknit_match.records.print_formats import decode_prints
 
 MAX_BODY = 10_000_000
@@ -195,7 +193,7 @@ def _finger_of(given: Mapping[str, Any]) -> Pixels | bytes:
     if "template" in given:
         require(len(data) > 0, "the template is empty: a failure to acquire.")
         return data
-    held = [one for one in decode_prints(data, "the print") if one.finger not in PALM_CODES]
+    held = decode_prints(data, "the print")
     require(len(held) == 1, f"the print holds {len(held)} fingers; send them one by one.")
     if not isinstance(held[0], PrintFile):
         return pack_minutiae(minutiae_of(held[0]))
@@ -269,8 +267,8 @@ class _Act:
         if self._enrolled and code == 200:
             return True
         person, ms = self.asked.get("person"), round(1000 * (time.perf_counter() - self.started))
-        if person is not None and len(person) > LONGEST_NAME:
-            person = f"{person[:LONGEST_NAME]}..."
+        if person is not None and len(person) > MAX_NAME:
+            person = f"{person[:MAX_NAME]}..."
         return self.log.put_down(_line({"act": self.name, "status": code, "ms": ms, "person": person}, said), keep=keep)
 
     def enrolled(self) -> None:
