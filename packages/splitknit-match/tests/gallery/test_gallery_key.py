@@ -36,8 +36,11 @@ def test_keys_are_not_shown() -> None:
     assert "secret" not in repr(Key("secret phrase"))
 
 
-def test_a_key_comes_from_a_pipe() -> None:
-    """``--key-file <(...)``."""
+def test_a_key_comes_from_a_pipe(tmp_path: Path) -> None:
+    """``--key-file <(...)``; one that nobody writes into holds nobody."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BadInput, match="holds no key"):
+        key_of(tmp_path / "pipe")
     ours, theirs = os.pipe()
     os.write(theirs, b"a phrase for tests")
     os.close(theirs)

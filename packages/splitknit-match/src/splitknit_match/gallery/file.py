@@ -12,6 +12,7 @@ import getpass
 import hashlib
 import os
 import re
+import select
 import sqlite3
 import threading
 import unicodedata
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
-from splitknit.errors import UNFINISHED, importing, require, shown_path
+from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
 from splitknit.io.atomic import append_line, private_modes
 from splitknit.io.enrolment import FINGERS
 from splitknit.verbs import VERB, AnyPath
@@ -41,6 +42,8 @@ KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
 MAX_NAME = 100
 """Characters of a person's name, at most."""
 _MAX_KEY_BYTES = 4096
+_WRITER_S = 2.0
+"""How long a pipe may be without a program that writes into it."""
 _MAGIC = b"SQLite format 3\0"
 _SCHEMA = (
     "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
@@ -175,7 +178,9 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     if file is not None:
         content, where = b"", f"the key file {shown_path(file)}"
         try:
-            with Path(file).open("rb") as stream:
+            with open(file, "rb", opener=open_at_once) as stream:  # noqa: PTH123 - which has no opener
+                select.select([stream], [], [], _WRITER_S)
+                os.set_blocking(stream.fileno(), True)  # a writer takes as long as it likes: it may ask for a password
                 content = stream.read(_MAX_KEY_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
