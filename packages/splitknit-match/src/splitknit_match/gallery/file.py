@@ -178,7 +178,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     if file is not None:
         content, where = b"", f"the key file {shown_path(file)}"
         try:
-            with open(file, "rb", opener=open_at_once) as stream:  # noqa: PTH123 - which has no opener
+            with open(file, "rb", opener=open_at_once) as stream:
                 select.select([stream], [], [], _WRITER_S)
                 os.set_blocking(stream.fileno(), True)  # a writer takes as long as it likes: it may ask for a password
                 content = stream.read(_MAX_KEY_BYTES + 1)
