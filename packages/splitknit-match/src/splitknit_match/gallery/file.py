@@ -47,7 +47,7 @@ _WRITER_S = 2.0
 _MAGIC = b"SQLite format 3\0"
 _SCHEMA = (
     "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
-    "erasing INTEGER NOT NULL) STRICT",
+    "changes INTEGER NOT NULL, erasing INTEGER NOT NULL) STRICT",
     "CREATE TABLE capture (id INTEGER PRIMARY KEY, person INTEGER NOT NULL REFERENCES person, "
     "finger TEXT NOT NULL, session TEXT NOT NULL, kind TEXT NOT NULL, source_sha256 TEXT NOT NULL, "
     "area_mm2 REAL NOT NULL, failure TEXT NOT NULL, enrolled_at TEXT NOT NULL, "
@@ -233,10 +233,10 @@ class People:
 
 
 class GalleryFile:
-    """The file of a gallery. It stays open; threads and forked processes may use one object.
+    """The file of a gallery; threads and forked processes may use one object.
 
-    Each call sees whichever file has the name then, and what other programs changed in it. One that was there and is
-    gone is refused.
+    Each call opens whichever file has the name then, and sees what other programs changed in it; what was read is kept.
+    One that was there and is gone is refused.
     """
 
     def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
@@ -244,17 +244,10 @@ class GalleryFile:
         self.path, self.key = Path(path), key_of(key)
         self._driver = sqlite3 if self.key is None else _sqlcipher()
         self._was_there = _stamp_of(self.path) is not None
-        self._forget()
-
-    def _forget(self) -> None:
-        self._lock, self._pid = threading.Lock(), os.getpid()
-        self._database: Any = None
-        self._stamp: tuple[int, ...] | None = None
-        """Of the file as it was opened last: where it lies, its size, and the time of its last change."""
         self._sound: tuple[int, ...] | None = None
         """Device and inode of the file whose pages were checked."""
-        self._people: People | None = None
-        self._seen: tuple[Any, ...] | None = None
+        self._kept: tuple[object, People | None] = None, None
+        """What was read last, and of which state of which file."""
         self._logged = False
 
     def __enter__(self) -> Self:
@@ -264,10 +257,8 @@ class GalleryFile:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file and what was read."""
-        if self._database is not None and self._pid == os.getpid():
-            self._database.close()
-        self._forget()
+        """Let go of what was read."""
+        self._kept = None, None
 
     @property
     def there(self) -> bool:
@@ -305,11 +296,12 @@ class GalleryFile:
     def people(self, person: str | None = None) -> People:
         """What it holds, kept in memory for the next call; of one person alone if the rest was not read yet."""
         with self._reading() as database:
-            seen = (*(self._stamp or ()), *database.execute("PRAGMA data_version").fetchone())
-            if self._people is not None and seen == self._seen:
-                return self._people
+            state = _stamp_of(self.path), database.execute("SELECT changes FROM about").fetchone()
+            known_state, kept = self._kept
+            if kept is not None and state == known_state:
+                return kept
             entries = self._entries(database, person)
-            earlier = self._people or People(self.path, "", [], {})
+            earlier = kept or People(self.path, "", [], {})
             templates = {}
             for entry in entries:
                 known = earlier.entries.get(entry.row) == entry
@@ -317,7 +309,7 @@ class GalleryFile:
             people = People(self.path, _settings_of(database), entries, templates)
             people.indexed = earlier.indexed
             if person is None:
-                self._people, self._seen = people, seen
+                self._kept = state, people
             return people
 
     def _entries(
@@ -401,20 +393,12 @@ class GalleryFile:
     @contextlib.contextmanager
     def _reading(self) -> Iterator[Any]:
         """One state of the gallery, whatever others write meanwhile."""
-        if self._pid != os.getpid():  # a database must not cross a fork; the lock may be held by a thread left behind
-            self._forget()
-        with self._lock, self._refusing():
+        with self._refusing():
             require(self.there, f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
-            stamp = _stamp_of(self.path)
-            if self._database is None or self._stamp != stamp:  # another file, or another program's change
-                if self._database is not None:
-                    self._database.close()
-                self._database = None
-                self._log()
-                self._database, self._stamp = self._connect(), stamp
-            with _transaction(self._database, "BEGIN"):
-                self._check(self._database)
-                yield self._database
+            self._log()
+            with contextlib.closing(self._connect()) as database, _transaction(database, "BEGIN"):
+                self._check(database)
+                yield database
 
     @contextlib.contextmanager
     def _changing(self, settings_sha256: str | None = None) -> Iterator[Any]:
@@ -436,6 +420,7 @@ class GalleryFile:
                             _make(database, settings_sha256 or "")
                         self._check(database)
                         self.require_comparable(_settings_of(database), settings_sha256)
+                        database.execute("UPDATE about SET changes = changes + 1")
                         yield database
                         now = _stamp_of(self.path)
                         same = now is not None and place is not None and now[:2] == place[:2]
@@ -481,9 +466,8 @@ class GalleryFile:
         writable = os.access(self.path, os.W_OK) and os.access(self.path.parent, os.W_OK)
         mode = "mode=rw" if writable else "mode=ro&immutable=1"
         database = self._driver.connect(
-            f"{self.path.resolve().as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None,
-            check_same_thread=False,
-        )  # fmt: skip
+            f"{self.path.resolve().as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None
+        )
         try:
             for statement in () if self.key is None else ("PRAGMA cipher_log_level=NONE", self.key.pragma):
                 database.execute(statement)
@@ -602,7 +586,7 @@ def _has_tables(database: Any) -> bool:
 def _make(database: Any, settings_sha256: str) -> None:
     for statement in _SCHEMA:
         database.execute(statement)
-    database.execute("INSERT INTO about VALUES (?, ?, 0)", (settings_sha256, TEMPLATE_VERSION))
+    database.execute("INSERT INTO about VALUES (?, ?, 0, 0)", (settings_sha256, TEMPLATE_VERSION))
     database.execute(f"PRAGMA application_id={APPLICATION_ID}")
     database.execute(f"PRAGMA user_version={VERSION}")
 
@@ -639,11 +623,3 @@ def _transaction(database: Any, begin: str) -> Iterator[None]:
         finally:
             UNFINISHED.leave()
         raise
-
-
-def is_gallery(file: Path) -> bool:
-    """Whether a file begins as galleries do, or, as an encrypted one begins like noise, has their name (.skg)."""
-    with contextlib.suppress(OSError), file.open("rb") as stream:
-        begin = stream.read(72)
-        return file.suffix == ".skg" or (begin[:16] == _MAGIC and begin[68:] == APPLICATION_ID.to_bytes(4, "big"))
-    return False

@@ -109,7 +109,7 @@ def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: 
             async for part in request.stream():
                 body += part
                 if len(body) > max_body:
-                    raise _Refused(413, f"the request has more than {max_body} bytes")
+                    raise _AnswerError(413, f"the request has more than {max_body} bytes")
         return bytes(body)
 
     async def answer(request: Request) -> JSONResponse:
@@ -117,14 +117,14 @@ def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: 
         code, facts = 200, dict[str, Any]()
         try:
             if not hmac.compare_digest(request.headers.get("authorization", "").encode(), expected):
-                raise _Refused(401, "give the token: Authorization: Bearer TOKEN")
+                raise _AnswerError(401, "give the token: Authorization: Bearer TOKEN")
             act.fields = _fields_of(act.name, await body_of(request))
             limit_s = WORK_S if act.name != "enroll" else math.inf  # what is left alone would be written later
             with move_on_after(limit_s) as scope:
                 facts = await to_thread.run_sync(_done, act, gallery, abandon_on_cancel=True, limiter=limiter)
             if scope.cancelled_caught:
-                raise _Refused(503, f"the work took more than {WORK_S:g} s: try a smaller print, or later")
-        except _Refused as error:
+                raise _AnswerError(503, f"the work took more than {WORK_S:g} s: try a smaller print, or later")
+        except _AnswerError as error:
             code, facts = error.code, {"error": str(error)}
         except BadInput as error:
             code, facts = 503 if isinstance(error, Unavailable) else 400, {"error": _shown(error, gallery)}
@@ -149,7 +149,7 @@ def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: 
     return app
 
 
-class _Refused(Exception):
+class _AnswerError(Exception):
     """A request that is answered by another code than 400."""
 
     def __init__(self, code: int, words: str) -> None:
