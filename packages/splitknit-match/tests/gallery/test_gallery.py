@@ -162,6 +162,25 @@ def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, a
     assert b"a second copy of" not in file.read_bytes()
 
 
+def test_what_one_could_not_erase_the_next_writer_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a kill between a removal and its VACUUM: here a reader is in the way."""
+    file, gone = tmp_path / "g.skg", payload(1)[-200:]
+    with GalleryFile(file) as gallery:
+        gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
+    monkeypatch.setattr("splitknit_match.gallery.file.WAIT_S", 0.05)
+    with contextlib.closing(sqlite3.connect(file)) as reader:
+        reader.execute("BEGIN")
+        reader.execute("SELECT * FROM about").fetchall()
+        with GalleryFile(file) as gallery, pytest.raises(BadInput, match="its bytes may still lie in the file"):
+            gallery.remove("Ann")
+        assert people(file, None) == ["Bob, right index, session 1"]
+        assert gone in file.read_bytes()
+    with GalleryFile(file) as gallery:
+        gallery.add([new("Cid", 3)], SETTINGS)
+    assert gone not in file.read_bytes() and b"Ann" not in file.read_bytes()
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_what_became_free_is_used_again(file: Path, key: Key | None) -> None:
     with GalleryFile(file, key) as gallery:
         gallery.add([new(f"P{k}", 100 + k) for k in range(30)], SETTINGS)

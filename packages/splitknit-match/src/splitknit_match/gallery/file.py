@@ -373,6 +373,7 @@ class GalleryFile:
                 facts = [getattr(entry, name) for name in _FIELDS]
                 values = [None, person, entry.finger, entry.session, *facts, capture.template]
                 database.execute(f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values)
+                database.execute("UPDATE about SET changes = changes + 1")
             last()
         return new
 
@@ -420,7 +421,6 @@ class GalleryFile:
                             _make(database, settings_sha256 or "")
                         self._check(database)
                         self.require_comparable(_settings_of(database), settings_sha256)
-                        database.execute("UPDATE about SET changes = changes + 1")
                         yield database
                         now = _stamp_of(self.path)
                         same = now is not None and place is not None and now[:2] == place[:2]
@@ -604,7 +604,7 @@ def _delete(database: Any, person: str, finger: str | None, session: str | None)
     ).rowcount
     if removed:
         database.execute("DELETE FROM person WHERE id NOT IN (SELECT person FROM capture)")
-        database.execute("UPDATE about SET erasing = 1")
+        database.execute("UPDATE about SET changes = changes + 1, erasing = 1")
     return int(removed)
 
 

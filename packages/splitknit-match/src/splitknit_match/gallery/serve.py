@@ -246,11 +246,13 @@ def _shown(error: BadInput, gallery: Gallery) -> str:
 
 def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     """What is answered."""
-    fields = act.fields
+    fields = dict(act.fields)
     finger: Any = _finger_of(fields)
+    for name in _FINGER:
+        fields.pop(name, None)
     if act.name == "enroll":
-        options = {key: fields[key] for key in ("session", "duplicates") if key in fields}
-        enrolment = gallery.enroll(finger, fields["person"], fields["finger"], put_down=act.enrolled, **options)
+        person, which = fields.pop("person"), fields.pop("finger")
+        enrolment = gallery.enroll(finger, person, which, put_down=act.enrolled, **fields)
         return {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
     if act.name == "quality":
         made = make_template(finger)
@@ -260,8 +262,7 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
             quality = round(measured(printed, enhance(printed, PPI), PPI).score)
         template = base64.b64encode(made.payload or b"").decode("ascii")
         return {"acquired": made.a.acquired, "area_mm2": made.a.area_mm2, "quality": quality, "template": template}
-    options = {key: fields[key] for key in ("top", "fmr", "person") if key in fields}
-    return dict(known_json(gallery.identify(finger, **options))) | {"gallery": gallery.path.name}
+    return dict(known_json(gallery.identify(finger, **fields))) | {"gallery": gallery.path.name}
 
 
 def read_token(file: Path | None, variable: str = "SPLITKNIT_SERVE_TOKEN") -> str:
