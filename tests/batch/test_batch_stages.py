@@ -41,7 +41,7 @@ def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path,
     assert row["finger"] == "S01/right_index"
     assert row["session"] == "2"
     assert row["acquired"]
-    assert row["template"] == pack(surface_template(surface, MatchingSettings()))
+    assert row["template"] == pack(surface_template(surface))
     assert row["area_mm2"] == pytest.approx(result.mask.sum() * result.pitch_mm**2)
     assert row["sharpness_white"] == result.quality["white"]["sharpness"]
     (tmp_path / "print.png").write_bytes(row["print"])

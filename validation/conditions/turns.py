@@ -26,7 +26,7 @@ from splitknit.imaging.band import linear_survey
 from splitknit.model import Band, Capture, Led, default_rig, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_simulator.finger.finger import PoseRanges
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -142,7 +142,7 @@ def matched(seed: int, turns: int) -> str:
     templates = []
     for angle in np.arange(turns) * 360.0 / turns:
         result = reconstruct(turned(capture, float(angle), size), "metric")
-        templates.append(surface_template(surface_of(result), MatchingSettings()))
+        templates.append(surface_template(surface_of(result)))
     scores = [ridge_match(one, templates[0]).similarity for one in templates[1:]]
     return (
         f"Finger {seed}, square, `metric`: similarity of {len(scores)} turned captures with the upright one "

@@ -269,7 +269,6 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
                     store.folder,
                     tuple(capture for capture in captures if capture.name in named),
                     missing,
-                    settings.matching,
                     images=settings.surfaces,
                 )
             )

@@ -26,7 +26,8 @@ from splitknit_match.batch.settings import Case
 from splitknit_match.batch.surfaces import pack_surface
 from splitknit_match.matching.minutiae import extract
 from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
+from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 from splitknit_match.matching.template import pack
 
 PRINT_PPI = 500.0
@@ -46,7 +47,6 @@ class FeatureTask:
     store: Path
     captures: tuple[CaptureRef, ...]
     cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
-    matching: MatchingSettings
     images: bool
 
 
@@ -97,7 +97,7 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
         if running().device != "cpu":
             origin |= {"device": running().device}
-        templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
+        templates = settings_hash({"template": TEMPLATE_VERSION})
         origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", rows[case.name], COLUMNS, origin)
@@ -122,7 +122,7 @@ def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, l
     except BadInput as error:
         return row | {"failure": str(error)}
     surface = surface_of(result)
-    template = surface_template(surface, task.matching)
+    template = surface_template(surface)
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
     quality = {f"{name}_{band}": result.quality.get(band, {}).get(name) for band in BANDS for name in QUALITY}
     return row | {

@@ -14,7 +14,7 @@ from splitknit_match.batch.population import Blocks
 from splitknit_match.batch.reading import Place, images_of, small_column
 from splitknit_match.matching.minutiae import EDGE_MM, minutiae_match
 from splitknit_match.matching.minutiae_record import unpack_minutiae
-from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import unpack
 from splitknit_match.matching.thesis import ATTRIBUTES, ThesisSettings, finger_features, thesis_match
@@ -44,7 +44,7 @@ class Matcher:
 def matcher(name: str, settings: MatchingSettings) -> Matcher:
     """The matcher of that name."""
     own: dict[str, Callable[[], Matcher]] = {
-        "ridge": lambda: _by_ridges(settings.ridge),
+        "ridge": _by_ridges,
         "thesis": lambda: _by_thesis(settings.thesis),
         "thesis-code": _by_thesis_code,
         "minutiae": _by_minutiae,
@@ -57,18 +57,18 @@ def _values(found: Any, columns: tuple[str, ...]) -> Values:
     return {name: float(getattr(found, name)) for name in ("similarity", *columns)}
 
 
-def _by_ridges(settings: RidgeMatchSettings) -> Matcher:
+def _by_ridges() -> Matcher:
     """Ridge templates; a side that is ready takes up to 9 MB."""
     columns = ("correlation", "overlap_mm2", "rotation_deg")
 
     def ready(place: Place) -> Prepared | None:
         payload = small_column(place, "template")
-        return Prepared(unpack(payload), settings) if payload else None
+        return Prepared(unpack(payload)) if payload else None
 
     def compare(a: Prepared, b: Prepared) -> Values:
         return _values(ridge_match(a, b), columns)
 
-    return Matcher("ridge", columns, "features", Blocks(48, 43), settings, ready, ready, compare)
+    return Matcher("ridge", columns, "features", Blocks(48, 43), {}, ready, ready, compare)
 
 
 def _by_thesis(settings: ThesisSettings) -> Matcher:

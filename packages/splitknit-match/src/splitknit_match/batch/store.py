@@ -21,6 +21,7 @@ from splitknit_match.batch.population import Population
 from splitknit_match.batch.reading import images_of, stored_places
 from splitknit_match.batch.scores import COLUMNS
 from splitknit_match.batch.settings import BatchSettings
+from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 from splitknit_match.matching.thesis import FingerImages
 
 STORE_FILE = "store.json"
@@ -138,7 +139,7 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
         "software": "splitknit",
         "version": provenance()["version"],
         "population": {"sha256": population.sha256},
-        "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
+        "matching": _hashed({"template": TEMPLATE_VERSION}),
         "cases": {case.name: plain_json(case.document()) for case in settings.cases},
         "matchers": {name: _hashed(matcher(name, settings.matching).document) for name in settings.matchers},
     }

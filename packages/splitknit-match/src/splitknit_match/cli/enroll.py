@@ -69,8 +69,8 @@ class EnrollJob(Job):
         from splitknit_match.gallery.key import key_of
         from splitknit_match.matching.surface import MatchingSettings
 
-        matching = override(MatchingSettings(), self.settings or {})
-        how = Enrolling(self.preset, matching, self.keep_images, self.replace, self.with_time, self.input_ppi,
+        override(MatchingSettings(), self.settings or {})  # refuses unknown ones
+        how = Enrolling(self.preset, self.keep_images, self.replace, self.with_time, self.input_ppi,
                         PhotoFinger(self.mask, self.box))  # fmt: skip
         key = key_of(self.key_file)
         presented = refuse_attacks(self.pad, self.sources, self.preset, progress)

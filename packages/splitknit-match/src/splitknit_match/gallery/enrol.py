@@ -29,17 +29,16 @@ from splitknit_match.gallery.entry import Entry, NewCapture, check_person, check
 from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify import (
     MINUTIAE_HASH,
+    TEMPLATES_HASH,
     Identification,
     RankedCandidate,
     identify_finger,
-    templates_hash,
 )
 from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.matching.inputs import Held, Pixels, Side, is_of_minutiae, read_side, undoubted
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import mirrored
 
 Duplicates = Literal["refuse", "warn", "allow"]
@@ -56,7 +55,6 @@ class Enrolling:
 
     preset: str = "metric"
     """By which captures are reconstructed."""
-    matching: MatchingSettings = field(default_factory=MatchingSettings)
     keep: str = "none"
     """``none``, ``thumbnail`` or ``raw``."""
     replace: bool = False
@@ -159,7 +157,7 @@ def enroll_fingers(
         new.append(new_capture(one, name, finger, chosen, how))
     looks = _Looks(gallery, [one.side for one in made if one.side is not None], (name, finger), how, duplicates)
     looks.look()  # the first look may take long, and holds nobody up
-    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    sha256 = MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     added = gallery.add(new, sha256, replaces=how.replace, first=looks.look, last=put_down)
     content = content_of(gallery, created=created)
     progress("done", 1.0)
@@ -181,7 +179,7 @@ class _Looks:
         self, gallery: GalleryFile, sides: list[Side], who: tuple[str, str], how: Enrolling, duplicates: Duplicates
     ) -> None:
         self.gallery, self.sides, self.who, self.duplicates = gallery, sides, who, duplicates
-        self.able = duplicates != "allow" and how.matching == MatchingSettings()  # else no rates are known
+        self.able = duplicates != "allow"
         self.alike: list[RankedCandidate] = []
         self.notes: list[str] = []
         self._seen: object = None
@@ -237,7 +235,7 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
     A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the gallery is of other
     settings, or its folder is missing.
     """
-    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    sha256 = MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     if not gallery.there:
         folder = gallery.path.parent
         require(folder.is_dir(), f"there is no folder '{folder}' for the gallery; make it first.")
@@ -297,7 +295,7 @@ class Made:
 
 def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
-    side = undoubted(read_side(path, how.preset, how.matching, progress, how.input_ppi, where=how.where))
+    side = undoubted(read_side(path, how.preset, progress, how.input_ppi, where=how.where))
     kept = None if how.keep == "none" else _kept(path, side, how.keep)
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)

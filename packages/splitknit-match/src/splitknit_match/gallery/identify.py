@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from splitknit import BadInput
 from splitknit.errors import naming
@@ -26,7 +25,6 @@ from splitknit_match.matching.methods import (
     FmrBasis,
     MatchDecision,
     Rated,
-    as_calibrated,
     doubt_of,
     fmr_basis,
     rate,
@@ -37,17 +35,19 @@ from splitknit_match.matching.methods import (
 )
 from splitknit_match.matching.minutiae import minutiae_match
 from splitknit_match.matching.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
-from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.template import VERSION, Template
+from splitknit_match.matching.template import Template
 
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared."""
 NEAREST = 0.001
 """Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best (what is lost:
 ``validation/gallery/index.py``)."""
+TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
+"""Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
-"""What galleries that keep minutiae have in place of :func:`templates_hash`."""
+"""What galleries that keep minutiae have in place of :data:`TEMPLATES_HASH`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def identify_finger(
 
     `gallery`: where it is open already; `side`: the probe, where it was read already.
     """
-    settings = override(MatchingSettings(), question.settings or {})
+    override(MatchingSettings(), question.settings or {})  # refuses unknown ones
     probe = held(question.probe, question.resolution_ppi)
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
@@ -153,14 +153,11 @@ def identify_finger(
     with opened if gallery is None else contextlib.nullcontext():
         people = opened.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    opened.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else templates_hash(settings))
+    opened.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH)
     entries = people.of(person, finger)
-    calibrated = of_minutiae or as_calibrated(settings)
-    if calibrated:  # refused here, before anything is made, where no such rate was measured
-        similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
-    side = side or read_side(
-        probe, question.preset, settings, lambda stage, at: progress(stage, 0.5 * at), question.input_ppi
-    )
+    # refused here, before anything is made, where no such rate was measured
+    similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+    side = side or read_side(probe, question.preset, lambda stage, at: progress(stage, 0.5 * at), question.input_ppi)
     made = side_minutiae(side) if of_minutiae else side.template
     if made is None:
         raise BadInput(
@@ -171,24 +168,22 @@ def identify_finger(
     started = time.perf_counter()
     exhaustive = question.search == "exhaustive" or person is not None or finger is not None
     most = len(entries) if exhaustive else max(question.top, round(NEAREST * len(entries)))
-    found, facts = _search(people, made, entries, most=most, settings=settings.ridge, progress=progress)
+    found, facts = _search(people, made, entries, most=most, progress=progress)
     seconds = time.perf_counter() - started
     by = {"minutiae": "minutiae_of_prints"}.get(facts.compared_by, facts.compared_by)
     if by == "fusion" and side.kind == "photo":
         by = "fingerphotos"
     best = _merged(found, question.merge)[: question.top]
-    rated = [one.rated(by, area_mm2, question.fmr) if calibrated else Rated("undecided") for one in best]
+    rated = [one.rated(by, area_mm2, question.fmr) for one in best]
     doubt = doubt_of(side)
     if (
-        isinstance(made, Template) and best and calibrated and by == "fusion" and doubt is None
+        isinstance(made, Template) and best and by == "fusion" and doubt is None
         and facts.compared == facts.captures and rated[0].answer != "match"
     ):  # fmt: skip
         row = best[0].entry.row
         doubt = scale_doubt(made, unpacked(people.path, row, people.templates[row]), question.fmr)
     decision, undecided = None, None
-    if not calibrated:
-        undecided = "with other settings than the shipped ones false match rates are not known"
-    elif rated and rated[0].decision is None:
+    if rated and rated[0].decision is None:
         undecided = rated[0].undecided
     else:
         none = MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
@@ -209,7 +204,7 @@ def identify_finger(
         finger=finger,
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
         by="minutiae" if of_minutiae else "ridges", searched=facts, merge=question.merge, candidates=tuple(candidates),
-        fmr_basis=None if not calibrated else rated[0].basis if rated else fmr_basis(by), decision=decision,
+        fmr_basis=rated[0].basis if rated else fmr_basis(by), decision=decision,
         answer=answer if acquired or doubt else "not acquired",
         undecided=undecided if acquired or doubt else "failure to acquire", timings_s={"search": seconds},
     )  # fmt: skip
@@ -221,7 +216,6 @@ def _search(
     entries: Sequence[Entry],
     *,
     most: int,
-    settings: RidgeMatchSettings,
     progress: Progress,
 ) -> tuple[list[_Found], Searched]:
     """Compare these, or of many the `most` whose minutiae agree best; best first."""
@@ -233,7 +227,7 @@ def _search(
         by = "minutiae"
         found = _by_minutiae(people, probe, acquired)
     elif not probe.empty and acquired:
-        ready = Prepared(probe, settings)
+        ready = Prepared(probe)
         if len(acquired) > max(most, ALL_PRINTS) and ready.cylinders is not None:
             index, method = people.index(), "minutiae"
             chosen = [people.entries[row] for row in (*index.nearest(ready.cylinders, most), *index.others)]
@@ -261,7 +255,7 @@ def _compared(
     fused, note = with_fusion(templates.values(), probe.template)
 
     def compare(one: Entry) -> _Found:
-        other = Prepared(templates[one.row], probe.settings)
+        other = Prepared(templates[one.row])
         if not fused:
             return _Found(one, ridge_match(probe, other).similarity)
         both = fused_match(probe, other, sure)
@@ -290,9 +284,3 @@ def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
     for one in found:
         best.setdefault(one.entry.names[:count], one)
     return list(best.values())
-
-
-def templates_hash(settings: MatchingSettings) -> str:
-    """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
-    return settings_hash(document)

@@ -176,7 +176,7 @@ def finger_images(
             )
             channels |= {prefix + name: field_of[..., k] for k, name in enumerate(NORMALS)}
     cleaned = {
-        name: np.where(mask & np.isfinite(channel), channel, np.float32(0.0)).astype(np.float32)
+        name: np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
         for name, channel in channels.items()
     }
     if input_from_upright is not None:
@@ -195,7 +195,7 @@ def finger_images(
     box = bounding_box(mask)
     inside = mask[box]
     return FingerImages(
-        {name: np.where(inside, channel[box], np.float32(0.0)) for name, channel in cleaned.items()},
+        {name: np.where(inside, channel[box], 0.0) for name, channel in cleaned.items()},
         inside,
         1.0 / pitch_mm,
     )

@@ -129,7 +129,7 @@ def _derivatives(field: FloatArray, windows: _Windows, pitch_mm: float) -> list[
     taps = _taps(side, degree)
     # about zero, so that float32 keeps what matters
     middle = np.float32(field[inside].mean())
-    values = np.where(inside, field - middle, np.float32(0.0)).astype(np.float32)
+    values = np.where(inside, field - middle, 0.0).astype(np.float32)
     # cubic terms enter the middles of full windows through the slopes alone
     total_taps = np.array(taps).sum(axis=1)
     interior = np.linalg.inv([[total_taps[i + k] * total_taps[j + m] for k, m in powers] for i, j in powers])
@@ -210,7 +210,7 @@ def _forms_of_points(x: list[FloatArray], y: list[FloatArray], z: list[FloatArra
     nx = y[0] * z[1] - z[0] * y[1]
     ny = z[0] * x[1] - x[0] * z[1]
     nz = x[0] * y[1] - y[0] * x[1]
-    length = np.maximum(np.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-12))
+    length = np.maximum(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
     second = ((nx * x[k] + ny * y[k] + nz * z[k]) / length for k in (2, 3, 4))
     return (np.asarray(e), np.asarray(f), np.asarray(g), *second)
 
@@ -221,10 +221,10 @@ def _principal(
     """Principal curvatures (larger, smaller) and the shape index of (5.3), of the two fundamental forms."""
     (e, f, g), (second_e, second_f, second_g) = first, second
     half = np.float32(0.5)
-    inverse = np.float32(1.0) / np.maximum(e * g - f * f, np.float32(1e-12))
+    inverse = np.float32(1.0) / np.maximum(e * g - f * f, 1e-12)
     # half the trace and the determinant of the Weingarten matrix
-    mean = half * (e * second_g - np.float32(2.0) * f * second_f + g * second_e) * inverse
+    mean = half * (e * second_g - 2.0 * f * second_f + g * second_e) * inverse
     gauss = (second_e * second_g - second_f * second_f) * inverse
-    root = np.sqrt(np.maximum(mean * mean - gauss, np.float32(0.0)))
-    index = half - np.arctan2(mean, root) * np.float32(1.0 / np.pi)
+    root = np.sqrt(np.maximum(mean * mean - gauss, 0.0))
+    index = half - np.arctan2(mean, root) * (1.0 / np.pi)
     return mean + root, mean - root, index

@@ -74,14 +74,14 @@ def _finished(wave: FloatArray, found: RidgeField, inside: BoolArray | None = No
     if inside is not None:
         soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
     mask = soft > 0.5
-    grey = 0.5 - 0.5 * np.tanh(np.float32(_CONTRAST) * wave)  # dark = 1 on ridges
+    grey = 0.5 - 0.5 * np.tanh(_CONTRAST * wave)  # dark = 1 on ridges
     image = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
-    return Enhanced(image, np.where(mask, wave, np.float32(0.0)).astype(np.float32), mask, found)
+    return Enhanced(image, np.where(mask, wave, 0.0).astype(np.float32), mask, found)
 
 
 def _wave_vectors(found: RidgeField) -> tuple[FloatArray, FloatArray]:
     """Radians per column and per row, across the ridges."""
-    across = found.orientation_rad - np.float32(np.pi / 2)
+    across = found.orientation_rad - (np.pi / 2)
     turn = np.float32(2 * np.pi) * found.frequency_px
     return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
 
@@ -140,7 +140,7 @@ def _plane_waves(coefficients: NDArray[np.complex64], found: RidgeField, shape: 
     offset = np.arange(2 * step, dtype=np.float32) - np.float32(step - 0.5)
     tent = np.float32(1.0) - np.abs(offset) / np.float32(step)
     kx, ky = _wave_vectors(found)
-    kx, ky = np.where(found.mask, kx, np.float32(0.0)), np.where(found.mask, ky, np.float32(0.0))
+    kx, ky = np.where(found.mask, kx, 0.0), np.where(found.mask, ky, 0.0)
     x = (tent * np.exp(1j * kx[..., None] * offset)).astype(np.complex64)
     y = (tent * np.exp(1j * ky[..., None] * offset)).astype(np.complex64) * coefficients[..., None]
     # real part of the outer product, (n, 2 s, m, 2 s)

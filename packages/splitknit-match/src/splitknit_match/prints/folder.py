@@ -208,7 +208,7 @@ def _made(source: Source, around: Rolled | None, how: tuple[str, str], ppi: floa
     if source.quality is None or ppi != PPI:
         return made
     sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
-    weight = np.where(sure.inside, made.weight, np.float32(0))
+    weight = np.where(sure.inside, made.weight, 0)
     return replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
 
 

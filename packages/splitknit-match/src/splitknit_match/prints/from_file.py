@@ -166,14 +166,14 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
         mean = np.tensordot(tiles, taper, 2) / taper.sum()
         power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2 * counted
         power[..., 1:] *= np.float32(2.0)  # each wave is there twice, but those of the first column, which are halved
-        total = power.sum(axis=(1, 2)) + np.float32(1e-6)
-        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * np.float32(9.0)
+        total = power.sum(axis=(1, 2)) + 1e-6
+        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
         near = near.reshape(power[0].size, -1)
         best = near.argmax(axis=0)
         around = np.moveaxis(power, 0, -1).reshape(near.shape)
         close = (np.abs(down[:, None] - down[best]) < 1.5 / side) & (np.abs(right[:, None] - right[best]) < 1.5 / side)
-        weight = np.where(close, around, np.float32(0.0))
-        weight /= weight.sum(axis=0) + np.float32(1e-9)
+        weight = np.where(close, around, 0.0)
+        weight /= weight.sum(axis=0) + 1e-9
         there = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
         found[0, row] = np.where(
             band[best] & (there > 1 / 11.5), np.minimum(near[best, np.arange(len(best))] / total, 1), 0
@@ -183,8 +183,8 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
         found[2, row] = np.sqrt(total) / (taper.sum() * 0.6)
     strong = found[2] > max(_FAINT, 0.3 * float((found[2] ** 2).sum() / max(float(found[2].sum()), 1e-6)))
     around = [cv2.blur(one, (3, 3)) for one in (turn.real, turn.imag, found[0])]  # ridges run on into the tiles beside
-    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], np.float32(1e-6))
-    return np.where(strong, found[0] * agree, np.float32(0.0)), found[1], strong
+    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], 1e-6)
+    return np.where(strong, found[0] * agree, 0.0), found[1], strong
 
 
 def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
@@ -261,7 +261,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     rows, columns = item.image.shape
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
     there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
-    light = (np.float32(255.0) - image).astype(np.float32)
+    light = (255.0 - image).astype(np.float32)
     weight = ridges.astype(np.float32)
     return Print(image, weight, there, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
 

@@ -143,7 +143,7 @@ def enhance(made: Print, ppi: float) -> Enhanced:
 
 def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
-    values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
+    values = (1000.0 * made.values).astype(np.float32) if made.in_mm else made.values
     return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm)
 
 

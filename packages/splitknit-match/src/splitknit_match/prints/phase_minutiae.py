@@ -65,7 +65,7 @@ def by_phase(
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:
-        like = like * np.sqrt(np.minimum(confidence[rows, columns] / np.float32(_SURE), 1))
+        like = like * np.sqrt(np.minimum(confidence[rows, columns] / _SURE, 1))
     kept = (distance[rows, columns] >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
     rows, columns, place, like = rows[kept], columns[kept], place[kept], like[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
@@ -163,4 +163,4 @@ def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) ->
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth
     wave = ridges.astype(np.float32)
     both, own, other = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
-    return np.asarray(both / np.sqrt(own * other + np.float32(1e-6)), dtype=np.float32)
+    return np.asarray(both / np.sqrt(own * other + 1e-6), dtype=np.float32)

@@ -33,7 +33,7 @@ _LEVEL, _RAISED = 8.0, 0.3
 """Grey levels, and part of the print's usual contrast; contrast below the larger one is not raised further."""
 _DIRECTIONS, _PERIODS = 24, 10
 """Directions and periods that a window may have; means between them are taken."""
-_ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * np.float32(np.pi / _DIRECTIONS)
+_ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * (np.pi / _DIRECTIONS)
 """Directions across the ridges, counter-clockwise."""
 _LOGS = np.log(np.geomspace(1 / _LONGEST_PX, 1 / _SHORTEST_PX, _PERIODS)).astype(np.float32)
 """Logarithms of the frequencies."""
@@ -112,11 +112,11 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
-    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
+    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + 1e-6
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
-    wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + np.float32(0.02)
+    wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + 0.02
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
     sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence: FloatArray = np.asarray(
@@ -124,12 +124,12 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
         dtype=np.float32,
     )
     strong = contrast[confidence >= 0.5 * _clearest(confidence)]
-    confidence *= np.minimum(contrast / (_FAINT[kind] * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
+    confidence *= np.minimum(contrast / (_FAINT[kind] * _usual(strong) + 1e-6), 1) ** 2
     inside = _extent(confidence, _EDGE[kind])
     soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
-    grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(np.float32(_STEEPNESS) * wave))
+    grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(_STEEPNESS * wave))
     even_ridges = np.round(255.0 * grey).astype(np.uint8)
-    return PressedRidges(even_ridges, inside, np.where(inside, confidence, np.float32(0)), _lacks(direction, inside))
+    return PressedRidges(even_ridges, inside, np.where(inside, confidence, 0), _lacks(direction, inside))
 
 
 def _lacks(direction: FloatArray, inside: BoolArray) -> str:
@@ -162,7 +162,7 @@ def without_shading(values: FloatArray, known: FloatArray, reach: float) -> tupl
     """(H, W) values less their mean in a Gaussian window of sigma `reach` (px) where `known` is 1, else 0; and the
     window's weight, above 0.
     """
-    weight = np.maximum(_mean(known, reach), np.float32(1e-3))
+    weight = np.maximum(_mean(known, reach), 1e-3)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the edge
         values = np.asarray((values - _mean(values * known, reach) / weight) * known, dtype=np.float32)
     return values, weight
@@ -175,7 +175,7 @@ def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatAr
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
     centred, weight = without_shading(grey, known, reach)
     contrast = np.sqrt(_mean(centred * centred, reach) / weight)
-    level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
+    level = np.maximum(_LEVEL, _RAISED * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
 
@@ -270,16 +270,16 @@ def _field(
     typical = _TYPICAL if expected is None else _OF_PHOTO
     usual = (np.exp(-0.5 * ((_LOGS - own) / typical) ** 2) + 0.05).astype(np.float32)
     said = said @ usual
-    strength = said.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    strength = said.sum(axis=2, keepdims=True) + 1e-12
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
     belief = said
     for reach in _REACHES:
         around = blur(belief, reach) @ turn
-        around /= around.sum(axis=2, keepdims=True) + np.float32(1e-12)
+        around /= around.sum(axis=2, keepdims=True) + 1e-12
         belief = said * around
-        belief *= strength / (belief.sum(axis=2, keepdims=True) + np.float32(1e-12))
+        belief *= strength / (belief.sum(axis=2, keepdims=True) + 1e-12)
     belief = (said + np.float32(0.02 * said.max())) * around
-    belief /= belief.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    belief /= belief.sum(axis=2, keepdims=True) + 1e-12
     number = (belief.argmax(axis=2)[..., None] + np.arange(-3, 4)) % _DIRECTIONS
     peak = np.take_along_axis(belief, number, axis=2)
     direction = 0.5 * np.angle((peak * np.exp(2j * _ANGLES[number])).sum(axis=2)).astype(np.float32)
@@ -287,7 +287,7 @@ def _field(
     near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / np.deg2rad(1.5 * _DIRECTION_DEG)) ** 2)
     along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
     period = blur(along * usual * trust[..., 0], 1.5) ** 2
-    frequency = (period @ _LOGS) / (period.sum(axis=2) + np.float32(1e-20))
+    frequency = (period @ _LOGS) / (period.sum(axis=2) + 1e-20)
     of_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_WIDTH)) ** 2)
     return direction, frequency, agreement, (along * of_period).sum(axis=2).astype(np.float32)
 

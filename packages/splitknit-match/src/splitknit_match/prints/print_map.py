@@ -264,7 +264,7 @@ def _dense_inverse(
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
-    columns, rows = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    columns, rows = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return columns, rows
 
 
@@ -308,18 +308,18 @@ def resample(
     rows, columns = bounding_box(mask, int(4 * step) + 2)
     inside = mask[rows, columns]
     weight = inside.astype(np.float32)
-    values = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)
+    values = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
     factor = max(1, int(step / 1.9))
     if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
         weight, values = (bin_mean(image, factor) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         fraction = gaussian_mean(weight, sigma)
-        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, 1e-3), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
-        (places - np.float32(box.start) + np.float32(0.5)) / np.float32(factor) - np.float32(0.5)
+        (places - np.float32(box.start) + 0.5) / np.float32(factor) - 0.5
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))
     )
     return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)

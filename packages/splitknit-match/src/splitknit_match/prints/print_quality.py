@@ -110,29 +110,29 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), np.float32(1e-3))
-    centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
+    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
+    centred = np.where(inside > 0, values, 0.0).astype(np.float32)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
         mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
-        centred = np.where(inside > 0, centred - mean, np.float32(0.0)).astype(np.float32)
+        centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
-    twice = replace(looked, frequency_px=np.float32(2.0) * looked.frequency_px)
+    twice = replace(looked, frequency_px=2.0 * looked.frequency_px)
     first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
     width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
-    there: FloatArray = np.maximum(gaussian_mean(inside, width), np.float32(0.3))
+    there: FloatArray = np.maximum(gaussian_mean(inside, width), 0.3)
     variance = _at_nodes((gaussian_mean(centred * centred, width) / there).astype(np.float32), looked)
     fraction = _at_nodes(there, looked)
     first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
-    purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
-    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), np.float32(0.0)).astype(np.float32)
+    purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, 1e-12)
+    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), 0.0).astype(np.float32)
 
 
 def _sharpness(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> float:
     """Second harmonic that keeps its phase against the first's, which noise does not, over the first."""
     if first.size == 0:
         return 0.0
-    size = np.maximum(np.abs(first), np.float32(1e-12))
+    size = np.maximum(np.abs(first), 1e-12)
     return float(np.abs(np.mean(second * np.conj(first / size) ** 2)) / np.mean(size))
 
 

@@ -91,11 +91,10 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
         mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
     require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
-    sure = [np.hypot(c, s) / np.maximum(e, np.float32(1e-6)) for e, c, s in (narrow, wide)]
+    sure = [np.hypot(c, s) / np.maximum(e, 1e-6) for e, c, s in (narrow, wide)]
     trust = sure[0] ** 4
     vector = [
-        trust * part / np.maximum(narrow[0], np.float32(1e-6))
-        + (1 - trust) * other / np.maximum(wide[0], np.float32(1e-6))
+        trust * part / np.maximum(narrow[0], 1e-6) + (1 - trust) * other / np.maximum(wide[0], 1e-6)
         for part, other in zip(narrow[1:], wide[1:], strict=True)
     ]
     # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
@@ -180,23 +179,23 @@ def _frequencies(
     low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
     accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     power = power[:, band]
-    angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))
+    angle = 2.0 * (orientation[::2, ::2][wanted] + (0.5 * np.pi))
     toward = 2.0 * np.arctan2(-y, x)
     across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
     best = np.argmax(power * across * accepted, axis=1)
     near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
-    near_power = np.where(near, power, np.float32(0.0))
-    weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
+    near_power = np.where(near, power, 0.0)
+    weight = np.maximum(near_power.sum(axis=1), 1e-9)
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
-    fraction = weight / np.maximum(total, np.float32(1e-9))
+    fraction = weight / np.maximum(total, 1e-9)
     sure = (fraction > 0.1) & (found > low) & (found < high)
     if not bool(sure.any()):
         return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
-    trust[wanted] = np.where(sure, fraction, np.float32(0.0))
+    trust[wanted] = np.where(sure, fraction, 0.0)
     value[wanted] = found
     around = _blur(trust, 1.5)
-    smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))
+    smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
     smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
     large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
     known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)

@@ -185,10 +185,10 @@ def _fits(
     monomials = np.stack([rest[:, 0] ** i * rest[:, 1] ** j for i, j in _POWERS], axis=1)
     results = []
     for field in fields:
-        filled = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)
-        values = np.where(weight, _binned(filled, (height, width), factor), np.float32(0.0))
+        filled = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
+        values = np.where(weight, _binned(filled, (height, width), factor), 0.0)
         middle = float(values[weight].mean()) if bool(weight.any()) else 0.0
-        values = np.where(weight, values - np.float32(middle), np.float32(0.0))
+        values = np.where(weight, values - np.float32(middle), 0.0)
         right = np.stack([_separable(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
         flat = np.full(size[0] * size[1], np.nan)

@@ -62,9 +62,9 @@ def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -
     """Mean of the views (V, n, m) by their weights (V, n, m)."""
     total = weights.sum(axis=0)
     known = total > 1e-6
-    fractions = weights / np.where(known, total, np.float32(1.0))
-    relief = (fractions * np.where(fractions > 0, reliefs, np.float32(0.0))).sum(axis=0)
-    variance = (fractions**2 * np.where(fractions > 0, deviations_mm, np.float32(0.0)) ** 2).sum(axis=0)
+    fractions = weights / np.where(known, total, 1.0)
+    relief = (fractions * np.where(fractions > 0, reliefs, 0.0)).sum(axis=0)
+    variance = (fractions**2 * np.where(fractions > 0, deviations_mm, 0.0) ** 2).sum(axis=0)
     return Blended(relief.astype(np.float32), np.sqrt(variance).astype(np.float32), known, fractions.astype(np.float32))
 
 

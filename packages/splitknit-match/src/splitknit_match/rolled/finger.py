@@ -133,7 +133,7 @@ def _view_weight(
     floor = 1e-3 * _DEVIATION_FLOOR_UM
     smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
     fraction = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    deviation = smooth / np.maximum(fraction, np.float32(1e-3))
+    deviation = smooth / np.maximum(fraction, 1e-3)
     certain = floor**2 / (floor**2 + deviation**2)
     sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
     return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)

@@ -25,17 +25,17 @@ from splitknit_match.rolled.chart import Chart, read
 def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) relief less its local mean over `known`, zero elsewhere."""
     weight = known.astype(np.float32)
-    filled = np.where(known, relief, np.float32(0.0)).astype(np.float32)
+    filled = np.where(known, relief, 0.0).astype(np.float32)
     sigma = 0.32 / pitch_mm  # mm: the ridge band of this package
-    fraction = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32(1e-3))
+    fraction = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
     mean = cv2.GaussianBlur(filled, (0, 0), sigma) / fraction
-    return np.where(known, filled - mean, np.float32(0.0)).astype(np.float32)
+    return np.where(known, filled - mean, 0.0).astype(np.float32)
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) ridge band over its local standard deviation."""
     size = 1.0 / pitch_mm  # 1 mm: two ridges
-    fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), np.float32(1e-3))
+    fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), size), 1e-3)
     power = cv2.GaussianBlur(np.where(known, band * band, 0).astype(np.float32), (0, 0), size) / fraction
     typical = float(np.median(power[known])) if known.any() else 1.0
     return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)

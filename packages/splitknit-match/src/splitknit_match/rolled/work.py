@@ -61,7 +61,7 @@ class _ViewRelief:
 
     def places(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
         """Columns and rows of the window's blocks at which points (..., 3) of the rig's frame are seen."""
-        size, half = np.float32(self.binning), np.float32(0.5)
+        size, half = np.float32(self.binning), 0.5
         seen = zip(self.sight.pixels(points_mm), self.window[::-1], strict=True)
         blocks = (((place - np.float32(side.start) + half) / size - half) for place, side in seen)
         column, row = (block.astype(np.float32) for block in blocks)
@@ -164,7 +164,7 @@ def _ridges(  # noqa: PLR0917
     light = fine_lighting(images.rig, low, low_height, factor, grid)
     lit = _lit(light, grid)
     within = np.stack([enlarged(one, factor, grid.shape) for one in inner])
-    light = replace(light, trust=np.maximum(light.trust * within, np.float32(1e-3)))
+    light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
     networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
@@ -174,7 +174,7 @@ def _ridges(  # noqa: PLR0917
     stack = images.stack.mean(axis=0)
     entering = light.entering if capture.material == "skin" else None
     g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
-    normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
+    normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
     slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
@@ -182,7 +182,7 @@ def _ridges(  # noqa: PLR0917
     bank = replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = shapelets(evened[0].astype(np.float32), evened[1].astype(np.float32), grid.mask, bank)
     relief = np.nan_to_num(relief, nan=0.0) * np.float32(grid.pitch_mm) * trust
-    return relief, np.full(grid.shape, np.float32(UNKNOWN_MM)), trust, "shapelets"
+    return relief, np.full(grid.shape, UNKNOWN_MM), trust, "shapelets"
 
 
 def _lit(light: Lighting, grid: Grid) -> FloatArray:
