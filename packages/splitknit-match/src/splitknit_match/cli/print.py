@@ -27,16 +27,12 @@ def _words(facts: dict[str, Any]) -> list[str]:
     if "rolled" in facts:
         lines.append(_rolled_words(facts["rolled"]))
         lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
-    if "distortion" in facts:
+    if facts.get("distortion"):
         figures = facts["distortion"]
         median, most = figures["length_median_percent"], figures["length_p95_percent"]
         off = f"{median:.1f} % (median) and {most:.1f} % (95th percentile)"
         lines.append(f"Lengths are off by {off}, whichever way is worse.")
-    minutiae = facts["minutiae"]
-    if minutiae["written"]:
-        lines.append(f"{minutiae['count']} minutiae.")
-    else:
-        lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
+    lines.append(f"{facts['minutiae']['count']} minutiae.")
     lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines

@@ -19,8 +19,7 @@ from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.unroll import Unrolled
-from splitknit_match.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
+from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, slant_cos
 
 # Smooth functions on coarse grids: read anywhere, read densely, and inverted.
 #
@@ -119,6 +118,10 @@ NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing."""
 _STEP_MM = 0.25
 """Spacing of the coarse grid on the print on which the inverse is computed."""
+_MARGIN_MM = 0.5
+"""Of a print, around all that it holds."""
+SLANT_DEG = 70.0
+"""Skin steeper than this is left out of a print: the camera hardly sees it."""
 _LARGEST_PX = 25_000_000
 """Largest print: 250 x 250 mm at 500 ppi."""
 
@@ -146,7 +149,7 @@ class PrintMap:
 
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
-        nodes = _moved(_inverse(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
+        nodes = _moved(np.linalg.inv(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
         return _cubic(self.print_of_grid, nodes)[0]
 
     def input_from_print(self, points: Array) -> Array:
@@ -158,7 +161,7 @@ class PrintMap:
         at = np.rint(points[there]).astype(np.intp)
         start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
         start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
-        nodes[there] = _moved(_inverse(self.input_from_grid), start)
+        nodes[there] = _moved(np.linalg.inv(self.input_from_grid), start)
         return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
 
     def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
@@ -194,9 +197,7 @@ def plane_map(
     )  # fmt: skip
 
 
-def unrolled_map(
-    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = 70.0, margin_mm: float = 0.5
-) -> PrintMap:
+def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
 
     Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
@@ -208,7 +209,7 @@ def unrolled_map(
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
     require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
     used = flat[facing]
-    low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
+    low, high = used.min(axis=0) - _MARGIN_MM, used.max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
     middle = 0.5 * (low + high)
     print_of_grid = np.stack(
@@ -282,10 +283,6 @@ def _facing(grid: SurfaceGrid) -> FloatArray:
     cosine = np.where(grid.inside, slant_cos(grid.points_mm), np.nan)[..., None]
     cosine = np.clip(np.nan_to_num(extrapolated(cosine, 4)[..., 0]), 0.0, 1.0).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _moved(matrix: Array, points: Array) -> Array:
