@@ -25,7 +25,7 @@ from splitknit.model import FloatArray, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit_match.evaluation.protocol import comparisons
-from splitknit_match.matching.features import REFERENCE_PX_PER_MM, cell_px, lbp_codes, uniform_bins
+from splitknit_match.matching.features import REFERENCE_PX_PER_MM, cell_px, uniform_bins
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages
 from splitknit_simulator.population.folder import simulate_population
@@ -40,6 +40,25 @@ PIXEL_UM = 1000.0 / REFERENCE_PX_PER_MM
 """Of the thesis's images, whose patterns have neighbours one pixel away."""
 
 
+def codes_at(image: FloatArray, radius: float) -> NDArray[np.uint8]:
+    """Codes (H, W) as of :func:`splitknit_match.matching.features.lbp_codes`, neighbours `radius` pixels away."""
+    border = int(np.ceil(radius)) + 1
+    padded = np.pad(image, border, mode="edge")
+
+    def shifted(source: FloatArray, shift: float, axis: int) -> FloatArray:
+        first = int(np.floor(shift + 1e-9))
+        near, far = (np.roll(source, -k, axis) for k in (first, first + 1))
+        return np.asarray(cv2.addWeighted(near, 1.0 - shift + first, far, shift - first, 0.0))
+
+    codes = np.zeros(image.shape, dtype=np.uint8)
+    for k in range(8):
+        size = radius * np.sqrt(0.5) if k % 2 else radius
+        right, up = (round(float(part(k * np.pi / 4))) * size for part in (np.cos, np.sin))
+        there = shifted(shifted(padded, right, 1), -up, 0)[border:-border, border:-border]
+        codes |= (there >= image).astype(np.uint8) << np.uint8(k)
+    return codes
+
+
 def patterns_at(image: FloatArray, px_per_mm: float, radius_um: float, finer: bool = False) -> NDArray[np.float32]:
     """Local binary patterns of a channel (H, W) with neighbours at a distance, cells as the thesis's.
 
@@ -51,7 +70,7 @@ def patterns_at(image: FloatArray, px_per_mm: float, radius_um: float, finer: bo
         image, px_per_mm = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)), REFERENCE_PX_PER_MM
     cell = cell_px(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
-    codes = cv2.LUT(lbp_codes(image, 1e-3 * radius_um * px_per_mm), uniform_bins())[: rows * cell, : columns * cell]
+    codes = cv2.LUT(codes_at(image, 1e-3 * radius_um * px_per_mm), uniform_bins())[: rows * cell, : columns * cell]
     number = np.arange(rows * cell)[:, None] // cell * columns + np.arange(columns * cell)[None, :] // cell
     counts = np.bincount((59 * number + codes).ravel(), minlength=59 * rows * columns).astype(np.float32)
     grid = counts.reshape(-1, 59)

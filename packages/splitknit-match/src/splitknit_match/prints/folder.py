@@ -67,12 +67,8 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     with timed("total"), atomic_folder(out) as target:
         with timed("reading"):
             source, around, given = _read(job, method, place, settings, progress)
-        parameters = {
-            "method": method,
-            **(asdict(settings) if method == "rolled" else {}),
-            "surface": place,
-            "ppi": ppi,
-        }
+        chosen = asdict(settings) if method == "rolled" else {}
+        parameters = {"method": method, **chosen, "surface": place, "ppi": ppi}
         origin = provenance(parameters, source.hashes)
         progress("printing", 0.75)
         try:
@@ -85,8 +81,9 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             raise BadInput(f"{path}: {error}") from error
         progress("writing", 0.92)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-        for name, picture in (("print.png", made.image), ("enhanced.png", enhanced.image)):
-            write_print_png(target / name, picture, ppi, texts)
+        pictures = {"print": made.image, "enhanced": enhanced.image}
+        for name, picture in pictures.items():
+            write_print_png(target / f"{name}.png", picture, ppi, texts)
         arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
         write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(made.map.surface)})
         periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
@@ -111,9 +108,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             facts["rolled"] = write_rolled(target, around)
         with timed("quality"):
             quality = measured(made, enhanced, ppi)
-        facts["quality"] = _quality_facts(
-            quality, method, source.quality, {"print": made.image, "enhanced": enhanced.image}, ppi
-        )
+        facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
         score = quality.score if source.quality is None else source.quality
         view = finger_view(
             minutiae_by_phase(made, enhanced, ppi), round(score), source.subject.get("finger"),

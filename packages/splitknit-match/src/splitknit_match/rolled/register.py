@@ -205,9 +205,8 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
     deviation = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
-    row, column = (
-        np.minimum(np.arange(n) * every, size - 1) for n, size in zip((rows, columns), seen.shape, strict=True)
-    )
+    sizes = zip((rows, columns), seen.shape, strict=True)
+    row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in sizes)
     deviation = np.where(reach[np.ix_(row, column)] > 0, deviation[None], UNSEEN_PRIOR_MM)
 
     def bends(count: int) -> Any:
@@ -252,7 +251,9 @@ class ViewMatch:
     correlation: float  # correlation of the ridges in the overlap
 
 
-def search(chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges, *, cut: bool = False) -> ViewMatch:
+def search(  # noqa: PLR0915
+    chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges, *, cut: bool = False
+) -> ViewMatch:
     """Find how the surface `radius_mm` (n, m) bulges and where the mirror lies; `cut`: whose view is cut."""
     rows, columns = np.nonzero(mirror.known)
     if rows.size < FEW:
@@ -286,9 +287,8 @@ def search(chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges
     # what the outlines may be wrong by, as one move of all ridges
     typical = np.sqrt(((np.median(modes, axis=0) * spread) ** 2).sum(axis=1)) + 1e-9
     guesses = []
-    for move in itertools.product(
-        *(_range(reach) / chart.pitch_mm for reach in (ACROSS_CUT_MM if cut else ACROSS_MM, ALONG_MM))
-    ):
+    reaches = ACROSS_CUT_MM if cut else ACROSS_MM, ALONG_MM
+    for move in itertools.product(*(_range(reach) / chart.pitch_mm for reach in reaches)):
         far = float(((np.array(move) / typical) ** 2).sum())
         guesses.append((score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move)))
     scale = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
@@ -307,9 +307,8 @@ def search(chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
     for _, move in sorted(guesses, key=lambda item: -item[0]):
-        if len(starts) < CANDIDATES and all(
-            float(np.abs(move - far).max()) * chart.pitch_mm > APART_MM for far in starts
-        ):
+        apart = all(float(np.abs(move - start).max()) * chart.pitch_mm > APART_MM for start in starts)
+        if apart and len(starts) < CANDIDATES:
             starts.append(move)
     _, at = max(
         (refined(np.linalg.solve(matrix, weight * flat.T @ np.tile(move, count)), few) for move in starts),

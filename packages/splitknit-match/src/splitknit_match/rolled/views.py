@@ -159,7 +159,7 @@ class _Light:
     through: NDArray[np.float32] | None = None  # (h, w) fraction that comes within the mirror's outline
 
 
-def view_light(
+def view_light(  # noqa: PLR0917
     rig: Rig, glasses: Sequence[Glass], sight: Sight, heights_mm: FloatArray, grid: Grid, origin_mm: Array
 ) -> tuple[Rig, NDArray[np.float32]]:
     """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid. Light
@@ -253,7 +253,7 @@ class ReliefSettings:
     shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
 
 
-def view_relief(  # noqa: PLR0917
+def view_relief(  # noqa: PLR0915, PLR0917
     capture: Capture,
     sight: Sight,
     mask: BoolArray,
@@ -328,7 +328,7 @@ def view_relief(  # noqa: PLR0917
     return ViewRelief(window, binning, *placed, how)
 
 
-def _by_shapelets(
+def _by_shapelets(  # noqa: PLR0917
     images: BandImages, grid: Grid, smooth: FloatArray, light: Lighting, trust: FloatArray, settings: ShapeletSettings,
     *, skin: bool,
 ) -> FloatArray:  # fmt: skip
