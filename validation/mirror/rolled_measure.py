@@ -14,13 +14,20 @@ from splitknit.finger.ridges import ink
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit_match.prints.print_map import resample
-from splitknit_match.prints.rolled import laid_flat, rolled_facts
-from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
 from splitknit_match.rolled.chart import read
-from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.finger import (
+    PITCH_MM,
+    STEEPEST_DEG,
+    Blended,
+    Rolled,
+    laid_flat,
+    rolled_facts,
+    rolled_finger,
+    seam_lines,
+    seam_steps,
+)
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import find_mirror_views
-from splitknit_match.rolled.work import ReliefSettings
+from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""
@@ -40,12 +47,12 @@ class Measured:
     """Of ``rolled`` and ``front``: the print, its relief in mm, and where it shows the finger."""
 
 
-def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
+def measure(folder: Path, pitch_mm: float = PITCH_MM) -> Measured:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
     views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-    rolled = rolled_finger(capture, views, ReliefSettings(), settings)
+    rolled = rolled_finger(capture, views, ReliefSettings(), pitch_mm)
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {

@@ -301,19 +301,25 @@ class Prepared:
     @cached_property
     def turned(self) -> NDArray[np.float32]:
         """(2, A, side, side) ridges and where there are any on the coarse grid, turned by steps of a small print."""
-        pitch, step = self.template.pitch_mm, _PITCH_MM / self.template.pitch_mm
-        side = (int(np.ceil(np.hypot(*self.template.valid.shape) / step)) + 2,) * 2
+        side = int(np.ceil(np.hypot(*self.template.valid.shape) / self._step)) + 2
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
-        pictures = _softened(self.value, pitch), self.template.valid.astype(np.float32)
-        return np.stack([np.stack([_fetched(one, angle, step, side) for angle in angles.tolist()]) for one in pictures])
+        return self._on_grid(angles.tolist(), (side, side))
 
     @cached_property
     def still(self) -> NDArray[np.float32]:
         """(2, rows, columns) of the same, as it lies."""
-        pitch, step = self.template.pitch_mm, _PITCH_MM / self.template.pitch_mm
-        rows, columns = (int(np.ceil(length / step)) for length in self.template.valid.shape)
-        pictures = _softened(self.value, pitch), self.template.valid.astype(np.float32)
-        return np.stack([_fetched(one, 0.0, step, (rows, columns)) for one in pictures])
+        rows, columns = (int(np.ceil(side / self._step)) for side in self.template.valid.shape)
+        return self._on_grid([0.0], (rows, columns))[:, 0]
+
+    @property
+    def _step(self) -> float:
+        return _PITCH_MM / self.template.pitch_mm
+
+    def _on_grid(self, angles_rad: list[float], size: tuple[int, int]) -> NDArray[np.float32]:
+        pictures = _softened(self.value, self.template.pitch_mm), self.template.valid.astype(np.float32)
+        return np.stack(
+            [np.stack([_fetched(part, angle, self._step, size) for angle in angles_rad]) for part in pictures]
+        )
 
     @cached_property
     def close(self) -> PatchGrid:

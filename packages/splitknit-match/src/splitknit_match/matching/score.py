@@ -29,8 +29,6 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
     """
     total = float(np.sum(np.asarray(distances, dtype=np.float64)))
-    require(0 < ratio <= 1, f"the ratio of the masks must lie in (0, 1], but it is {ratio}.")
-    require(bool(np.isfinite(total)) and bool(np.min(distances) >= 0), "distances must be finite and not negative.")
     return math.exp(-(ratio**4) / total) if total > 0 else 0.0
 
 

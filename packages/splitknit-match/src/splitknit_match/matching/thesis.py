@@ -33,7 +33,6 @@ def align_masks(database: BoolArray, query: BoolArray) -> tuple[int, float]:
     Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
     search removes that chance.
     """
-    require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
     start = tip_column(database) - tip_column(query)
     small_database, small_query = (mask[factor // 2 :: factor, factor // 2 :: factor] for mask in (database, query))
@@ -144,14 +143,10 @@ def finger_images(
     and columns, to the input, which is upright where it is missing; `shape_normals`: of the finger without ridges.
     Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
     """
-    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
-    require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     channels = {"relief": ridge_mm}
     for prefix, vectors in (("", normals), ("shape_", shape_normals)):
         if vectors is not None:
-            wanted = (*mask.shape, 3)
-            require(vectors.shape == wanted, f"normals must have the shape {wanted}, but have {vectors.shape}.")
             channels |= {prefix + name: vectors[..., k] for k, name in enumerate(NORMALS)}
     cleaned = {
         name: np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)

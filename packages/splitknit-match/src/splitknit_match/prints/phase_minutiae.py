@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import FloatArray
 from splitknit_match.matching.minutiae_record import BIFURCATION, ENDING, Minutiae
@@ -52,10 +51,6 @@ def by_phase(
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.
     """
-    require(
-        image.shape == enhanced.wave.shape,
-        f"the print has {image.shape} pixels, but its enhancement {enhanced.wave.shape}; give those of one print.",
-    )
     ridges = -enhanced.wave.astype(np.float64)  # positive on ridges
     along, wave_number = _field(enhanced)
     turns, quadratures = _turns(ridges, along, wave_number)

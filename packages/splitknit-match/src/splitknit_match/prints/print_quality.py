@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
@@ -67,10 +66,6 @@ def _quality_figures(
     None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
     in_um = min_height_um is not None
-    if values.ndim != 2 or values.shape != weight.shape:
-        raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
-    nodes = tuple(-(-side // found.step_px) for side in values.shape)
-    require(nodes == found.mask.shape, f"the ridges' field must have {nodes} nodes, but it has {found.mask.shape}.")
     px = ppi / MM_PER_INCH
     finger = _at_nodes(weight, found) > 0.5
     require(bool(finger.any()), "nothing of the finger lies on the print.")

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.model import BoolArray, FloatArray
@@ -58,16 +57,12 @@ class RidgeField:
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
 
-    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if the image is of another kind, or has
-    no ridges.
+    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
 
     Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
     points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
     Fingerprint enhancement using STFT analysis, section 3 (frequencies).
     """
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")
-    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / MM_PER_INCH
     step = max(2, round(_STEP_MM * px))
@@ -87,7 +82,6 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     strength = np.sqrt(np.maximum(wide[0], 0.0))
     mask = _extent(strength, px / step)
     if inside is not None:
-        require(inside.shape == image.shape, f"inside must have the print's shape {image.shape}, not {inside.shape}.")
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
         mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
     require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
