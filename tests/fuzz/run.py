@@ -59,7 +59,7 @@ READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
     "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
-    "rolled.finger.read_rolled": "reconstructs what io.capture.read_capture reads",
+    "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
     "cli.import_clouds.import_cloud": "reads what io.clouds.read_cloud reads",

@@ -14,17 +14,14 @@ from splitknit.finger.ridges import ink
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit_match.prints.print_map import resample
+from splitknit_match.prints.rolled import laid_flat, rolled_facts, seam_lines, seam_steps
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import (
     PITCH_MM,
     STEEPEST_DEG,
     Blended,
     Rolled,
-    laid_flat,
-    rolled_facts,
     rolled_finger,
-    seam_lines,
-    seam_steps,
 )
 from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import ReliefSettings, find_mirror_views

@@ -151,7 +151,6 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "1e-9"], "none below"),
         (["GALLERY", "PROBE", "--top", "0"], "--top must be at least 1"),
-        (["GALLERY", "PROBE", "--set", "band.window_mm=0.7"], "made with other settings"),
         (["GALLERY", "PROBE", "--set", "search.candidates=0"], "search"),
     ],
 )

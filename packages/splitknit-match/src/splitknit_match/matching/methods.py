@@ -288,7 +288,7 @@ def _fused(assumed: bool, a: Side, b: Side) -> Match:
     else:
         found = fused_match(left, right)
     return replace(
-        _laid("fusion", *sides, found.ridge), similarity=found.similarity, compared=found.compared,
+        _laid("fusion", sides[0], sides[1], found.ridge), similarity=found.similarity, compared=found.compared,
         similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae,
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArra
     typical = float(np.median(around[found.mask]))
     require(typical > 0.05, _NO_RIDGES)
     floor = np.float32(_FLOOR * typical)
-    coefficients = coefficients / np.maximum(around, floor)
+    coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
     found = replace(found, mask=found.mask & (around > floor))
     require(bool(found.mask.any()), _NO_RIDGES)
     rows, columns = image.shape

@@ -103,7 +103,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion
         if around is not None:
-            from splitknit_match.rolled.finger import write_rolled  # slow to import
+            from splitknit_match.prints.rolled import write_rolled  # slow to import
 
             facts["rolled"] = write_rolled(target, around)
         with timed("quality"):
@@ -175,7 +175,7 @@ def _read(
     if method == "rolled":
         unscaled = job.px_per_mm is None and job.ridge_period_mm is None
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
-        from splitknit_match.rolled.finger import read_rolled  # slow to import
+        from splitknit_match.prints.rolled import read_rolled  # slow to import
 
         return *read_rolled(job.path, job.preset, settings.rolled.pitch_mm, progress), None
     photo = method == "photo"
@@ -216,7 +216,7 @@ def _quality_facts(
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
         return {name: None if value is None else round(value, 3) for name, value in values.items()}
 
-    facts = {
+    facts: dict[str, Any] = {
         "nfiq2": None,
         "ours": round(found.score, 1),
         "figures": rounded(asdict(found.figures)),

@@ -111,7 +111,7 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
 
 def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float) -> Print:
     """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
-    from splitknit_match.rolled.finger import laid_flat  # slow to import
+    from splitknit_match.prints.rolled import laid_flat  # slow to import
 
     unrolled, print_map = laid_flat(rolled, kind, ppi)
     inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)

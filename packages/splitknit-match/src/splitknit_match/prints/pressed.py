@@ -112,7 +112,7 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
-    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + 1e-6
+    total: FloatArray = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + 1e-6
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]

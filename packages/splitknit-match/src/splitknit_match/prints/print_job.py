@@ -116,7 +116,7 @@ class MakePrintJob(Job):
 
         finger, chosen, photo = self.finger, override(PrintingSettings(), self.settings or {}), self.method == "photo"
         if self.method == "rolled":
-            from splitknit_match.rolled.finger import read_rolled
+            from splitknit_match.prints.rolled import read_rolled
 
             if isinstance(finger, Capture | Reconstruction):
                 raise BadInput("a rolled print needs the path of a capture folder.")

@@ -8,6 +8,7 @@ row), as everywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -285,7 +286,7 @@ def _facing(grid: SurfaceGrid) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
 
 
-def _moved(matrix: Array, points: Array) -> Array:
+def _moved(matrix: NDArray[Any], points: Array) -> Array:
     return points @ matrix[:2, :2].T + matrix[:2, 2]
 
 

@@ -83,7 +83,8 @@ def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Arr
     by_pose = np.zeros((len(points), 2, 3))
     if sight.plane is not None:
         for k in range(3):
-            change = 1e-3 * np.eye(3)[k]
+            change = np.zeros(3)
+            change[k] = 1e-3
             moved = replace(sight, plane=sight.plane.moved((change[0], change[1]), change[2]))
             by_pose[:, :, k] = np.einsum("kij,kj->ki", inverse, (pixels(points, moved) - here) / 1e-3)
     return by_radius, by_pose
@@ -306,12 +307,15 @@ def search(  # noqa: PLR0915
     flat = modes[few].reshape(-1, modes.shape[2]).astype(np.float64)
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
-    for _, move in sorted(guesses, key=lambda item: -item[0]):
-        apart = all(float(np.abs(move - start).max()) * chart.pitch_mm > APART_MM for start in starts)
+    for _, guess in sorted(guesses, key=lambda item: -item[0]):
+        apart = all(float(np.abs(guess - start).max()) * chart.pitch_mm > APART_MM for start in starts)
         if apart and len(starts) < CANDIDATES:
-            starts.append(move)
+            starts.append(guess)
     _, at = max(
-        (refined(np.linalg.solve(matrix, weight * flat.T @ np.tile(move, count)), few) for move in starts),
+        (
+            refined(np.asarray(np.linalg.solve(matrix, weight * flat.T @ np.tile(start, count)), np.float64), few)
+            for start in starts
+        ),
         key=lambda item: item[0],
     )
     every = slice(None)

@@ -322,10 +322,10 @@ def view_relief(  # noqa: PLR0915, PLR0917
         relief = _by_shapelets(images, grid, smooth, light, trust, settings.shapelets, skin=skin)
         fields, how = (relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust), "shapelets"
     relief, deviation, trust = map(coarser, fields) if finer else fields
-    placed = (
+    relief, deviation, trust = (
         np.where(inside, values, np.nan).astype(np.float32) for values in (relief * facing, deviation * facing, trust)
     )
-    return ViewRelief(window, binning, *placed, how)
+    return ViewRelief(window, binning, relief, deviation, trust, how)
 
 
 def _by_shapelets(  # noqa: PLR0917
@@ -342,14 +342,14 @@ def _by_shapelets(  # noqa: PLR0917
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
     bank = replace(settings, sigma_px=settings.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
-    relief = np.nan_to_num(shapelets(*evened, grid.mask, bank), nan=0.0)
+    relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
 
 
 def _blocks(mask: BoolArray, binning: int) -> BoolArray:
     height, width = (n // binning for n in mask.shape)
     cut = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
-    return largest_component(cut.all(axis=(1, 3)))
+    return largest_component(np.asarray(cut.all(axis=(1, 3))))
 
 
 # Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near

@@ -1,0 +1,163 @@
+"""The rolled-equivalent print: a capture with mirrors as one finger around its front, laid flat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from splitknit import preset_settings, read_capture
+from splitknit.errors import naming, require
+from splitknit.imaging.polarised import without_films
+from splitknit.io.mesh import surface_mesh, write_ply
+from splitknit.model import BoolArray, FloatArray
+from splitknit.verbs import Progress
+from splitknit_match.prints.print_map import PrintMap, unrolled_map
+from splitknit_match.prints.sources import Source
+from splitknit_match.prints.unroll import KINDS, NODES_MM, RINGS, SurfaceGrid, Unrolled, extrapolated, unroll
+from splitknit_match.rolled.chart import Chart
+from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.register import gaussian_over
+from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+
+Array = NDArray[np.float64]
+SIDE_MM, TIP_MM = 14.0, 0.0
+"""Coverage is reported for the rows from the tip's cap downwards, as far as this."""
+
+
+def read_rolled(path: Path, preset: str, pitch_mm: float, progress: Progress) -> tuple[Source, Rolled]:
+    """A capture folder as one finger around its front.
+
+    Raises BadInput if it is not a capture, has no mirrors beside the finger, or fewer than two views can be used.
+    """
+    require(
+        (path / "capture.json").is_file(),
+        f"'{path}' is not a capture folder (capture.json); a rolled finger is made from a capture with mirrors.",
+    )
+
+    def make() -> tuple[Source, Rolled]:
+        capture = without_films(read_capture(path))
+        chosen = preset_settings(preset)
+        progress("views", 0.08)
+        views = find_mirror_views(capture, chosen, chosen.shape.mirror)
+        rolled = rolled_finger(
+            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), pitch_mm,
+            lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
+        )  # fmt: skip
+        # the chart takes the part of the input's pixels
+        source = Source(
+            "capture", rolled.blended.known, rolled.chart.pitch_mm, np.eye(3), rolled.chart.shape,
+            ridge_mm=rolled.blended.relief_mm, preset=preset, hashes=capture.hashes, subject=capture.subject,
+        )  # fmt: skip
+        return source, rolled
+
+    return naming(path, make)
+
+
+def _skin_points(rolled: Rolled, points: Array) -> FloatArray:
+    """(n, m, 3) points in the finger's own frame: x right, y to the tip, z to the camera; NaN where not known."""
+    local = (points - rolled.chart.centre_mm) @ rolled.chart.axes.T
+    return np.where(rolled.blended.known[..., None], local, np.nan).astype(np.float32)
+
+
+def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap]:
+    """The chart laid flat: all of the skin weighs the same, however it is turned.
+
+    Raises BadInput if `kind` is unknown, or there is too little skin.
+    """
+    require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
+    step = max(1, round(NODES_MM / rolled.chart.pitch_mm))
+    room = RINGS + 1  # nodes beyond the chart's ends
+    around = ((room, room), (room, room))
+    points = _skin_points(rolled, rolled.points_mm.astype(np.float64))[::step, ::step].astype(np.float64)
+    points = np.pad(points, (*around, (0, 0)), constant_values=np.nan)
+    inside = np.pad(rolled.blended.known[::step, ::step], around)
+    chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
+    grid = SurfaceGrid(extrapolated(points, RINGS), inside, chart_from_node, NODES_MM)
+    unrolled = unroll(grid, kind, centre_weight=0.0)
+    return unrolled, unrolled_map(unrolled, kind, ppi, None)
+
+
+def rolled_facts(rolled: Rolled) -> dict[str, Any]:
+    """Coverage, seams, views: for ``report.json``."""
+    chart, blended = rolled.chart, rolled.blended
+    around = _coverage_deg(chart, blended.known, rolled.normals.astype(np.float64))
+    rows = (chart.length_mm <= TIP_MM) & (chart.length_mm >= -SIDE_MM) & (around > 0)
+    # a seam would be a step in the relief without its ridges
+    even = gaussian_over(blended.relief_mm * blended.known.astype(np.float32), blended.known, 0.3 / chart.pitch_mm)
+    seams = {}
+    for place, name in enumerate(rolled.names[1:], start=1):
+        line = seam_lines(blended.fractions, 0, place)
+        steps = seam_steps(even, line, chart.pitch_mm)
+        seams[name] = {
+            "length_mm": round(float(line.any(axis=1).sum()) * chart.pitch_mm, 2),
+            "step_rms_um": round(1000.0 * float(np.sqrt((steps**2).mean())), 2) if steps.size else None,
+        }
+    return {
+        **rolled.facts,
+        "coverage_deg": {"median": round(float(np.median(around[rows])), 1) if rows.any() else 0.0},
+        "share_of_views": {
+            name: round(float(fraction[blended.known].mean()), 3)
+            for name, fraction in zip(rolled.names, blended.fractions, strict=True)
+        },
+        "seams": seams,
+    }
+
+
+def seam_lines(fractions: FloatArray, first: int, second: int) -> BoolArray:
+    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
+    ahead = fractions[first] > fractions[second]
+    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
+    line = np.zeros(ahead.shape, dtype=np.bool_)
+    line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
+    return line
+
+
+def seam_steps(values: FloatArray, line: BoolArray, pitch_mm: float) -> Array:
+    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
+    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
+    """
+    reach = max(1, round(0.25 / pitch_mm))
+    padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
+    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    rows, columns = np.nonzero(line)
+    at = columns + reach + 1  # first pixel right of the seam, in the padded image
+    return np.asarray((sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach)
+
+
+def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
+    """Write the skin into a folder as a mesh, ``rolled.ply``: mm, x right, y to the tip, z to the camera; return the
+    facts.
+    """
+    relief = rolled.blended.relief_mm
+    points = _skin_points(rolled, rolled.points_mm.astype(np.float64) + relief[..., None] * rolled.normals)
+    vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
+    used = index >= 0
+    normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)
+    relief = relief[used]
+    shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
+    words = ["rolled-equivalent finger, mm; quality is the relief"]
+    write_ply(target / "rolled.ply", vertices, normals, shade, faces, words)
+    return {**rolled_facts(rolled), "mesh_points": len(vertices)}
+
+
+def _coverage_deg(chart: Chart, known: BoolArray, normals: Array) -> Array:
+    """(n,) range of directions, around the finger, of the skin's normals that each row shows without a gap; degrees.
+
+    A row over the straight part of the finger counts its longest run of known pixels. The direction is that of the
+    normal about the finger's axis, not that of the ray: what a flat view calls slant.
+    """
+    local = normals @ chart.axes.T
+    around = np.rad2deg(np.arctan2(local[..., 0], local[..., 2]))
+    result = np.zeros(chart.shape[0])
+    for row in range(chart.shape[0]):
+        labels, count = scipy.ndimage.label(known[row])
+        if count == 0:
+            continue
+        longest = 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+        places = np.flatnonzero(labels == longest)
+        result[row] = float(np.ptp(np.unwrap(np.deg2rad(around[row, places])))) * 180.0 / np.pi
+    return result
