@@ -13,6 +13,7 @@ import argparse
 import statistics
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -66,7 +67,8 @@ def phalange(scale: float, rounds: int) -> None:
     work: dict[str, Callable[[], Any]] = {"unrolled print (free)": lambda: make_print(source, "unroll")}
     work["unrolled print (arc)"] = lambda: make_print(source, "unroll", "arc")
     work["relief print"] = lambda: make_print(source, "relief")
-    work["curvature map"] = lambda: curvature(seen.height_mm, seen.mask, camera.pitch_mm)
+    for degree, word in ((2, "quadratic"), (3, "cubic")):
+        work[f"curvature map, {word}"] = partial(curvature, seen.height_mm, seen.mask, camera.pitch_mm, degree=degree)
     work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled, 500.0)
     print_table(f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)", race(work, rounds))
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")

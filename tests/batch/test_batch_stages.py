@@ -25,8 +25,8 @@ from splitknit_match.batch.settings import BatchSettings, Case, preset_cases
 from splitknit_match.batch.store import Store
 from splitknit_match.evaluation.score_files import read_scores
 from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
-from splitknit_match.matching.template import TemplateSettings, pack, unpack
+from splitknit_match.matching.surface import surface_images, surface_template
+from splitknit_match.matching.template import pack, unpack
 from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 
 RIDGE = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",))
@@ -162,16 +162,13 @@ def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> No
     shutil.copytree(people, spoiled)
     image = spoiled / "S01" / "session_1" / "right_index" / "white_0.png"
     write_image(image, np.zeros_like(read_image(image)))
-    small = replace(EA, matching=MatchingSettings(template=TemplateSettings(least_area_mm2=1e6)))
-    facts = run_batch(spoiled, tmp_path / "out", small, jobs=1)
-    assert len(facts["failures"]) == 4
+    facts = run_batch(spoiled, tmp_path / "out", EA, jobs=1)
+    assert len(facts["failures"]) == 1
     table = Store(tmp_path / "out").features("ea")
-    assert table["acquired"].tolist() == [False] * 4
+    assert table["acquired"].tolist() == [False, True, True, True]
     assert table["failure"][0].startswith("white_0.png is black")
-    assert "too small" in table["failure"][1]
-    assert table["print"][0] == b""
+    assert table["print"][0] == table["template"][0] == b""
     assert table["print"][1] != b""
-    assert table["template"].tolist() == [b""] * 4
 
 
 def test_comparisons_are_the_matchers_own(copies: tuple[Path, Path]) -> None:
@@ -276,9 +273,6 @@ def test_other_settings_are_refused_by_name(people: Path, store: Path) -> None:
     case = Case("ea", "ea", {"height.method": "poisson"})
     with pytest.raises(BadInput, match=r"case 'ea' \(height\.method\)"):
         run_batch(people, store, replace(EA, cases=(case,)), jobs=1)
-    coarse = MatchingSettings(template=TemplateSettings(least_area_mm2=31.0))
-    with pytest.raises(BadInput, match=r"templates \(template\.least_area_mm2\)"):
-        run_batch(people, store, replace(EA, matching=coarse), jobs=1)
 
 
 def test_other_populations_versions_and_folders_are_refused(people: Path, store: Path, tmp_path: Path) -> None:

@@ -71,6 +71,21 @@ def test_the_camera_does_not_matter() -> None:
     assert np.abs(plain.k_min[inner] + 1 / 8).max() > 0.02
 
 
+def test_what_a_cubic_changes() -> None:
+    """On full windows nothing but the slopes, which hardly matter; where the mask cuts the window it is noisier."""
+    rng = np.random.default_rng(2)
+    x, _ = plane_points((80, 80))
+    ridges = 0.02 * np.cos(2 * np.pi * x / 1.5)
+    mask = np.ones((80, 80), bool)
+    mask[:, 41:] = False
+    noisy = (ridges + 1e-3 * rng.standard_normal((80, 80))).astype(np.float32)
+    two, three = (curvature(noisy, mask, PITCH, window_px=9 * 75.7 / PX_PER_MM, degree=d).k_min for d in (2, 3))
+    full = slice(10, -10), slice(10, 36)
+    assert np.corrcoef(two[full].ravel(), three[full].ravel())[0, 1] > 0.999
+    edge = slice(10, -10), slice(38, 39)
+    assert np.nanstd(three[edge]) > np.nanstd(two[edge])
+
+
 def test_nonsense_is_refused() -> None:
     flat = np.zeros((20, 20), np.float32)
     with pytest.raises(BadInput, match="pitch_mm"):

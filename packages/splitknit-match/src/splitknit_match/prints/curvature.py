@@ -1,6 +1,6 @@
 """Curvature of the skin: surface fits in a small window, the Weingarten matrix, and the shape index.
 
-A quadratic is fitted by least squares to the window around every pixel. Inside the mask that is a convolution with
+A polynomial is fitted by least squares to the window around every pixel. Inside the mask that is a convolution with
 fixed separable kernels (Savitzky and Golay 1964); where the window reaches beyond the mask, the fit is made to the
 pixels that are there, from the same convolutions of masked monomials.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -22,8 +23,9 @@ REFERENCE_PX_PER_MM, WINDOW_PX = 75.7, 15.0
 LEAST_SHARE = 0.75
 """Fraction of the window that must lie on the finger; elsewhere nothing is known."""
 _CHUNK = 20_000
-_POWERS = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0)]
-"""Exponents (column, row) of the quadratic's terms; those of the derivatives come first."""
+_POWERS = {2: [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0)]}
+_POWERS[3] = [*_POWERS[2], (0, 3), (1, 2), (2, 1), (3, 0)]
+"""Exponents (column, row) of the terms of a quadratic and a cubic; those of the derivatives come first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,12 +52,13 @@ def curvature(
     xy_mm: tuple[FloatArray, FloatArray] | None = None,
     *,
     window_px: float = WINDOW_PX,
+    degree: Literal[2, 3] = 2,
 ) -> Curvature:
     """Principal curvatures and shape index of a surface.
 
     `height_mm`: (H, W) float32, ridges and shape together, ignored outside `mask`; `xy_mm`: x and y (H, W) of the
-    surface points, for perspective cameras. Raises BadInput if shapes disagree, the mask is empty, or the pitch is not
-    positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the first fundamental form's inverse
+    surface points, for perspective cameras; `degree`: of the fitted polynomial. Raises BadInput if shapes disagree,
+    the mask is empty, or the pitch is not positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the first fundamental form's inverse
     times the second (do Carmo 1976, section 3.3).
     """
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
@@ -69,23 +72,24 @@ def curvature(
     edge = np.flatnonzero((known & (fractions < side * side - 0.5)).ravel())
     # monomials of the offset, one at the window's edge
     offset = np.arange(-(side // 2), side // 2 + 1) / (side // 2)
-    taps = [list(offset**k) for k in range(5)]
+    powers, orders = _POWERS[degree], 2 * degree + 1
+    taps = [list(offset**k) for k in range(orders)]
     total_taps = np.array(taps).sum(axis=1)
-    interior = np.linalg.inv([[total_taps[i + k] * total_taps[j + m] for k, m in _POWERS] for i, j in _POWERS])
+    interior = np.linalg.inv([[total_taps[i + k] * total_taps[j + m] for k, m in powers] for i, j in powers])
 
     def moments(image: FloatArray, wanted: list[tuple[int, int]]) -> dict[tuple[int, int], FloatArray]:
         with ThreadPoolExecutor(2) as pool:
             found = pool.map(lambda power: _blurred(image, taps[power[0]], taps[power[1]]), wanted)
             return dict(zip(wanted, found, strict=True))
 
-    normal = np.empty((edge.size, len(_POWERS), len(_POWERS)))
+    normal = np.empty((edge.size, len(powers), len(powers)))
     if edge.size:
-        masked = moments(one, [(i, j) for i in range(5) for j in range(5 - i)])
-        for a, (i, j) in enumerate(_POWERS):
-            for b, (k, m) in enumerate(_POWERS):
+        masked = moments(one, [(i, j) for i in range(orders) for j in range(orders - i)])
+        for a, (i, j) in enumerate(powers):
+            for b, (k, m) in enumerate(powers):
                 normal[:, a, b] = masked[i + k, j + m].ravel()[edge]
         # a touch of ridge regression: what the pixels there do not determine stays small
-        for a in range(2, 5):
+        for a in np.flatnonzero(np.sum(powers, axis=1) > 1):
             normal[:, a, a] += 1e-4 * masked[0, 0].ravel()[edge].astype(np.float64)
     unit = pitch_mm * (side // 2)
     factors = (1 / unit, -1 / unit, 2 / unit**2, -1 / unit**2, 2 / unit**2)  # rows run downwards
@@ -95,15 +99,15 @@ def curvature(
         field = whole[box]
         # about zero, so that float32 keeps what matters
         values = np.where(inside, field - np.float32(field[inside].mean()), 0.0).astype(np.float32)
-        sums = moments(values, _POWERS)
+        sums = moments(values, powers)
         results = []
         for term in range(5):
             total = np.zeros(values.shape, dtype=np.float32)
-            for power, weight in zip(_POWERS, interior[term], strict=True):
+            for power, weight in zip(powers, interior[term], strict=True):
                 if abs(weight) > 1e-12:
                     total += np.float32(weight) * sums[power]
             results.append(total)
-        right = np.stack([sums[power].ravel()[edge] for power in _POWERS], axis=1).astype(np.float64)
+        right = np.stack([sums[power].ravel()[edge] for power in powers], axis=1).astype(np.float64)
         for start in range(0, edge.size, _CHUNK):
             part = slice(start, start + _CHUNK)
             solved = np.linalg.solve(normal[part], right[part][..., None])[..., 0]

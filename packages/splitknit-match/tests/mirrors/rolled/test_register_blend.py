@@ -89,7 +89,7 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     assert done.correlations[1] > 0.99
     assert np.abs(done.radius_mm[:, there[70]]).max() < 0.005
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
-    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
+    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.025
     # with one mirror the side that it does not show stays as it is
     alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),))
     assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
