@@ -1,4 +1,4 @@
-"""From 3D to 2D: one finger as a print by four methods, enhanced and thinned.
+"""From 3D to 2D: one finger as a print by four methods, and enhanced.
 
     python examples/plot_prints.py --out pictures
 
