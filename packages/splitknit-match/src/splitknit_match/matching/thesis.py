@@ -63,7 +63,7 @@ def overlaps(a: BoolArray, b: BoolArray, shifts: range) -> list[int]:
     counts = []
     for right in shifts:
         first, last = max(0, right), max(0, right, min(a.shape[1], b.shape[1] + right))
-        counts.append(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right]))
+        counts.append(int(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right])))
     return counts
 
 
@@ -216,14 +216,7 @@ def thesis_match(
         known = lbp_features(database.channels[name], scale) if features is None else features[name]
         return float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
 
-    if cv2.getNumThreads() > 1:
-        from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
-
-        with ThreadPoolExecutor(2) as pool:
-            found = list(pool.map(distance, needed))
-    else:  # in the workers of a batch a pool takes longer than it saves
-        found = [distance(name) for name in needed]
-    distances = dict(zip(needed, found, strict=True))
+    distances = {name: distance(name) for name in needed}
     scores = {one: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[one]]) for one in settings.attributes}
     mean = float(np.mean(list(scores.values())))
     return _ThesisMatch(1.0 - mean, scores, distances, ratio, right, True)

@@ -7,7 +7,6 @@ pixels that are there, from the same convolutions of masked monomials.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -78,9 +77,7 @@ def curvature(
     interior = np.linalg.inv([[total_taps[i + k] * total_taps[j + m] for k, m in powers] for i, j in powers])
 
     def moments(image: FloatArray, wanted: list[tuple[int, int]]) -> dict[tuple[int, int], FloatArray]:
-        with ThreadPoolExecutor(2) as pool:
-            found = pool.map(lambda power: _blurred(image, taps[power[0]], taps[power[1]]), wanted)
-            return dict(zip(wanted, found, strict=True))
+        return {(i, j): _blurred(image, taps[i], taps[j]) for i, j in wanted}
 
     normal = np.empty((edge.size, len(powers), len(powers)))
     if edge.size:
@@ -89,8 +86,8 @@ def curvature(
             for b, (k, m) in enumerate(powers):
                 normal[:, a, b] = masked[i + k, j + m].ravel()[edge]
         # a touch of ridge regression: what the pixels there do not determine stays small
-        for a in np.flatnonzero(np.sum(powers, axis=1) > 1):
-            normal[:, a, a] += 1e-4 * masked[0, 0].ravel()[edge].astype(np.float64)
+        for a, power in enumerate(powers):
+            normal[:, a, a] += (sum(power) > 1) * 1e-4 * masked[0, 0].ravel()[edge].astype(np.float64)
     unit = pitch_mm * (side // 2)
     factors = (1 / unit, -1 / unit, 2 / unit**2, -1 / unit**2, 2 / unit**2)  # rows run downwards
 

@@ -36,7 +36,7 @@ from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
-from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
 from splitknit_match.prints.sources import Source
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
@@ -191,8 +191,7 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], Bo
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere, so that blocks of
     JPEG that lost their ridges stay flat.
     """
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1, 2 * _RIM_PX + 1))
-    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc(_RIM_PX), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     known = whole.astype(np.float32)
     detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, _SHADING_PX)
     usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0

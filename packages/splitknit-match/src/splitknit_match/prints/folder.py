@@ -64,21 +64,14 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         timings[name] = round(time.perf_counter() - started, 3)
 
     check_target(out, "map.npz", "an earlier print", keep=path)
-    with timed("total"), atomic_folder(out) as target:
-        with timed("reading"):
-            source, around, given = _read(job, method, place, settings, progress)
+    with atomic_folder(out) as target:
+        with timed("printing"):
+            source, made, around = _printed(job, method, place, settings, progress)
         chosen = asdict(settings) if method == "rolled" else {}
-        parameters = {"method": method, **chosen, "surface": place, "ppi": ppi}
-        origin = provenance(parameters, source.hashes)
-        progress("printing", 0.75)
-        try:
-            with timed("printing"):
-                made = given or _made(source, around, (method, place), ppi)
-            progress("enhancing", 0.85)
-            with timed("enhancing"):
-                enhanced = enhance(made, ppi)
-        except BadInput as error:
-            raise BadInput(f"{path}: {error}") from error
+        origin = provenance({"method": method, **chosen, "surface": place, "ppi": ppi}, source.hashes)
+        progress("enhancing", 0.85)
+        with timed("enhancing"):
+            enhanced = naming(path, lambda: enhance(made, ppi))
         progress("writing", 0.92)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
         pictures = {"print": made.image, "enhanced": enhanced.image}
@@ -116,11 +109,11 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         )  # fmt: skip
         facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
         write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
-        facts["provenance"] = origin
+        facts |= {"provenance": origin, "timings_s": timings}
         facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
-        write_file(target / "report.json", json_text({**facts, "timings_s": timings}).encode("ascii"))
+        write_file(target / "report.json", json_text(facts).encode("ascii"))
     progress("done", 1.0)
-    return {**facts, "timings_s": timings, "out": str(out)}
+    return {**facts, "out": str(out)}
 
 
 def _how(job: PrintJob) -> tuple[str, str]:
@@ -148,54 +141,45 @@ def _how(job: PrintJob) -> tuple[str, str]:
     return "file", "paper"
 
 
-def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
-    """A print from a file."""
-    item = read_one_finger(path, input_ppi)
-    if not isinstance(item, PrintFile):
-        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
-    made = naming(path, lambda: pressed_print(item))
-    ppi = item.resolution_ppi or PPI
-    source = Source(
-        "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / ppi, np.eye(3), item.image.shape,
-        hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
-        scale=" ".join(filter(None, (item.doubt, item.note))),
-    )  # fmt: skip
-    return source, made
-
-
-def _read(
+def _printed(
     job: PrintJob, method: str, place: str, settings: PrintingSettings, progress: Progress
-) -> tuple[Source, Rolled | None, Print | None]:
-    """What the print is made from, the finger around its front where the print is rolled, and a print from a file."""
+) -> tuple[Source, Print, Rolled | None]:
+    """What the print is made from, the print, and the finger around its front where it is rolled."""
+    path, ppi = job.path, float(job.ppi)
     if method == "file":
-        source, given = _of_file(job.path, job.input_ppi)
-        return source, None, given
-    if method == "photo" and job.path.is_file():
-        return read_fingerphoto(job.path, job.px_per_mm, PhotoFinger(job.mask, job.box)), None, None
+        item = read_one_finger(path, job.input_ppi)
+        if not isinstance(item, PrintFile):
+            raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+        made = naming(path, lambda: pressed_print(item))
+        source = Source(
+            "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+            item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+            scale=" ".join(filter(None, (item.doubt, item.note))),
+        )  # fmt: skip
+        return source, made, None
     if method == "rolled":
         unscaled = job.px_per_mm is None and job.ridge_period_mm is None
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
         from splitknit_match.prints.rolled import read_rolled  # slow to import
 
-        return *read_rolled(job.path, job.preset, settings.rolled.pitch_mm, progress), None
+        source, around = read_rolled(path, job.preset, settings.rolled.pitch_mm, progress)
+        progress("printing", 0.75)
+        return source, naming(path, lambda: make_rolled_print(around, source, place, ppi)), around
     photo = method == "photo"
-    source = read_source(
-        job.path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
-        px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
-    )  # fmt: skip
-    return source, None, None
-
-
-def _made(source: Source, around: Rolled | None, how: tuple[str, str], ppi: float) -> Print:
-    """The print of a source by a method, where it is made."""
-    if around is not None:
-        return make_rolled_print(around, source, how[1], ppi)
-    made = make_print(source, *how, ppi)
-    if source.quality is None or ppi != PPI:
-        return made
-    sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
-    weight = np.where(sure.inside, made.weight, 0)
-    return replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
+    if photo and path.is_file():
+        source = read_fingerphoto(path, job.px_per_mm, PhotoFinger(job.mask, job.box))
+    else:
+        source = read_source(
+            path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
+            px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
+        )  # fmt: skip
+    progress("printing", 0.75)
+    made = naming(path, lambda: make_print(source, method, place, ppi))
+    if source.quality is not None and ppi == PPI:
+        sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
+        weight = np.where(sure.inside, made.weight, 0)
+        made = replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
+    return source, made, None
 
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.

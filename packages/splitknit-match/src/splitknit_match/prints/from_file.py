@@ -22,6 +22,7 @@ from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
+from splitknit_match.prints.ridge_field import disc
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, PALM_CODES, FingerView, pixels_per_cm
@@ -224,12 +225,13 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
     if not page and covered > 0.2 * item.image.size:
         return (_dark_ridges(item),)
     whole = f"cut out of a picture of {columns} x {rows} pixels."
-    return tuple(
-        _dark_ridges(
-            dataclasses.replace(item, image=item.image[box].copy(), note=" ".join(filter(None, (item.note, whole))))
-        )
-        for box in parts
-    )
+    return tuple(_dark_ridges(_noted(item, whole, item.image[box].copy())) for box in parts)
+
+
+def _noted(item: PrintFile, words: str, image: NDArray[np.uint8] | None = None) -> PrintFile:
+    """The print with a note more, and another picture."""
+    note = " ".join(filter(None, (item.note, words)))
+    return dataclasses.replace(item, image=item.image if image is None else image, note=note)
 
 
 def resolution_doubt(item: PrintFile, apart_px: float | None = None) -> str:
@@ -278,7 +280,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
         image, ppi = at_500_ppi(image, ppi), PPI
     side = max(2, round(8 * ppi / PPI))
     n, m = (size // side for size in image.shape)
-    in_doubt = dataclasses.replace(item, note=" ".join(filter(None, (item.note, _DOUBT))))
+    in_doubt = _noted(item, _DOUBT)
     if min(n, m) < 8:
         return in_doubt
     framed = frame(image)
@@ -289,18 +291,18 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     strong = deviation > max(_FAINT, 0.35 * float((deviation**2).sum() / max(float(deviation.sum()), 1e-6)))
     inside, pad = cv2.copyMakeBorder(strong.astype(np.uint8), 6, 6, 6, 6, cv2.BORDER_REPLICATE), slice(6, -6)
     for kind, radius in ((cv2.MORPH_CLOSE, 5), (cv2.MORPH_OPEN, 2)):
-        inside = cv2.morphologyEx(inside, kind, _disc(radius))
+        inside = cv2.morphologyEx(inside, kind, disc(radius))
     whole = np.ascontiguousarray(inside[pad, pad])
     if not whole.any():
         return item
     whole = fill_holes(largest_component(whole > 0)).astype(np.uint8)
 
     def eroded(radius: int) -> BoolArray:
-        return np.asarray(cv2.erode(whole, _disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
+        return np.asarray(cv2.erode(whole, disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
 
     middle, rim = eroded(4), (whole > 0) & ~eroded(1) & there
-    outside = (cv2.dilate(whole, _disc(1)) == 0) & there
-    beside, edge = outside & (cv2.dilate(whole, _disc(4)) > 0), cv2.dilate(whole, _disc(1)) == 0
+    outside = (cv2.dilate(whole, disc(1)) == 0) & there
+    beside, edge = outside & (cv2.dilate(whole, disc(4)) > 0), cv2.dilate(whole, disc(1)) == 0
     edge[1:-1, 1:-1] = False
     known = [one for one in (beside, rim, edge) if int(one.sum()) > 8]
     if not known or int(middle.sum()) <= 8:
@@ -309,14 +311,8 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     level = float(np.median(mean[middle]))
     levels = [(float(np.median(mean[one])) - level) / contrast for one in known]
     if len(known) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
-        note = " ".join(filter(None, (item.note, "its ridges were white and have been turned dark.")))
-        return dataclasses.replace(item, image=255 - item.image, note=note)
+        return _noted(item, "its ridges were white and have been turned dark.", 255 - item.image)
     return item if np.mean(levels) > _DARK else in_doubt
-
-
-def _disc(radius: int) -> NDArray[np.uint8]:
-    shape = (2 * radius + 1, 2 * radius + 1)
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, shape), dtype=np.uint8)
 
 
 def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import overlap_added, spectra_of
+from splitknit_match.prints.ridge_field import disc, overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8
@@ -112,7 +112,7 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
-    total: FloatArray = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + 1e-6
+    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
@@ -188,12 +188,11 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
     """(H, W) areas of one grey level at the picture's border that end in a step: beside the sensor's window."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     level = int(np.bincount(border).argmax())
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
     padded = cv2.copyMakeBorder((image == level).astype(np.uint8), 9, 9, 9, 9, cv2.BORDER_REPLICATE)
     found = np.zeros(image.shape, dtype=np.bool_)
     if not padded.any() or padded.all():
         return found
-    flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc)[9:-9, 9:-9])
+    flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc(4))[9:-9, 9:-9])
     count, labels, stats, _ = cv2.connectedComponentsWithStats(flat)
     for k in range(1, count):
         if stats[k, cv2.CC_STAT_AREA] < 400:
@@ -326,8 +325,7 @@ def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     raw, pad = (confidence > edge * clearest).astype(np.uint8), 2 * _CLOSED_PX
     closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-        closed = cv2.morphologyEx(closed, kind, disc)
+        closed = cv2.morphologyEx(closed, kind, disc(radius))
     closed = np.ascontiguousarray(closed[pad:-pad, pad:-pad])
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     sizes = stats[:, cv2.CC_STAT_AREA].copy()

@@ -287,7 +287,7 @@ def _facing(grid: SurfaceGrid) -> FloatArray:
 
 
 def _moved(matrix: NDArray[Any], points: Array) -> Array:
-    return points @ matrix[:2, :2].T + matrix[:2, 2]
+    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
 
 
 # A field of the input, read at a print's pixels.

@@ -13,7 +13,7 @@ from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.ridge_field import RidgeField
+from splitknit_match.prints.ridge_field import RidgeField, disc
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
@@ -144,9 +144,8 @@ def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     if not bool(strong.any()):
         return 1.0
     reach = max(1, round(_CLOSE_MM / cell_mm))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     raw = cv2.copyMakeBorder(strong.astype(np.uint8), *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc)[reach:-reach, reach:-reach] > 0
+    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc(reach))[reach:-reach, reach:-reach] > 0
     closed &= finger
     return float(1.0 - strong[closed].mean())
 

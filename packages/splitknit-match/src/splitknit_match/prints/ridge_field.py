@@ -110,6 +110,12 @@ def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     return np.asarray(spectra, dtype=np.complex64)
 
 
+def disc(radius: int) -> NDArray[np.uint8]:
+    """(2 radius + 1, 2 radius + 1) round structuring element."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(kernel, dtype=np.uint8)
+
+
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     """Sum of tiles (n, m, side, side) that lie `step` pixels apart, as far as whole steps go."""
     (n, m), times = tiles.shape[:2], tiles.shape[2] // step
@@ -127,9 +133,9 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
         return np.zeros(strength.shape, dtype=np.bool_)
     raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
     size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    kernel = disc(size // 2)
     padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel), cv2.MORPH_OPEN, kernel)
     closed = closed[size:-size, size:-size]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]

@@ -20,7 +20,6 @@ from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import KINDS, NODES_MM, RINGS, SurfaceGrid, Unrolled, extrapolated, unroll
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
-from splitknit_match.rolled.register import gaussian_over
 from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
 Array = NDArray[np.float64]
@@ -82,50 +81,14 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap
 
 
 def rolled_facts(rolled: Rolled) -> dict[str, Any]:
-    """Coverage, seams, views: for ``report.json``."""
-    chart, blended = rolled.chart, rolled.blended
-    around = _coverage_deg(chart, blended.known, rolled.normals.astype(np.float64))
+    """Coverage and views: for ``report.json``."""
+    chart = rolled.chart
+    around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(np.float64))
     rows = (chart.length_mm <= TIP_MM) & (chart.length_mm >= -SIDE_MM) & (around > 0)
-    # a seam would be a step in the relief without its ridges
-    even = gaussian_over(blended.relief_mm * blended.known.astype(np.float32), blended.known, 0.3 / chart.pitch_mm)
-    seams = {}
-    for place, name in enumerate(rolled.names[1:], start=1):
-        line = seam_lines(blended.fractions, 0, place)
-        steps = seam_steps(even, line, chart.pitch_mm)
-        seams[name] = {
-            "length_mm": round(float(line.any(axis=1).sum()) * chart.pitch_mm, 2),
-            "step_rms_um": round(1000.0 * float(np.sqrt((steps**2).mean())), 2) if steps.size else None,
-        }
     return {
         **rolled.facts,
         "coverage_deg": {"median": round(float(np.median(around[rows])), 1) if rows.any() else 0.0},
-        "share_of_views": {
-            name: round(float(fraction[blended.known].mean()), 3)
-            for name, fraction in zip(rolled.names, blended.fractions, strict=True)
-        },
-        "seams": seams,
     }
-
-
-def seam_lines(fractions: FloatArray, first: int, second: int) -> BoolArray:
-    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
-    ahead = fractions[first] > fractions[second]
-    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
-    line = np.zeros(ahead.shape, dtype=np.bool_)
-    line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
-    return line
-
-
-def seam_steps(values: FloatArray, line: BoolArray, pitch_mm: float) -> Array:
-    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
-    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
-    """
-    reach = max(1, round(0.25 / pitch_mm))
-    padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
-    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    rows, columns = np.nonzero(line)
-    at = columns + reach + 1  # first pixel right of the seam, in the padded image
-    return np.asarray((sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach)
 
 
 def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:

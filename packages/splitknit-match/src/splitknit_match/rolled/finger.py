@@ -166,8 +166,8 @@ def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -
     known = total > 1e-6
     fractions = weights / np.where(known, total, 1.0)
     relief, deviation = (np.where(fractions > 0, values, 0.0) for values in (reliefs, deviations_mm))
-    variance: FloatArray = (fractions**2 * deviation**2).sum(axis=0)
-    return Blended((fractions * relief).sum(axis=0), np.sqrt(variance), known, fractions)
+    variance = (fractions**2 * deviation**2).sum(axis=0)
+    return Blended((fractions * relief).sum(axis=0), np.sqrt(variance).astype(np.float32), known, fractions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -170,7 +170,7 @@ def _ridge_moves(
 ) -> Array:
     """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""
     points, rays = chart.points(radius_mm), chart.rays()[1]
-    down, right = np.gradient(points, axis=(0, 1))
+    right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     (of_front, _), (of_mirror, by_pose) = (
         _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
     )

@@ -8,7 +8,7 @@ import pytest
 
 from splitknit.mirrors.reflection import Plane, Sight
 from splitknit.model import Camera
-from splitknit_match.prints.rolled import _coverage_deg, seam_lines, seam_steps
+from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.chart import Chart, surface_normals
 from splitknit_match.rolled.finger import STEEPEST_DEG, _angles, _lengths, _view_weight, blend
 from splitknit_match.rolled.register import ViewRidges, _shifts_by, align, ridges_of, search
@@ -141,11 +141,6 @@ def test_views_fade_into_each_other() -> None:
     assert (np.diff(rising) > -1e-6).all()
     assert np.abs(np.diff(rising)).max() < 0.2  # no jump between neighbours 0.1 mm apart
     assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
-    line = seam_lines(made.fractions, 0, 1)
-    assert np.abs(degrees[np.flatnonzero(line[70])] - 45).max() < 2
-    hard = np.where(made.fractions[0] > made.fractions[1], 0.0, 1.0)
-    assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
-    assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
     # from -72 deg of the front to the chart's end, less what fades out
     around = _coverage_deg(chart, made.known, normals)
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
