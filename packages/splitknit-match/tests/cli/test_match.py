@@ -179,7 +179,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["PARTIAL", "a"], "holds no 'ridge_mm'"),
         (["COARSE", "a"], "pixels per inch"),
         (["a", "a/print.png", "--method", "thesis"], "compares surfaces"),
-        (["a", "again", "--set", "ridge.patches.patch_mm=-2"], "patch_mm"),
+        (["a", "again", "--set", "thesis.gate=2"], "gate"),
         (["a", "again", "--set", "ridge.speed=1"], "speed"),
         (["a", "again", "--fmr", "nan"], "--fmr must lie between 0 and 1"),
         (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
