@@ -164,10 +164,12 @@ def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -
     """Mean of the views (V, n, m) by their weights (V, n, m)."""
     total = weights.sum(axis=0)
     known = total > 1e-6
-    fractions = weights / np.where(known, total, np.float32(1.0))
+    fractions = weights / np.where(known, total, 1.0)
     relief, deviation = (np.where(fractions > 0, values, 0.0) for values in (reliefs, deviations_mm))
     variance = (fractions**2 * deviation**2).sum(axis=0)
-    return Blended((fractions * relief).sum(axis=0), np.sqrt(variance).astype(np.float32), known, fractions)
+    return Blended(
+        (fractions * relief).sum(axis=0), np.sqrt(variance).astype(np.float32), known, fractions.astype(np.float32)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
