@@ -13,6 +13,7 @@ import argparse
 import statistics
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -24,8 +25,8 @@ from peers import library
 from splitknit.finger.orientation import find_upright
 from splitknit.model import default_rig
 from splitknit_match.matching.minutiae import nfiq2
-from splitknit_match.prints.curvature import CurvatureSettings, curvature
-from splitknit_match.prints.enhance import gabor_enhance, ridge_mask, thin
+from splitknit_match.prints.curvature import curvature
+from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.make import Print, enhance, make_print
 from splitknit_match.prints.sources import Source
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -63,15 +64,12 @@ def phalange(scale: float, rounds: int) -> None:
     )  # fmt: skip
     rows, columns = (int(np.ptp(np.flatnonzero(seen.mask.any(axis=axis)))) + 1 for axis in (1, 0))
     unrolled: Print = make_print(source, "unroll")
-    enhanced = enhance(unrolled, 500.0)
     work: dict[str, Callable[[], Any]] = {"unrolled print (free)": lambda: make_print(source, "unroll")}
     work["unrolled print (arc)"] = lambda: make_print(source, "unroll", "arc")
     work["relief print"] = lambda: make_print(source, "relief")
     for degree, word in ((2, "quadratic"), (3, "cubic")):
-        settings = CurvatureSettings(degree=degree)
-        work[f"curvature map, {word}"] = lambda s=settings: curvature(seen.height_mm, seen.mask, camera.pitch_mm, s)
+        work[f"curvature map, {word}"] = partial(curvature, seen.height_mm, seen.mask, camera.pitch_mm, degree=degree)
     work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled, 500.0)
-    work["black and white, thinned"] = lambda: thin(ridge_mask(enhanced))
     print_table(f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)", race(work, rounds))
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")
 

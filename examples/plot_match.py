@@ -22,7 +22,7 @@ from splitknit_match.matching.methods import rate
 from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name, (seed, impression) in who.items():
         capture, _ = simulate_capture(seed, "left_loop", twin, impression=impression)
         surface = surface_of(splitknit.reconstruct(capture))
-        templates[name] = surface_template(surface, MatchingSettings())
+        templates[name] = surface_template(surface)
         image = surface_print(surface)
         prints[name] = image, extract(image, 500.0)
     first, *others = who

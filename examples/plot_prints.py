@@ -1,4 +1,4 @@
-"""From 3D to 2D: one finger as a print by four methods, enhanced and thinned.
+"""From 3D to 2D: one finger as a print by four methods, and enhanced.
 
     python examples/plot_prints.py --out pictures
 
@@ -17,7 +17,6 @@ import numpy as np
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
 from splitknit_match.matching.minutiae import extract, nfiq2
-from splitknit_match.prints.enhance import as_print, ridge_mask, thin
 from splitknit_match.prints.make import enhance, make_print
 from splitknit_match.prints.sources import read_source
 from splitknit_simulator.scene import TwinSettings
@@ -55,11 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"{method:10s} {columns} x {rows} px at 500 ppi = {columns / 500 * 25.4:.1f} x {rows / 500 * 25.4:.1f} mm, "
             f"{found.count} minutiae, NFIQ 2 {nfiq2(made.image)}"
         )
-    lines = thin(ridge_mask(enhance(make_print(source, "unroll"), 500.0)))
-    print(f"thinned: {int(lines.sum())} pixels of ridge lines")
     if options.out is not None:
         write_image(options.out / "prints.png", np.vstack([beside(upper), beside(lower)]))
-        write_image(options.out / "thinned.png", as_print(lines))
     return 0
 
 

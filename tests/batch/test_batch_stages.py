@@ -23,7 +23,7 @@ from splitknit_match.batch.store import Store
 from splitknit_match.batch.tables import read_origin, write_table
 from splitknit_match.evaluation.score_files import read_scores
 from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
+from splitknit_match.matching.surface import surface_images, surface_template
 from splitknit_match.matching.template import pack, unpack
 from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 from splitknit_match.matching.thesis_code import code_match, code_side
@@ -38,7 +38,7 @@ def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path,
     assert row["finger"] == "S01/right_index"
     assert row["session"] == "2"
     assert row["acquired"]
-    assert row["template"] == pack(surface_template(surface, MatchingSettings()))
+    assert row["template"] == pack(surface_template(surface))
     assert row["area_mm2"] == pytest.approx(result.mask.sum() * result.pitch_mm**2)
     assert row["sharpness_white"] == result.quality["white"]["sharpness"]
     (tmp_path / "print.png").write_bytes(row["print"])

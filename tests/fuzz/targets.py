@@ -73,7 +73,7 @@ from splitknit_match.gallery.folder import export_gallery, import_gallery
 from splitknit_match.gallery.identify_job import identify
 from splitknit_match.gallery.serve import read_token
 from splitknit_match.matching.inputs import Pixels, read_side
-from splitknit_match.matching.inputs import _read_surface as read_matched
+from splitknit_match.matching.inputs import read_surface as read_matched
 from splitknit_match.matching.match_job import make_template as template_of
 from splitknit_match.matching.match_job import match
 from splitknit_match.matching.minutiae_record import (
@@ -83,7 +83,6 @@ from splitknit_match.matching.minutiae_record import (
 )
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit_match.prints.fingerphoto import read_fingerphoto
 from splitknit_match.prints.from_file import (
@@ -442,7 +441,7 @@ def _result(folder: Path, files: Files) -> object:
         lambda: read_matched(path),
         lambda: read_result(folder),
         lambda: read_source(path, photo=False, surface=True),
-        lambda: read_side(folder, "metric", MatchingSettings()),
+        lambda: read_side(folder, "metric"),
     )
 
 
@@ -598,13 +597,13 @@ def _relief(seed: int) -> Any:
 
 @cache
 def _gallery() -> bytes:
-    from splitknit_match.gallery.identify import templates_hash
+    from splitknit_match.gallery.identify import TEMPLATES_HASH
 
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
         with GalleryFile(path) as gallery:
             captures = [_new("Ann", 1), _new("Ann", 1, "2"), _new("Bob", 2)]
-            gallery.add(captures, templates_hash(MatchingSettings()))
+            gallery.add(captures, TEMPLATES_HASH)
         return path.read_bytes()
 
 

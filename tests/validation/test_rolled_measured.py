@@ -10,17 +10,11 @@ import pytest
 
 from script_folder import scripts_of
 from splitknit.errors import BadInput
-from splitknit_match.rolled.blend import RolledSettings
 from splitknit_match.rolled.finger import rolled_finger
-from splitknit_match.rolled.register import RidgeSearchSettings
-from splitknit_match.rolled.work import ReliefSettings
+from splitknit_match.rolled.views import ReliefSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
-QUICK = RolledSettings(
-    pitch_mm=0.07,
-    search=RidgeSearchSettings(across_mm=(0.3, 0.06), along_mm=(0.0, 0.06), candidates=2),
-)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +29,7 @@ def scene():
 @pytest.mark.slow
 def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
     capture, masks = scene.capture(("right",))
-    rolled = rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), QUICK)
+    rolled = rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), 0.07)
     x = (np.arange(scene.SIZE[1]) - (scene.SIZE[1] - 1) / 2) / scene.PX
     y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
     x, y = np.meshgrid(x, y - 2.0)

@@ -31,7 +31,7 @@ from splitknit.steps import Memory
 from splitknit_match.matching.methods import rate
 from splitknit_match.matching.minutiae import nfiq2
 from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import Template, pack, unpack
 from splitknit_match.prints.folder import advice
 from splitknit_match.prints.make import enhance, make_print, measured
@@ -117,7 +117,7 @@ def row_of(
         return {"exit": 2, "refused": str(refusal)}, None
     figures = compare(result, truth).figures
     row = {"exit": 0, **{name: figures[name] for name in COMPARED}, **said(result), **print_facts(result)}
-    template = surface_template(surface_of(result), MatchingSettings())
+    template = surface_template(surface_of(result))
     if other is not None:
         found = ridge_match(template, other)
         row |= {

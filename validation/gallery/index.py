@@ -28,7 +28,7 @@ from scipy.stats import beta
 from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.identify import templates_hash
+from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
@@ -36,7 +36,6 @@ from splitknit_match.matching.methods import similarity_at
 from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import Template, pack, print_size, unpack
 
 HERE = Path(__file__).resolve().parent
@@ -109,7 +108,7 @@ def times(mine: list[str], templates: list[bytes]) -> None:
                     for n, one in enumerate(templates)
                     if n in kept
                 )
-                made.add(captures, templates_hash(MatchingSettings()))
+                made.add(captures, TEMPLATES_HASH)
             with get_context("spawn").Pool(1) as alone:  # as a server has it: its memory holds nothing else
                 first_s, matches, taken = alone.apply(search, (file, [templates[n] for n in probes]))
             found[f"{case}_first_cpu_s"] = round(first_s, 1)

@@ -28,10 +28,9 @@ from scipy.stats import beta
 from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.identify import templates_hash
+from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import pack, unpack
 
 SIZE, WINDOW_MM, FMR = 1000, 6.0, 1e-4
@@ -61,7 +60,7 @@ def main() -> None:
                     for who, one in held
                 )
                 galleries.append(Gallery(file))
-                galleries[-1].add(captures, templates_hash(MatchingSettings()))
+                galleries[-1].add(captures, TEMPLATES_HASH)
             for name in (name for name in mine if name[-1] != "1"):
                 own = fingers.index(name[:-2]) % 2
                 for kind, probe in (("whole", payloads[name]), ("6 mm", cut[name])):

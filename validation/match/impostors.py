@@ -31,7 +31,7 @@ from splitknit_match.matching.methods import TABLES
 from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import calibrate_scores
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_match.prints.from_file import print_minutiae
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
@@ -74,10 +74,9 @@ def pressed(seed: int) -> Any:
 
 COARSE, FINE = partial(drawn_surface, scale=0.15), partial(drawn_surface, scale=0.27)
 """Of the camera: the second has 20 pixels a millimetre, the resolution of a print."""
-PLAIN = MatchingSettings()
 ROUTES = {
     "ridge": Route(
-        COARSE, lambda one: Prepared(surface_template(one, PLAIN)), lambda a, b: ridge_match(a, b).similarity,
+        COARSE, lambda one: Prepared(surface_template(one)), lambda a, b: ridge_match(a, b).similarity,
         "true surfaces",
     ),
     "fusion": Route(

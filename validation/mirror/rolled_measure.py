@@ -13,12 +13,16 @@ from scipy.spatial import cKDTree
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit_match.prints.rolled import rolled_facts
-from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
 from splitknit_match.rolled.chart import read
-from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.finger import (
+    PITCH_MM,
+    STEEPEST_DEG,
+    Blended,
+    Rolled,
+    rolled_finger,
+)
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import find_mirror_views
-from splitknit_match.rolled.work import ReliefSettings
+from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""
@@ -29,12 +33,12 @@ STEP = 2
 """Every so many of the chart's pixels."""
 
 
-def measure(folder: Path, settings: RolledSettings | None = None) -> dict[str, Any]:
+def measure(folder: Path, pitch_mm: float = PITCH_MM) -> dict[str, Any]:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
     views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-    rolled = rolled_finger(capture, views, ReliefSettings(), settings)
+    rolled = rolled_finger(capture, views, ReliefSettings(), pitch_mm)
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {
@@ -155,6 +159,27 @@ def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float |
     enough = int(beyond.sum()) > 500
     result["beyond 60"] = round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
     return result
+
+
+def seam_lines(fractions: NDArray[np.float32], first: int, second: int) -> NDArray[np.bool_]:
+    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
+    ahead = fractions[first] > fractions[second]
+    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
+    line = np.zeros(ahead.shape, dtype=np.bool_)
+    line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
+    return line
+
+
+def seam_steps(values: NDArray[np.float32], line: NDArray[np.bool_], pitch_mm: float) -> NDArray[np.float64]:
+    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
+    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
+    """
+    reach = max(1, round(0.25 / pitch_mm))
+    padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
+    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    rows, columns = np.nonzero(line)
+    at = columns + reach + 1  # first pixel right of the seam, in the padded image
+    return np.asarray((sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach)
 
 
 def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:

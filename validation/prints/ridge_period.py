@@ -21,8 +21,7 @@ from splitknit_match.prints.make import make_print
 from splitknit_match.prints.print_map import resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.sources import Source, read_source
-from splitknit_match.prints.unroll import KINDS, unroll
-from splitknit_match.prints.unroll_grid import slant_cos, surface_grid
+from splitknit_match.prints.unroll import KINDS, slant_cos, surface_grid, unroll
 
 ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
 PATCH_MM = 3.2

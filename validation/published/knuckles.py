@@ -35,7 +35,7 @@ from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared, ridge_match
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import Template
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
@@ -91,7 +91,7 @@ def made(person: int, session: int, folder: Path, scale: float) -> tuple[Templat
         finger, settings = draw_knuckle(seed, session), TwinSettings(scale=scale, pose=pose)
         capture, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=session, finger=finger)
         found = splitknit.reconstruct(capture, settings={"cut_at_crease": False})
-        knuckle = surface_template(surface_of(found), MatchingSettings())
+        knuckle = surface_template(surface_of(found))
         made = print_template(press(draw_finger(seed).master(), session, SENSOR)), knuckle
         file.with_suffix(".part").write_bytes(pickle.dumps(made))
         file.with_suffix(".part").replace(file)

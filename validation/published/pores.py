@@ -28,7 +28,7 @@ from splitknit.pipeline import reconstruct
 from splitknit_match.matching.elastic import bent, bent_by, compare_patches, shown_in_a
 from splitknit_match.matching.minutia_pairs import on_ridges
 from splitknit_match.matching.ridge import Prepared, lay
-from splitknit_match.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
+from splitknit_match.matching.ridge_band import PITCH_MM, band_places, ridge_band
 from splitknit_match.matching.template import make_template
 
 DIAMETER_MM = 0.13
@@ -107,20 +107,20 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
     surface's relief or a photograph on its pixels. Raises BadInput as
     :func:`splitknit_match.matching.ridge_band.ridge_band`.
     """
-    settings, mask = RidgeBandSettings(), surface.mask & np.isfinite(surface.ridge_mm) & np.isfinite(surface.shape_mm)
+    mask = surface.mask & np.isfinite(surface.ridge_mm) & np.isfinite(surface.shape_mm)
     pitch, transform, size = surface.pitch_mm, surface.input_from_upright, surface.upright_size
     band = ridge_band(surface.ridge_mm, mask, pitch, surface.shape_mm, transform, size)
     template = make_template(band)
     if template.empty or not len(pores):
         return PoreTemplate(Prepared(template), np.zeros((0, 2)))
-    columns, rows, _ = band_places(mask, surface.shape_mm, transform, size, pitch_mm=pitch, settings=settings)
+    columns, rows, _ = band_places(mask, surface.shape_mm, transform, size, pitch_mm=pitch)
     box = bounding_box(band.valid)
     shown = np.stack([columns[box], rows[box]], axis=-1).reshape(-1, 2)
     # about bilinear between the band's four nearest pixels
     away, near = (np.asarray(one) for one in cKDTree(shown).query(pores[:, :2], k=4))
     row, column = np.divmod(near, template.valid.shape[1])
     places = np.stack([np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1)
-    places = places[away[:, 0] < settings.pitch_mm / pitch]
+    places = places[away[:, 0] < PITCH_MM / pitch]
     return PoreTemplate(Prepared(template), places[on_ridges(template.valid, places)])
 
 

@@ -20,12 +20,11 @@ from splitknit.model import Surface
 from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.evaluation.scores import score_table
 from splitknit_match.matching.inputs import read_side
-from splitknit_match.matching.surface import MatchingSettings
 
 
 def surface_at(finger: Path, preset: str) -> Surface:
     """Surface of a result, or of a capture as `preset` reconstructs it."""
-    surface = read_side(finger, preset, MatchingSettings()).surface
+    surface = read_side(finger, preset).surface
     if surface is None:
         raise BadInput(f"'{finger}' is neither a capture nor a result.")
     return surface

@@ -25,7 +25,7 @@ from scored import run, surface_at
 
 from splitknit.imaging.geometry import smoothed
 from splitknit.model import BoolArray, FloatArray, Surface
-from splitknit_match.prints.curvature import REFERENCE_PX_PER_MM, CurvatureSettings, curvature
+from splitknit_match.prints.curvature import REFERENCE_PX_PER_MM, curvature
 
 ZONES, PLANES = 9, 4
 PITCH_MM, COARSE_MM = 0.1, 0.15
@@ -86,8 +86,7 @@ def code_of(index: FloatArray, mask: BoolArray) -> Code | None:
 def surface_code(surface: Surface) -> Code | None:
     """Code of the shape index of a smoothed surface, on an upright grid about its middle."""
     height = smoothed(surface.shape_mm + surface.ridge_mm, surface.mask, SMOOTH_MM / surface.pitch_mm)
-    fits = CurvatureSettings(window_px=WINDOW_MM * REFERENCE_PX_PER_MM)
-    index = curvature(height, surface.mask, surface.pitch_mm, fits).shape_index
+    index = curvature(height, surface.mask, surface.pitch_mm, window_px=WINDOW_MM * REFERENCE_PX_PER_MM).shape_index
     step = PITCH_MM / surface.pitch_mm
     rows, columns = (max(1, round(side / step)) for side in surface.upright_size)
     across, down = (

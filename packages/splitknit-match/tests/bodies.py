@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit_match.prints.unroll_grid import SurfaceGrid, surface_grid
+from splitknit_match.prints.unroll import SurfaceGrid, surface_grid
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.surface import SimulatedSurface
 
@@ -43,4 +43,4 @@ def plane_points(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 def body_grid(height: np.ndarray, mask: np.ndarray) -> SurfaceGrid:
     """Nodes of a body, upright as it lies."""
     shape = np.where(mask, height, np.nan).astype(np.float32)
-    return surface_grid(shape, mask, 1 / PX_PER_MM, np.eye(3), mask.shape)
+    return surface_grid(shape, mask, 1 / PX_PER_MM, np.eye(3), mask.shape, node_mm=0.4)

@@ -12,7 +12,7 @@ from splitknit.mirrors.reflection import Glass, Plane
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
-from splitknit_match.rolled.work import MirrorView, MirrorViews
+from splitknit_match.rolled.views import MirrorView, MirrorViews
 
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5
 """Half breadth, half height, length of the cap, height of the pad; mm."""

@@ -24,7 +24,7 @@ from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, PipelineSettings, chosen_settings, preset_settings
 from splitknit.settings import flatten
 from splitknit.steps import Memory
-from splitknit_match.matching.inputs import _read_surface
+from splitknit_match.matching.inputs import read_surface
 from splitknit_match.matching.surface import surface_images
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
@@ -289,7 +289,7 @@ def test_what_is_not_split_is_matched_by_its_height(
     kept = read_result(tmp_path / "result")
     assert kept.whole
     of_heights = surface_images(replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm))
-    for result in (surface_of(unsplit), surface_of(kept), _read_surface(tmp_path / "result" / "height.npz")):
+    for result in (surface_of(unsplit), surface_of(kept), read_surface(tmp_path / "result" / "height.npz")):
         np.testing.assert_array_equal(surface_images(result).channels["relief"], of_heights.channels["relief"])
     relief = surface_images(surface_of(split)).channels["relief"]
     assert np.corrcoef(relief.ravel(), of_heights.channels["relief"].ravel())[0, 1] < 0.5

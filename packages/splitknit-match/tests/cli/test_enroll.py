@@ -363,8 +363,6 @@ def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, caps
         (["enroll", "NEW", "--population", "NOWHERE"], "there is no folder"),
         (["enroll", "NEW", "--population", "FOLDER", "--person", "A"], "does not go with"),
         (["enroll", "NEW", "SOURCE", "--population", "FOLDER"], "not both"),
-        (["enroll", "WHOLE", "SOURCE", "--person", "A", "--finger", "right_index", "--set", "band.window_mm=0.7"],
-         "other settings"),
         (["gallery", "list", "NOWHERE"], "there is no gallery"),
         (["gallery", "list", "WHOLE", "--person", "Nobody"], "holds nothing of"),
         (["gallery", "remove", "WHOLE", "--person", "Nobody"], "holds nothing of Nobody"),

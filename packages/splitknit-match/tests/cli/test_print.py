@@ -18,6 +18,7 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.prints import read_print_png
 from splitknit.model import default_rig
 from splitknit_match import match
+from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
@@ -50,36 +51,27 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str, surface: str) -> None:
     out = tmp_path / "out"
     facts = facts_of(capsys, result, "--method", method, "--out", out)
-    wanted = {"print.png", "enhanced.png", "binary.png", "thinned.png", "map.npz", "report.json"}
-    if facts["minutiae"]["written"]:
-        wanted |= {"minutiae.iso"}
+    wanted = {"print.png", "enhanced.png", "map.npz", "report.json", "minutiae.iso"}
     assert set(facts["files"]) == wanted == {path.name for path in out.iterdir()} - {".splitknit"}
     assert facts["surface"] == surface
     assert facts == {**json.loads((out / "report.json").read_text()), "out": str(out)}
-    for name in ("print.png", "enhanced.png", "binary.png", "thinned.png"):
+    for name in ("print.png", "enhanced.png"):
         file = read_print_png(out / name)
         assert file.resolution_ppi == pytest.approx(500, abs=0.02)
         assert list(file.image.shape) == facts["size"]
         assert "splitknit" in file.text["Software"]
-    thinned, binary = (read_print_png(out / name).image for name in ("thinned.png", "binary.png"))
-    assert set(np.unique(binary)) == {0, 255}
-    assert (binary[thinned == 0] == 0).all()
     assert 0.35 < facts["ridge_period_mm"]["median"] < 0.6
 
 
-@pytest.mark.parametrize("way", ["print", "phase"])
-def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys, way: str) -> None:
+def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys) -> None:
     """The stored map takes the true minutiae to the print; most of what is found lies on one of them."""
-    if way == "print":
-        pytest.importorskip("nbis")
     from scipy.spatial import cKDTree
 
     from splitknit_match.prints.make import make_print
     from splitknit_match.prints.sources import read_source
-    from splitknit_match.records.minutiae_files import read_minutiae_record
 
     out = tmp_path / "out"
-    facts = facts_of(capsys, result, "--set", f"minutiae={way}", "--out", out)
+    facts = facts_of(capsys, result, "--out", out)
     view = read_minutiae_record(out / "minutiae.iso")[0]
     assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
@@ -156,23 +148,6 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     assert np.corrcoef(made.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
 
 
-def test_without_the_finder_of_minutiae(result: Path, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "nbis", None)
-    from splitknit_match.matching import minutiae
-
-    minutiae._extractor.cache_clear()
-    words = ("--method", "relief", "--set", "minutiae=print")
-    facts = facts_of(capsys, result, *words, "--out", tmp_path / "out")
-    assert not facts["minutiae"]["written"]
-    assert "pip install" in facts["minutiae"]["missing"]
-    assert (tmp_path / "out" / "enhanced.png").is_file()
-    assert not (tmp_path / "out" / "minutiae.iso").exists()
-    assert "minutiae=phase" in facts["minutiae"]["missing"]
-    without = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "phase")
-    assert without["minutiae"]["written"] and without["minutiae"]["count"] > 30
-    assert (tmp_path / "phase" / "minutiae.iso").is_file()
-
-
 def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
     assert "there is no" in refusal(capsys, tmp_path / "nothing", "--out", out)
@@ -180,7 +155,7 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     assert "neither a capture" in refusal(capsys, tmp_path / "empty", "--out", out)
     assert "no photograph" in refusal(capsys, result, "--method", "photo", "--out", out)
     assert "--method relief" in refusal(capsys, result, "--method", "unroll", "--surface", "plane", "--out", out)
-    assert "unroll.slant_deg" in refusal(capsys, result, "--set", "unroll.slant_deg=apple", "--out", out)
+    assert "rolled.pitch_mm" in refusal(capsys, result, "--set", "rolled.pitch_mm=apple", "--out", out)
     arrays = read_npz(result / "height.npz")
 
     def changed(name: str, **others: object) -> Path:
@@ -246,11 +221,8 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     assert any("moisten the finger" in sentence for sentence in weak["advice"])
     assert set(weak["advice"]) <= set(words)
     assert f"Quality: {weak['ours']:.0f} of 100" in " ".join(words)
-    if facts["minutiae"]["written"]:
-        from splitknit_match.records.minutiae_files import read_minutiae_record
-
-        assert read_minutiae_record(tmp_path / "shallow" / "minutiae.iso")[0].finger_quality == round(weak["ours"])
-        assert 0 <= weak["nfiq2"]["print"] <= 100
+    record = read_minutiae_record(tmp_path / "shallow" / "minutiae.iso")
+    assert record[0].finger_quality == round(weak["ours"])
 
 
 def test_advice_is_chosen_by_the_worst_figure() -> None:

@@ -16,10 +16,7 @@ from splitknit.model import Capture
 from splitknit_match.cli.print import _words
 from written_files import read_ply
 
-QUICK = [
-    "--set", "rolled.pitch_mm=0.07", "--set", "rolled.search.across_mm=[0.6,0.06]",
-    "--set", "rolled.search.along_mm=[0.06,0.06]", "--set", "rolled.search.candidates=3",
-]  # fmt: skip
+QUICK = ["--set", "rolled.pitch_mm=0.07"]
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -41,7 +38,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
     views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
-    monkeypatch.setattr("splitknit_match.rolled.views.find_mirror_views", lambda *_: views)
+    monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
     out = tmp_path / "out"
     arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), *QUICK, "--json"]
     assert main(["print", *arguments]) == 0
@@ -53,10 +50,6 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert rolled["warnings"] == ["the left view is cut off."]
     assert "Please note: the left view is cut off." in _words(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
-    assert len(rolled["coverage_deg"]["rows"]) == len(rolled["coverage_deg"]["rows_mm"])
-    assert rolled["seams"]["right"]["step_rms_um"] < 10
-    assert rolled["seams"]["right"]["views_correlate"] > 0.6
-    assert sum(rolled["share_of_views"].values()) == pytest.approx(1.0, abs=0.01)
     # the skin's true size: the width of the print is the length around the finger
     around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)
     assert facts["size"][1] * 25.4 / 500 == pytest.approx(around, rel=0.15)
@@ -98,4 +91,3 @@ def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) ->
     rolled = json.loads(capsys.readouterr().out)["rolled"]
     assert rolled["coverage_deg"]["median"] > 160
     assert set(rolled["views"]) == {"front", "left", "right"}
-    assert all(seam["step_rms_um"] < 10 for seam in rolled["seams"].values())

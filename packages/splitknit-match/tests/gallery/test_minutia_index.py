@@ -9,13 +9,12 @@ import pytest
 
 import splitknit_match
 from splitknit_match.gallery.file import Entry, NewCapture
-from splitknit_match.gallery.identify import templates_hash
+from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import Template, pack, print_size, unpack
 
 from test_open_gallery import PPI, press  # isort: skip
@@ -91,7 +90,7 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path:
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
     with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
         captures = (NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), gallery[10 * k]) for k in range(20))
-        opened.add(captures, templates_hash(MatchingSettings()))
+        opened.add(captures, TEMPLATES_HASH)
         absent = opened.identify(seen(4000), top=2)
         assert absent.answer != "match" and absent.searched.compared == 2
         assert "about 1 in 100 matches is lost" in absent.searched.note

@@ -8,9 +8,6 @@ import pytest
 
 from splitknit_match.matching.elastic import (
     Agreement,
-    PatchSettings,
-    _peak,
-    _supported,
     better_affine,
     compare_patches,
     patch_grid,
@@ -31,24 +28,11 @@ def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
     b = texture(1)
     valid = np.ones(b.shape, np.bool_)
     a = np.roll(b, shift[::-1], axis=(0, 1))  # A's content lies `shift` (columns, rows) further
-    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY)
+    found = compare_patches(patch_grid(b, valid, 0.1), a, valid, IDENTITY)
     inner = slice(20, -20)
     assert np.median(found.correlation[inner]) == pytest.approx(1.0, abs=0.02)
     # it must move back
     np.testing.assert_allclose(np.median(found.shift, axis=0), [-shift[0], -shift[1]], atol=0.1)
-
-
-def test_neighbours_decide_where_a_patch_cannot() -> None:
-    """The middle one of nine patches fits a little better elsewhere; the others have one best place."""
-    surface = np.zeros((9, 9, 9), np.float32)
-    surface[:, 4, 5] = 0.9
-    surface[4, 4, 5] = 0.7
-    surface[4, 0, 8] = 0.8
-    place = np.stack(np.divmod(np.arange(9), 3), axis=1)
-    support = _supported(surface, place, (3, 3), np.ones(9, np.float32))
-    shift, correlation = _peak(support, surface)
-    np.testing.assert_allclose(shift, [[-1.0, 0.0]] * 9)
-    np.testing.assert_allclose(correlation, [0.9] * 4 + [0.7] + [0.9] * 4, rtol=1e-6)
 
 
 def test_too_little_valid_skin_is_not_compared() -> None:
@@ -56,7 +40,7 @@ def test_too_little_valid_skin_is_not_compared() -> None:
     valid = np.ones(b.shape, np.bool_)
     half = valid.copy()
     half[:, 70:] = False
-    patches = patch_grid(b, valid, 0.1, PatchSettings())
+    patches = patch_grid(b, valid, 0.1)
     found = compare_patches(patches, np.where(half, b, 0).astype(np.float32), half, IDENTITY)
     assert 0.3 < len(found.used) / len(patches.rows) < 0.6
     assert patches.columns[found.used].max() + 0.6 * patches.side <= 71
@@ -70,8 +54,7 @@ def test_affine_fit_follows_a_stretched_skin() -> None:
     valid = np.ones(b.shape, np.bool_)
     true = np.array([[1.03, 0.01, -4.0], [-0.015, 0.98, 3.0]])  # place in B to place in A
     a = cv2.warpAffine(b, true, (200, 220), flags=cv2.INTER_CUBIC)  # A at true(p) shows B at p
-    settings = PatchSettings(search_mm=0.8)
-    patches = patch_grid(b, valid, 0.1, settings)
+    patches = patch_grid(b, valid, 0.1, search_mm=0.8)
     found = compare_patches(patches, a, valid, IDENTITY)
     fitted = better_affine(patches, found, IDENTITY)
     fitted = better_affine(patches, compare_patches(patches, a, valid, fitted), fitted)
@@ -93,5 +76,5 @@ def test_chance_finds_no_support() -> None:
     """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share it."""
     a, b = texture(5), texture(6)
     valid = np.ones(b.shape, np.bool_)
-    found = compare_patches(patch_grid(b, valid, 0.1, PatchSettings()), a, valid, IDENTITY)
+    found = compare_patches(patch_grid(b, valid, 0.1), a, valid, IDENTITY)
     assert abs(found.mean) < 0.205  # 0.22 if every patch chose for itself

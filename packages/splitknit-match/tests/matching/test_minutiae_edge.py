@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.ridges import relief_print
-from splitknit_match.matching.minutiae import EDGE_MM, _edge_distance, _inside_by, extract
-from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.matching.minutiae import EDGE_MM, _edge_distance, extract
 
 STEP_MM = 25.4 / 500
 
@@ -26,19 +25,6 @@ def test_distance_on_a_print_of_straight_ridges() -> None:
     assert distance[101, 20] == 0
     assert not _edge_distance(np.full((100, 90), 255, np.uint8)).any()
     assert _edge_distance(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
-
-
-def test_only_what_lies_inside_is_kept() -> None:
-    values = np.arange(4)
-    minutiae = Minutiae(
-        values.astype(np.int32), values.astype(np.int32)[::-1].copy(), values * 0.5, np.ones(4, np.uint8),
-        (values * 10).astype(np.uint8), (4, 4),
-    )  # fmt: skip
-    distance = np.zeros((4, 4), np.float32)
-    distance[2, 1], distance[0, 3] = 0.8, 0.79
-    kept = _inside_by(minutiae, distance, 0.8)
-    assert kept.x_px.tolist() == [1] and kept.y_px.tolist() == [2] and kept.quality.tolist() == [10]
-    assert kept.size == minutiae.size
 
 
 def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:

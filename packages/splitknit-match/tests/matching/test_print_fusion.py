@@ -13,7 +13,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit_match.matching import fusion
-from splitknit_match.matching.elastic import PatchSettings, bent, compare_patches, patch_grid, shown_in_a
+from splitknit_match.matching.elastic import bent, compare_patches, patch_grid, shown_in_a
 from splitknit_match.matching.fusion import can_fuse, fused_match, fused_photo, with_fusion
 from splitknit_match.matching.minutia_pairs import Cylinders, minutia_cylinders, pair_minutiae
 from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae
@@ -168,7 +168,7 @@ def test_a_bent_print_is_laid_back() -> None:
     aside = 7 * np.sin(right / 200 * 2 * np.pi).astype(np.float32)
     moved = cv2.remap(value, right + aside, down, cv2.INTER_LINEAR)
     valid = np.ones((200, 200), np.bool_)
-    grid = patch_grid(moved, valid, 0.1, PatchSettings())
+    grid = patch_grid(moved, valid, 0.1)
     still = np.eye(2, 3)
     found, bend = compare_patches(grid, value, valid, still), None
     plain = found.mean

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.fft
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit_match.matching import ridge
-from splitknit_match.matching.ridge import _PLANE_PX
-from splitknit_match.matching.ridge_band import RidgeBandSettings, print_band, ridge_band
+from splitknit_match.matching.ridge_band import print_band, ridge_band
 
 PITCH = 0.05
 
@@ -30,8 +27,6 @@ def test_direction_period_and_contrast(turn: float) -> None:
     assert band.pitch_mm == 0.1
     inner = slice(30, -30), slice(30, -30)
     assert band.valid[inner].all()
-    np.testing.assert_allclose(band.orientation_rad[inner], turn, atol=0.06)
-    assert band.coherence[inner].min() > 0.9
     assert band.value[inner].std() == pytest.approx(1.0, abs=0.1)
     left, right = band.value[30:-30, 30:60].std(), band.value[30:-30, 90:120].std()
     assert left == pytest.approx(right, rel=0.1)
@@ -63,8 +58,6 @@ def test_unrolling_measures_along_the_skin() -> None:
     # one crossing a period of 0.5 mm, nearly from side to side
     np.testing.assert_allclose(np.diff(places)[1:-1], 5.0, atol=0.25)
     np.testing.assert_allclose(np.diff(places)[8:-8], 5.0, atol=0.06)
-    flat = ridge_band(ridge, mask, PITCH, shape, settings=RidgeBandSettings(unroll=False))
-    assert np.ptp(np.flatnonzero(flat.valid[75])) < np.ptp(known) - 20
 
 
 def test_a_turned_finger_unrolls_as_an_upright_one() -> None:
@@ -106,25 +99,11 @@ def test_prints_are_mirrored_and_inverted() -> None:
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
 
 
-def test_whitening_sharpens_the_peak(monkeypatch) -> None:
-    """The same rotation one step away must not look as good; ridges of one direction are the hard case."""
-    band = ridge_band(stripes(0.4) + 0.3 * stripes(1.3, 0.6), np.ones((300, 300), np.bool_), PITCH)
-
-    def width(whitening: float) -> float:
-        monkeypatch.setattr(ridge, "_WHITENING", whitening)
-        one = ridge._ridge_view(band.value, 0.1, 0.0)
-        around = scipy.fft.irfft2(one.conj() * one, s=_PLANE_PX)
-        assert around[0, 0] == around.max() == pytest.approx(1.0, abs=0.05)
-        return float((np.abs(around) > 0.5).sum())
-
-    assert width(0.8) < 0.5 * width(0.0)
-
-
 def test_bad_input_is_refused() -> None:
     relief, mask = np.zeros((20, 20), np.float32), np.ones((20, 20), np.bool_)
     with pytest.raises(BadInput, match="pitch"):
         ridge_band(relief, mask, 0.0)
-    for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than any finger")):
+    for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than a finger's")):
         with pytest.raises(BadInput, match=words):
             ridge_band(np.zeros((60, 60), np.float32), np.ones((60, 60), bool), pitch_mm)
     with pytest.raises(BadInput, match="ridge_mm holds heights"):
@@ -137,7 +116,5 @@ def test_bad_input_is_refused() -> None:
         print_band(relief)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="ppi"):
         print_band(np.zeros((5, 5), np.uint8), -1.0)
-    with pytest.raises(BadInput, match="coherence"):
-        RidgeBandSettings(coherence=1.0)
-    with pytest.raises(BadInput, match="5000 x 5000 pixels, more than any finger"):  # 2.4 GB from a small archive
+    with pytest.raises(BadInput, match="more than a finger's"):  # 2.4 GB from a small archive
         ridge_band(relief, mask, 0.05, relief, np.diag([0.01, 0.01, 1.0]), (10_000, 10_000))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,18 +12,12 @@ from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Capture
-from splitknit.skin.grid import Grid
-from splitknit.skin.light import Lighting
 from splitknit_match.prints.rolled import _coverage_deg
-from splitknit_match.rolled.blend import RolledSettings
-from splitknit_match.rolled.finger import Rolled, _apart, _base, rolled_finger
-from splitknit_match.rolled.register import RidgeSearchSettings, ridges_of
-from splitknit_match.rolled.views import _notes, find_mirror_views
-from splitknit_match.rolled.work import ReliefSettings, _lit
+from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.register import ridges_of
+from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
-QUICK = RolledSettings(
-    pitch_mm=0.07, search=RidgeSearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3)
-)
+QUICK = 0.07  # pitch of the chart, mm
 
 
 @pytest.fixture(scope="module")
@@ -122,40 +115,3 @@ def test_captures_that_cannot_be_rolled_are_told_so() -> None:
         find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
     with pytest.raises(BadInput, match="has no mirrors beside the finger"):
         find_mirror_views(replace(capture, rig=replace(rig, mirrors=())), FingerSettings(), MirrorShapeSettings())
-
-
-def test_settings_are_checked() -> None:
-    for wrong in ({"around_deg": 170.0}, {"pitch_mm": 0.0}):
-        with pytest.raises(BadInput, match="rolled"):
-            RolledSettings(**wrong)
-
-
-def test_what_became_of_a_view_is_told_in_a_sentence_each() -> None:
-    told = _notes(["left"], ["right"], [])
-    assert len(told) == 2
-    assert told[0].startswith("the view in the left mirror is cut off")
-    assert "left out" in told[1]
-    assert "no finger was found in the right mirror" in _notes([], [], ["right"])[0]
-    assert _notes([], [], [], ["tip"]) == ("the tip mirror gives light only: its view is not used for the print.",)
-    work = SimpleNamespace(correlation={"left": [0.5, 0.1], "right": [0.2, 0.6]})
-    (said,) = _apart(work)  # type: ignore[arg-type]
-    assert said.startswith("ridges of the left mirror's view do not lie on the front's (correlation 0.10)")
-    (said,) = _apart(SimpleNamespace(correlation={"left": [0.5, 0.35], "right": [0.2, 0.41]}))  # type: ignore[arg-type]
-    assert said.startswith("ridges of the left mirror's view may not lie on the front's (correlation 0.35)")
-
-
-def test_all_views_end_where_the_front_does() -> None:
-    front = np.zeros((40, 60), dtype=bool)
-    front[5:30, 10:50] = True
-    front[30:34, 10:30] = True  # a slanted crease
-    assert _base(front) == 30
-    assert _base(np.zeros((40, 60), dtype=bool)) == 40
-
-
-def test_skin_with_fewer_than_three_lights_is_not_trusted() -> None:
-    grid = Grid(np.ones((50, 80), dtype=bool), np.arange(80) * 0.05, -np.arange(50) * 0.05, 0.05, (False,) * 4)
-    trust = np.ones((6, 50, 80), dtype=np.float32)
-    trust[2:, :, 40:] = 0.1
-    found = _lit(Lighting(np.zeros((6, 3, 50, 80), np.float32), np.ones_like(trust), trust), grid)
-    assert (found[:, :25] > 0.99).all()
-    assert not found[:, 55:].any()

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import Lighting
-from splitknit_match.rolled.work import _held_normals
+from splitknit_match.rolled.views import _held_normals
 
 SHAPE, PITCH = (24, 24), 0.05
 

@@ -1,13 +1,12 @@
-"""Directions, frequencies, enhancement, thinning."""
+"""Directions, frequencies, enhancement."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.prints.enhance import as_print, gabor_enhance, ridge_mask, thin
+from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.ridge_field import ridge_field
 
 
@@ -86,38 +85,5 @@ def test_nothing_is_printed_beside_the_finger() -> None:
 def test_no_ridges_are_refused(enhance) -> None:
     with pytest.raises(BadInput, match="no ridges"):
         enhance(np.full((200, 200), 255, np.uint8))
-    with pytest.raises(BadInput, match="uint8"):
-        enhance(np.zeros((200, 200), np.float32))
     with pytest.raises(BadInput, match="2 mm"):
         enhance(np.zeros((20, 200), np.uint8))
-
-
-def _pieces(shape: np.ndarray) -> int:
-    return cv2.connectedComponents(shape.astype(np.uint8), connectivity=8)[0]
-
-
-def test_lines_are_thin_and_hang_together() -> None:
-    rng = np.random.default_rng(8)
-    smooth = cv2.GaussianBlur(rng.standard_normal((160, 160)).astype(np.float32), (0, 0), 4)
-    for shape in (smooth > 0, _rings()[1] < 128, _waves(9, 30)[1] < 128):
-        lines = thin(shape)
-        assert not (lines & ~shape).any()
-        assert _pieces(lines) == _pieces(shape)
-        block = lines[1:, 1:] & lines[:-1, 1:] & lines[1:, :-1] & lines[:-1, :-1]
-        assert block.mean() < 1e-4  # one pixel wide
-        assert np.array_equal(thin(lines), lines)
-    assert thin(np.ones((9, 30), bool)).sum(axis=0).max() == 1
-
-
-def test_thinned_ridges_run_in_the_middle() -> None:
-    phase, image = _waves(9, 35)
-    ridges = ridge_mask(gabor_enhance(image))
-    lines = thin(ridges)[30:-30, 30:-30]
-    assert np.cos(phase)[30:-30, 30:-30][lines].min() > 0.3
-    assert set(np.unique(as_print(ridges))) == {0, 255}
-    assert 0.35 < ridges[30:-30, 30:-30].mean() < 0.65
-
-
-def test_only_booleans_are_thinned() -> None:
-    with pytest.raises(BadInput, match="boolean"):
-        thin(np.zeros((4, 4), np.uint8))  # type: ignore[arg-type]

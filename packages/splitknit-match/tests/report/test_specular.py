@@ -73,7 +73,7 @@ def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys)
     assert main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["method"], facts["surface"]) == ("specular", "plane")
-    assert facts["minutiae"]["written"]
+    assert facts["minutiae"]["count"]
     assert splitknit_match.make_print(read_result(folder), "specular").image.dtype == np.uint8
 
 

@@ -48,6 +48,8 @@ VERBS = {
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 GONE: dict[str, str] = {
+    "enroll --set": "templates are made in one way; leave it out.",
+    "identify --set": "templates are made in one way; leave it out.",
     "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
     "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
     "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",

@@ -26,7 +26,7 @@ from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_
 from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.minutiae import extract
 from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import pack
 
 PRINT_PPI = 500.0
@@ -96,7 +96,7 @@ def _reconstructed(memory: Memory, case: Case, surfaces: bool, last: bool) -> di
     except BadInput as error:
         return inputs | {"failure": str(error)}
     surface = surface_of(result)
-    template = surface_template(surface, MatchingSettings())
+    template = surface_template(surface)
     small = "the ridge band that could be acquired is too small for a template."
     texts = provenance_texts(provenance({"preset": result.preset, **result.settings}, result.hashes))
     return inputs | {

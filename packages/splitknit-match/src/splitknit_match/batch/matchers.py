@@ -10,7 +10,7 @@ from typing import Any
 from splitknit_match.batch.store import Place
 from splitknit_match.matching.minutiae import EDGE_MM, minutiae_match
 from splitknit_match.matching.minutiae_record import Minutiae, unpack_minutiae
-from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
+from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import unpack
 from splitknit_match.matching.thesis import (
@@ -103,7 +103,7 @@ def _by_minutiae(a: Minutiae, b: Minutiae) -> Values:
 MATCHERS: Mapping[str, Matcher] = MappingProxyType(
     {
         # a side takes up to 9 MB
-        "ridge": Matcher(_RIDGE, 48, RidgeMatchSettings(), _ridges, _ridges, _by_ridges),
+        "ridge": Matcher(_RIDGE, 48, {}, _ridges, _ridges, _by_ridges),
         # without its gate; 1.9 MB at 30 px/mm
         "thesis": Matcher(
             (*_SHIFT, *(f"dissimilarity_{name}" for name in ATTRIBUTES)),

@@ -20,7 +20,7 @@ from splitknit.model import Surface
 from splitknit.settings import differing
 from splitknit_match.batch.surfaces import unpack_surface
 from splitknit_match.batch.tables import SUFFIX, Table, read_table
-from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 STORE_FILE = "store.json"
 FORMAT, VERSION = "splitknit-batch", 3
@@ -35,8 +35,7 @@ def hashed(settings: Any) -> dict[str, Any]:
     return {"settings_sha256": settings_hash(plain), "settings": plain}
 
 
-_MATCHING = MatchingSettings()
-TEMPLATES = hashed({"band": _MATCHING.band, "template": _MATCHING.template})
+TEMPLATES = hashed({"template": TEMPLATE_VERSION})
 """What templates are made with."""
 
 

@@ -18,7 +18,6 @@ from splitknit.verbs import (
     KeyFile,
     Natural,
     Progress,
-    Settings,
     path,
     refuse_given,
 )
@@ -57,20 +56,14 @@ class EnrollJob(Job):
     mask: PhotoMask = None
     box: PhotoBox = None
     preset: HowReconstructed = "metric"
-    settings: Settings = None
     # fmt: on
 
     def run(self, progress: Progress) -> Outcome:
         """Enrol sources, or a population."""
-        from splitknit.settings import override
         from splitknit_match.gallery.file import key_of
         from splitknit_match.gallery.gallery import Enrolling  # verbs import what they need
-        from splitknit_match.matching.surface import MatchingSettings
 
-        matching = override(MatchingSettings(), self.settings or {})
-        how = Enrolling(
-            self.preset, matching, self.replace, self.with_time, self.input_ppi, PhotoFinger(self.mask, self.box)
-        )
+        how = Enrolling(self.preset, self.replace, self.with_time, self.input_ppi, PhotoFinger(self.mask, self.box))
         key = key_of(self.key_file)
         presented = refuse_attacks(self.pad, self.sources, self.preset, progress)
         enrol = self._sources if self.population is None else self._population

@@ -154,15 +154,17 @@ def _how(found: Match) -> list[str]:
 
 
 def _failure_notes(method: str, *sides: ComparedSide) -> list[str]:
-    lacks = "fewer than ten minutiae" if method == "minutiae" else "no ridges"
-
-    def note(side: ComparedSide) -> str:
+    notes = []
+    for side in sides:
+        if side.acquired:
+            continue
+        lacks = "fewer than ten minutiae" if method == "minutiae" else "no ridges"
+        if method != "minutiae" and side.kind == "print":
+            lacks = "less than 10 mm² of ridges, which a print must show"
         if side.note is not None and side.note.startswith("no print of a finger"):
-            return side.note
-        small = lacks == "no ridges" and side.kind == "print"
-        return "less than 10 mm² of ridges, which a print must show" if small else lacks
-
-    return [f"Please note: {one.path} holds {note(one)} (failure to acquire)." for one in sides if not one.acquired]
+            lacks = side.note
+        notes.append(f"Please note: {side.path} holds {lacks} (failure to acquire).")
+    return notes
 
 
 _SCALES = {

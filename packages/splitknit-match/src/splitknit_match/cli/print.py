@@ -25,28 +25,18 @@ def _words(facts: dict[str, Any]) -> list[str]:
     if "scale" in facts:
         lines.append(f"Please note: {facts['scale']}")
     if "rolled" in facts:
-        lines.append(_rolled_words(facts["rolled"]))
+        reach, views = facts["rolled"]["coverage_deg"]["median"], facts["rolled"]["views"]
+        lines.append(f"It reaches {reach:.0f} deg around the finger, from {len(views)} views.")
         lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
-    if "distortion" in facts:
+    if facts.get("distortion"):
         figures = facts["distortion"]
         median, most = figures["length_median_percent"], figures["length_p95_percent"]
         off = f"{median:.1f} % (median) and {most:.1f} % (95th percentile)"
         lines.append(f"Lengths are off by {off}, whichever way is worse.")
-    minutiae = facts["minutiae"]
-    if minutiae["written"]:
-        lines.append(f"{minutiae['count']} minutiae.")
-    else:
-        lines.append(f"Please note: no minutiae.iso: {minutiae['missing']}")
+    lines.append(f"{facts['minutiae']['count']} minutiae.")
     lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
-
-
-def _rolled_words(rolled: dict[str, Any]) -> str:
-    steps = [seam["step_rms_um"] for seam in rolled["seams"].values() if seam["step_rms_um"] is not None]
-    reach = f"It reaches {rolled['coverage_deg']['median']:.0f} deg around the finger"
-    words = f"{reach}, from {len(rolled['views'])} views"
-    return words + (f"; seams step by {max(steps):.1f} um at most (rms)." if steps else ".")
 
 
 def _quality_words(quality: dict[str, Any]) -> list[str]:

@@ -32,7 +32,7 @@ from splitknit.model import BoolArray, FloatArray, require_scale
 from splitknit_match.evaluation.intervals import CONFIDENCE
 from splitknit_match.matching.elastic import Affine, Agreement, PatchGrid, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match
-from splitknit_match.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
+from splitknit_match.matching.ridge_band import band_places, ridge_band
 from splitknit_match.matching.template import make_template
 
 Array = NDArray[np.float64]
@@ -183,14 +183,14 @@ class _Side:
 
     def _unrolled(self) -> tuple[Prepared, FloatArray]:
         """Its ridges, and (3, h, w) columns and rows of the result that they come from, and the cosine of the slant."""
-        result, settings = self.result, RidgeBandSettings(pitch_mm=self.step)
+        result = self.result
         shape, frame = result.shape_mm, result.input_from_upright
         relief = result.ridge_mm + shape if result.whole else result.ridge_mm
-        band = ridge_band(relief, result.mask, result.pitch_mm, shape, frame, result.upright_size, settings)
+        band = ridge_band(relief, result.mask, result.pitch_mm, shape, frame, result.upright_size, band_mm=self.step)
         template = make_template(band)
         require(not template.empty, "no ridges were found on a result; compare skin, or a phantom with ridges.")
         known = result.mask & np.isfinite(shape)
-        places = band_places(known, shape, frame, result.upright_size, pitch_mm=result.pitch_mm, settings=settings)
+        places = band_places(known, shape, frame, result.upright_size, pitch_mm=result.pitch_mm, band_mm=self.step)
         return Prepared(template), np.stack(places)[:, *bounding_box(band.valid)]
 
     def flat(self) -> tuple[FloatArray, BoolArray, FloatArray]:

@@ -456,8 +456,7 @@ class GalleryFile:
         """Raise BadInput if its templates (`own`) were made with other settings: nothing is mixed."""
         require(
             settings_sha256 in (None, own),
-            f"the templates in '{self.path}' were made with other settings (band, template); give the same "
-            "`settings`, or enrol the fingers again in a new gallery.",
+            f"the templates in '{self.path}' are of another version; enrol the fingers again in a new gallery.",
         )
 
     def _connect(self) -> Any:

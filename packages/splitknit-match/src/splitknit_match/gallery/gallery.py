@@ -29,10 +29,10 @@ from splitknit_match.gallery.file import (
 )
 from splitknit_match.gallery.identify import (
     MINUTIAE_HASH,
+    TEMPLATES_HASH,
     Identification,
     RankedCandidate,
     identify_finger,
-    templates_hash,
 )
 from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.matching.inputs import Held, Pixels, Side, held, is_of_minutiae, read_side, undoubted
@@ -40,7 +40,6 @@ from splitknit_match.matching.match_job import Finger
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.surface import MatchingSettings
 from splitknit_match.matching.template import mirrored
 
 Duplicates = Literal["refuse", "warn", "allow"]
@@ -55,7 +54,6 @@ class Enrolling:
 
     preset: str = "metric"
     """By which captures are reconstructed."""
-    matching: MatchingSettings = field(default_factory=MatchingSettings)
     replace: bool = False
     """Whether a capture takes the place of another of the same names."""
     with_time: bool = False
@@ -196,8 +194,6 @@ class Gallery(GalleryFile):
         sessions = _sessions(made, earlier, session)
         captures = [new_capture(one, person, finger, its, how) for one, its in zip(made, sessions, strict=True)]
         sides = [one.side for one in made if one.side is not None]
-        if how.matching != MatchingSettings():  # no rates are known
-            duplicates = "allow"
         review = _Review(self, sides, (person, finger), duplicates)
         review.look()  # the first look may take long, and holds nobody up
         added = self.add(captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down)
@@ -351,7 +347,7 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
     A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the gallery is of other
     settings, or its folder is missing.
     """
-    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    sha256 = MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     if not gallery.there:
         folder = gallery.path.parent
         require(folder.is_dir(), f"there is no folder '{folder}' for the gallery; make it first.")
@@ -389,7 +385,7 @@ def content_of(gallery: GalleryFile, *, created: bool) -> GalleryContent:
 
 def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
-    side = undoubted(read_side(path, how.preset, how.matching, progress, how.input_ppi, where=how.where))
+    side = undoubted(read_side(path, how.preset, progress, how.input_ppi, where=how.where))
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)
     if of_minutiae:

@@ -11,7 +11,6 @@ from splitknit import BadInput
 from splitknit.errors import naming
 from splitknit.io.provenance import settings_hash
 from splitknit.model import no_progress
-from splitknit.settings import override
 from splitknit.verbs import Progress
 from splitknit_match.gallery.file import Entry, GalleryFile, People, check_person, known_finger, session_order
 from splitknit_match.gallery.identify_job import IdentifyJob
@@ -23,7 +22,6 @@ from splitknit_match.matching.methods import (
     FmrBasis,
     MatchDecision,
     Rated,
-    as_calibrated,
     doubt_of,
     fmr_basis,
     rate,
@@ -34,17 +32,18 @@ from splitknit_match.matching.methods import (
 )
 from splitknit_match.matching.minutiae import minutiae_match
 from splitknit_match.matching.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
-from splitknit_match.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
-from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.matching.template import VERSION, Template
+from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.template import Template
 
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared."""
 NEAREST = 0.001
 """Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best (what is lost:
 ``validation/gallery/index.py``)."""
+TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
+"""Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
-"""What galleries that keep minutiae have in place of :func:`templates_hash`."""
+"""What galleries that keep minutiae have in place of :data:`TEMPLATES_HASH`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ class Identification:
     """Best first."""
     fmr_basis: FmrBasis | None
     decision: SearchDecision | None
-    """None where false match rates are not known for the settings, or where the answer is ``undecided``."""
+    """None where the answer is ``undecided``."""
     answer: str
     """``match``, ``no match``, ``undecided``, or ``not acquired``."""
     undecided: str | None
@@ -141,24 +140,22 @@ def identify_finger(
 
     `gallery`: where it is open already; `side`: the probe, where it was read already.
     """
-    settings = override(MatchingSettings(), job.settings or {})
     person = None if job.person is None else check_person(job.person)
     finger = None if job.finger is None else known_finger(job.finger)
     file = GalleryFile(job.gallery, job.key) if gallery is None else gallery
     with contextlib.closing(file) if gallery is None else contextlib.nullcontext():
         people = file.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    file.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else templates_hash(settings))
+    file.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH)
     entries = people.of(person, finger)
-    calibrated = of_minutiae or as_calibrated(settings)
-    if calibrated:  # refused here, before anything is made, where no such rate was measured
-        similarity_at(job.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+    # refused here, before anything is made, where no such rate was measured
+    similarity_at(job.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 
     def reading(stage: str, fraction: float) -> None:
         progress(stage, 0.5 * fraction)
 
     if side is None:
-        side = read_side(held(job.probe, job.resolution_ppi), job.preset, settings, reading, job.input_ppi)
+        side = read_side(held(job.probe, job.resolution_ppi), job.preset, reading, job.input_ppi)
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
@@ -168,32 +165,29 @@ def identify_finger(
 
     in_part = person is None and finger is None
     most = max(job.top, round(NEAREST * len(entries))) if in_part else len(entries)
-    comparisons, searched = _search(people, probe, entries, most=most, settings=settings.ridge, progress=progress)
+    comparisons, searched = _search(people, probe, entries, most=most, progress=progress)
     table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
     if table == "fusion" and side.kind == "photo":
         table = "fingerphotos"
     best = _merged(comparisons, job.merge)[: job.top]
-    if calibrated:
-        rated = [comparison.rated(table, area_mm2, job.fmr) for comparison in best]
-    else:
-        rated = [Rated("undecided")] * len(best)
+    rated = [comparison.rated(table, area_mm2, job.fmr) for comparison in best]
     candidates = tuple(
         _candidate(rank, comparison, rates.fmr, searched.captures)
         for rank, (comparison, rates) in enumerate(zip(best, rated, strict=True), start=1)
     )
 
     doubt = doubt_of(side)
-    undoubted = doubt is None and searched.compared == searched.captures and calibrated and table == "fusion"
+    undoubted = doubt is None and searched.compared == searched.captures and table == "fusion"
     if isinstance(probe, Template) and undoubted and rated and rated[0].answer != "match":
         row = best[0].entry.row
         doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), job.fmr)
-    decision, undecided = _decided(rated, calibrated, table, job.fmr, searched.captures)
+    decision, undecided = _decided(rated, table, job.fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     if not acquired and not doubt:
         answer, undecided = "not acquired", "failure to acquire"
-    basis = None if not calibrated else rated[0].basis if rated else fmr_basis(table)
+    basis = rated[0].basis if rated else fmr_basis(table)
     progress("done", 1.0)
     return Identification(
         gallery=str(job.gallery),
@@ -212,12 +206,8 @@ def identify_finger(
     )
 
 
-def _decided(
-    rated: Sequence[Rated], calibrated: bool, table: str, fmr: float, captures: int
-) -> tuple[SearchDecision | None, str | None]:
+def _decided(rated: Sequence[Rated], table: str, fmr: float, captures: int) -> tuple[SearchDecision | None, str | None]:
     """Decision on the best candidate, or why there is none."""
-    if not calibrated:
-        return None, "with other settings than the shipped ones false match rates are not known"
     if rated and rated[0].decision is None:
         return None, rated[0].undecided
     decision = rated[0].decision if rated else None
@@ -241,7 +231,6 @@ def _search(
     entries: Sequence[Entry],
     *,
     most: int,
-    settings: RidgeMatchSettings,
     progress: Progress,
 ) -> tuple[list[_Comparison], Searched]:
     """Compare these, or of many the `most` whose minutiae agree best; best first."""
@@ -252,7 +241,7 @@ def _search(
         compared_by = "minutiae"
         comparisons = _by_minutiae(people, probe, acquired)
     elif not probe.empty and acquired:
-        prepared, chosen, support = Prepared(probe, settings), acquired, None
+        prepared, chosen, support = Prepared(probe), acquired, None
         if len(acquired) > max(most, ALL_PRINTS) and prepared.cylinders is not None:
             index = people.index()
             chosen = [people.entries[row] for row in (*index.nearest(prepared.cylinders, most), *index.others)]
@@ -291,7 +280,7 @@ def _by_ridges(
     fused, note = with_fusion(templates.values(), probe.template)
 
     def compare(entry: Entry) -> _Comparison:
-        enrolled = Prepared(templates[entry.row], probe.settings)
+        enrolled = Prepared(templates[entry.row])
         if not fused:
             return _Comparison(entry, ridge_match(probe, enrolled).similarity)
         both = fused_match(probe, enrolled, support)
@@ -320,8 +309,3 @@ def _merged(comparisons: Sequence[_Comparison], merge: str) -> list[_Comparison]
     for comparison in comparisons:
         best.setdefault(comparison.entry.names[:count], comparison)
     return list(best.values())
-
-
-def templates_hash(settings: MatchingSettings) -> str:
-    """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    return settings_hash({"version": VERSION, "band": settings.band, "template": settings.template})

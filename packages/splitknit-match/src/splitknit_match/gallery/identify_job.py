@@ -16,7 +16,6 @@ from splitknit.verbs import (
     Job,
     Natural,
     Progress,
-    Settings,
     check,
     function_of,
 )
@@ -68,7 +67,6 @@ class IdentifyJob(Job):
     input_ppi: InputPpi = None
     resolution_ppi: ResolutionPpi = None
     preset: HowReconstructed = "metric"
-    settings: Settings = None
     # fmt: on
 
     def __post_init__(self) -> None:

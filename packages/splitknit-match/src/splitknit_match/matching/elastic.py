@@ -7,7 +7,7 @@ with it, because skin stretches smoothly, while ridges of different fingers fit 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""
@@ -41,17 +40,8 @@ _SPAN_MM, _NEAR_MM = 5.0, 0.2
 """Affine fit: length over which a linear part of 1 is penalised, and residual at which a patch counts half."""
 
 
-@dataclass(frozen=True, slots=True)
-class PatchSettings(Checked):
-    """Patches and their search."""
-
-    _group = "patches"
-    patch_mm: Annotated[float, Limits(0, above=True)] = 2.4
-    """Side of a patch."""
-    step_mm: Annotated[float, Limits(0, above=True)] = 1.6
-    """Distance between the middles of two patches."""
-    search_mm: Annotated[float, Limits(0)] = 0.4
-    """Largest shift of a patch, along either axis."""
+PATCH_MM, STEP_MM, SEARCH_MM = 2.4, 1.6, 0.4
+"""Side of a patch, distance between the middles of two, and largest shift of one along either axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,11 +96,13 @@ class Agreement:
         return self.mean * float(np.sqrt(len(self.used)))
 
 
-def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PatchSettings) -> PatchGrid:
+def patch_grid(
+    value: FloatArray, valid: BoolArray, pitch_mm: float, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM
+) -> PatchGrid:
     """Cut the band (H, W) into patches; those with too little valid skin are left out."""
-    side = max(4, round(settings.patch_mm / pitch_mm))
-    step = max(1, round(settings.step_mm / pitch_mm))
-    reach = max(1, round(settings.search_mm / pitch_mm))
+    side = max(4, round(PATCH_MM / pitch_mm))
+    step = max(1, round(step_mm / pitch_mm))
+    reach = max(1, round(search_mm / pitch_mm))
     shape = value.shape
     starts = [_starts(length, side, step) for length in shape]
     rows, columns = (part.ravel() for part in np.meshgrid(*starts, indexing="ij"))
@@ -219,7 +211,7 @@ def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = Non
 
     Patches that correlate weakly count little; where none is near, the shift fades out.
     """
-    weight = np.maximum(agreement.correlation - np.float32(0.2), 0) ** 2 * agreement.weight
+    weight = np.maximum(agreement.correlation - 0.2, 0) ** 2 * agreement.weight
     step = _smoothed(patches.grid, patches.place[agreement.used], agreement.shift, weight)
     return step if bend is None else bend + step
 
@@ -237,7 +229,7 @@ def _smoothed(
     board = np.zeros((*grid, 3), dtype=np.float32)
     np.add.at(board, (place[:, 0], place[:, 1]), np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
     board = np.asarray(cv2.GaussianBlur(board, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
-    return np.asarray(board[..., :2] / (board[..., 2:] + np.float32(_STILL * 0.16)), dtype=np.float32)
+    return np.asarray(board[..., :2] / (board[..., 2:] + (_STILL * 0.16)), dtype=np.float32)
 
 
 def _upsampled(patches: PatchGrid, bend: FloatArray, size: tuple[int, int], border: int) -> FloatArray:

@@ -32,12 +32,12 @@ from splitknit_match.matching.ridge import (
     RidgeMatch,
     every_pose,
     placed,
+    prepared,
     refined,
     ridge_match,
     scored,
     starts_by_ridges,
 )
-from splitknit_match.matching.score import prepared_sides
 from splitknit_match.matching.template import Template, scaled
 
 _BENDS = 2
@@ -128,7 +128,7 @@ def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | No
     `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them; `sure`: support of an
     alignment by minutiae from which ridges propose none (default: SURE).
     """
-    left, right = prepared_sides(a, b, Prepared, None)
+    left, right = prepared(a), prepared(b)
     areas = left.template.area_mm2, right.template.area_mm2
     small = 0 < min(areas) < SMALL_MM2
     swapped = areas[0] < areas[1] if small and areas[0] != areas[1] else _order(left) > _order(right)
@@ -183,7 +183,7 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
     apart = _log_frequency(one.template) - _log_frequency(other.template)
     middle = math.exp(min(max(apart, -_MOST_SCALED), _MOST_SCALED))
     scales = [middle * scale for scale in SCALES]
-    tried = [Prepared(scaled(one.template, scale), one.settings) for scale in scales]
+    tried = [Prepared(scaled(one.template, scale)) for scale in scales]
     found = [fused_match(a, each) if number else fused_match(each, b) for each in tried]
     best = max(range(len(found)), key=lambda k: found[k].similarity)
     return found[best], scales[best], number

@@ -28,8 +28,9 @@ from splitknit_match.matching.minutiae_record import (
 )
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.ridge_band import print_band
-from splitknit_match.matching.surface import MatchingSettings, surface_template
+from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import (
+    LEAST_MM2,
     VERSION,
     Template,
     failed_template,
@@ -41,13 +42,14 @@ from splitknit_match.matching.template import (
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:
+    from splitknit.io.prints import PrintFile
     from splitknit_match.prints.pressed import PressedRidges
 
 _ENDS, _JUDGED_MM2 = (0.015, 1.0), 100.0
 """Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41,
 squares of 9 mm of them 0.025 to 0.72."""
-_LEAST_OF_PRINTS = 1 / 3
-"""Of a print so much of the area suffices that surfaces need: small sensors show little, and show it sharply."""
+_LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
+"""Of a print a third of the area suffices that surfaces need: small sensors show little, and show it sharply."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,18 +121,13 @@ def held(given: Any, resolution_ppi: float | None = None) -> Path | Held:
     )
     if resolution_ppi is None:
         raise BadInput("an array of pixels does not state its resolution; give it: `resolution_ppi` 500.")
-    least, most = 200.0, 5080.0  # as of files
-    require(
-        least <= resolution_ppi <= most,
-        f"`resolution_ppi` must lie between {least:g} and {most:g}, but it is {resolution_ppi:g}.",
-    )
+    require(200 <= resolution_ppi <= 5080, f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi:g}.")
     return Pixels(np.ascontiguousarray(given), float(resolution_ppi))
 
 
 def read_side(  # noqa: PLR0911 - one for each kind
     given: Path | Held,
     preset: str,
-    settings: MatchingSettings,
     progress: Progress = no_progress,
     input_ppi: float | None = None,
     *,
@@ -145,7 +142,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
         name = f"'{given}'" if isinstance(given, Path) else "what is not a file"
         require(is_photo(given), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
     if not isinstance(given, Path):
-        return _held_side(given, preset, settings, progress)
+        return _held_side(given, preset, progress)
     path = given
     progress(f"reading {path.name}", 0.1)
     require(
@@ -153,12 +150,11 @@ def read_side(  # noqa: PLR0911 - one for each kind
         f"there is no '{path}'; name a capture folder, a result folder, a template (.skt), a print "
         "or a record of minutiae.",
     )
-    folder = path.is_dir()
+    folder, suffix = path.is_dir(), path.suffix.lower()
     if folder and (path / "map.npz").is_file() and (path / "print.png").is_file():
-        return _print_folder(path, settings)
-    if (path / "height.npz").is_file() or (not folder and path.suffix.lower() == ".npz"):
-        surface = _read_surface(path / "height.npz" if folder else path)
-        return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
+        return _print_folder(path)
+    if (path / "height.npz").is_file() or (not folder and suffix == ".npz"):
+        return _surface_side(path, "result", read_surface(path / "height.npz" if folder else path))
     if folder:
         from splitknit import read_capture
         from splitknit.io.capture import photographs_hint  # a template needs none of it
@@ -169,47 +165,56 @@ def read_side(  # noqa: PLR0911 - one for each kind
             f"{photographs_hint(path)}.",
         )
         capture = read_capture(path)
-        surface = surface_of(naming(path, lambda: _reconstructed(capture, preset, progress)))
-        return naming(path, lambda: Side(path, "capture", surface, surface_template(surface, settings)))
-    if path.suffix.lower() == ".skt":
+        result = naming(path, lambda: _reconstructed(capture, preset, progress))
+        return _surface_side(path, "capture", surface_of(result))
+    if suffix == ".skt":
         payload = read_template(path, VERSION)
-        if holds_minutiae(payload):
-            return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
-        return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+        return naming(path, lambda: _template_side(path, payload))
     from splitknit_match.prints.fingerphoto import fingerphoto, read_fingerphoto
-    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_one_finger
+    from splitknit_match.prints.from_file import minutiae_of, read_one_finger
     from splitknit_match.records.minutiae_record import FingerView  # a template needs none of it
 
     photo = fingerphoto(path)
     if photo is not None:
         source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo, shaped=False)
         assert source.flat is not None
-        template = print_template(source.flat, settings=settings, pressed=source.pressed)
+        template = print_template(source.flat, pressed=source.pressed)
         return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
-    printed = naming(path, lambda: print_at_500_ppi(finger))
-    template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
-    return Side(path, "print", None, template, printed.image, note=finger.note or None, doubt=finger.doubt or None)
+    return _print_side(path, finger, finger.doubt)
 
 
-def _held_side(given: Held, preset: str, settings: MatchingSettings, progress: Progress) -> Side:
+def _held_side(given: Held, preset: str, progress: Progress) -> Side:
     """A side that is not a file."""
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
-        surface = surface_of(result)
-        return Side(Path("reconstruction"), "result", surface, surface_template(surface, settings))
+        return _surface_side(Path("reconstruction"), "result", surface_of(result))
     if isinstance(given, Pixels):
         from splitknit_match.prints.from_file import pixels_as_print  # a template needs none of it
 
         item = pixels_as_print(given.image, given.resolution_ppi)
-        image = at_500_ppi(item.image, given.resolution_ppi)
-        template = print_template(image, PPI, settings)
-        return Side(Path("array"), "print", None, template, image, note=item.note or None, doubt=item.doubt or None)
-    if holds_minutiae(given):
-        return Side(Path("template"), "template", minutiae=unpack_minutiae(given))
-    return Side(Path("template"), "template", None, unpack(given))
+        return _print_side(Path("array"), item, item.doubt)
+    return _template_side(Path("template"), given)
+
+
+def _surface_side(path: Path, kind: str, surface: Surface) -> Side:
+    return naming(path, lambda: Side(path, kind, surface, surface_template(surface)))
+
+
+def _template_side(path: Path, payload: bytes) -> Side:
+    if holds_minutiae(payload):
+        return Side(path, "template", minutiae=unpack_minutiae(payload))
+    return Side(path, "template", None, unpack(payload))
+
+
+def _print_side(path: Path, item: PrintFile, doubt: str, minutiae: Minutiae | None = None) -> Side:
+    from splitknit_match.prints.from_file import print_at_500_ppi  # a template needs none of it
+
+    image = naming(path, lambda: print_at_500_ppi(item)).image
+    template = naming(path, lambda: print_template(image))
+    return Side(path, "print", None, template, image, minutiae, note=item.note or None, doubt=doubt or None)
 
 
 def undoubted(side: Side) -> Side:
@@ -218,18 +223,16 @@ def undoubted(side: Side) -> Side:
     return side
 
 
-def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
+def _print_folder(folder: Path) -> Side:
     """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
-    from splitknit_match.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder, resolution_doubt
+    from splitknit_match.prints.from_file import minutiae_of, read_print_folder, resolution_doubt
 
     picture, view = read_print_folder(folder)
-    printed = naming(folder, lambda: print_at_500_ppi(picture))
-    template = naming(folder, lambda: print_template(printed.image, settings=settings))
     report = folder / "report.json"
     about = Fields(read_json(report)[0] if report.is_file() else {}, str(report))
     measured = about.text("method", "file") != "file" and not about.has("scale")  # by a calibrated camera
-    minutiae, doubt = None if view is None else minutiae_of(view), None if measured else resolution_doubt(picture)
-    return Side(folder, "print", None, template, printed.image, minutiae, doubt=doubt or None)
+    doubt = "" if measured else resolution_doubt(picture)
+    return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
 
 
 def is_photo(given: Path | Held) -> bool:
@@ -252,12 +255,7 @@ def is_of_minutiae(path: Path | Held) -> bool:
     return first[:4] == b"FMR\0" or (first.startswith(MAGIC) and holds_minutiae(first[HEADER_BYTES:]))
 
 
-def print_template(
-    image: NDArray[np.uint8],
-    ppi: float = PPI,
-    settings: MatchingSettings | None = None,
-    pressed: PressedRidges | None = None,
-) -> Template:
+def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: PressedRidges | None = None) -> Template:
     """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
 
     `pressed`: ridges of a photograph, which are taken in place of the picture: its noise is as strong as they are.
@@ -268,7 +266,7 @@ def print_template(
     from splitknit_match.prints.make import enhance, minutiae_by_phase
     from splitknit_match.prints.pressed import pressed_ridges
 
-    settings, image = settings or MatchingSettings(), at_500_ppi(image, ppi)
+    image = at_500_ppi(image, ppi)
     inside, minutiae, lacks = np.zeros(image.shape, dtype=np.bool_), no_minutiae((image.shape[0], image.shape[1])), ""
     with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
         ridges = pressed or pressed_ridges(image)
@@ -282,17 +280,15 @@ def print_template(
         image = image if pressed is None else pressed.image
     if lacks:
         return replace(failed_template(), minutiae=no_minutiae(minutiae.size), lacks=lacks)
-    band = print_band(image, PPI, settings.band, inside)
-    least = replace(settings.template, least_area_mm2=_LEAST_OF_PRINTS * settings.template.least_area_mm2)
-    return with_minutiae(make_template(band, least), band.valid, minutiae)
+    band = print_band(image, PPI, inside)
+    return with_minutiae(make_template(band, _LEAST_OF_PRINTS_MM2), band.valid, minutiae)
 
 
-def _read_surface(path: Path) -> Surface:
+def read_surface(path: Path) -> Surface:
     """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
     from splitknit.io.results import read_fields  # a template needs none of it
 
-    arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
-    return Surface(**arrays)
+    return Surface(**read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",)))
 
 
 def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:

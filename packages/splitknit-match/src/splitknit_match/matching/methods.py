@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import naming, require
-from splitknit.model import Surface, no_progress
+from splitknit.model import no_progress
 from splitknit.settings import override
 from splitknit.verbs import Progress, path
 from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
@@ -23,7 +23,7 @@ from splitknit_match.matching.inputs import Side, held, is_photo, read_side, und
 from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.matching.minutiae_record import PPI, Minutiae
 from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings, surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
@@ -31,6 +31,7 @@ from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:
     from splitknit_match.matching.match_job import MakeTemplateJob, MatchJob
+    from splitknit_match.matching.thesis import FingerImages, ThesisSettings
 
 TABLES = {
     "ridge": "match_fmr.json",
@@ -174,59 +175,63 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
     Where a photograph of a finger is compared with a print, `input_ppi` is the resolution of the photograph alone.
     """
     require(job.fmr is None or 0 < job.fmr < 1, f"`fmr` must lie between 0 and 1, but it is {job.fmr}.")
-    a, b, method, template = held(job.a), held(job.b), str(job.method), path(job.template)
-    chosen = override(MatchingSettings(), job.settings or {})
+    fingers, method, template = (held(job.a), held(job.b)), str(job.method), path(job.template)
+    thesis = override(MatchingSettings(), job.settings or {}).thesis
     own = None if job.decision is None else read_own_rates(path(job.decision))
     if template is not None:
-        _check_template_file(template, a, b)
+        _check_template_file(template, *fingers)
     where = PhotoFinger(job.mask, job.box)
-    photos = [(job.input_ppi is not None or where.given) and is_photo(side) for side in (a, b)]
-    scales = [job.input_ppi if photo or not any(photos) else None for photo in photos]
-    chosen_in = [where, None] if photos[0] or not photos[1] else [None, where]
+    photos = [(job.input_ppi is not None or where.given) and is_photo(finger) for finger in fingers]
+    chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
 
     def read(number: int) -> Side:
-        shown = no_progress if number else progress
-        return read_side((a, b)[number], job.preset, chosen, shown, scales[number], where=chosen_in[number])
+        return read_side(
+            fingers[number], job.preset, no_progress if number else progress,
+            job.input_ppi if photos[number] or not any(photos) else None,
+            where=where if number == chosen else None,
+        )  # fmt: skip
 
-    if all(isinstance(one, Path) and one.is_file() and one.suffix != ".skt" for one in (a, b)):
+    if all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers):
         from concurrent.futures import ThreadPoolExecutor  # templates need none
 
         with ThreadPoolExecutor(2) as pool:
-            first, second = pool.map(read, range(2))
+            a, b = pool.map(read, range(2))
     else:
-        first, second = read(0), read(1)
+        a, b = read(0), read(1)
     if method == "auto":
-        one, other = first.template, second.template
-        method = "minutiae" if one is None or other is None else "fusion" if can_fuse(one, other) else "ridge"
+        ridges = a.template is not None and b.template is not None
+        method = "minutiae" if not ridges else "fusion" if can_fuse(_template(a), _template(b)) else "ridge"
     require(
         own is None or own.method == method,
         f"'{job.decision}' is for the method {'' if own is None else own.method}, but {method} compares these.",
     )
     progress("comparing", 0.9)
-    compare: dict[str, Callable[[Side, Side, MatchingSettings], Match]] = {
+    compare: dict[str, Callable[[Side, Side], Match]] = {
         "ridge": _by_ridges,
         "fusion": partial(_fused, job.input_ppi is None),
-        **{name: partial(_by_thesis, name) for name in ("thesis", "thesis-code")},
+        "thesis": partial(_by_thesis, thesis),
+        "thesis-code": _by_thesis_code,
         "minutiae": _by_minutiae,
     }
-    found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, (job.fmr, own))
-    if method == "fusion" and "photo" not in (first.kind, second.kind) and found.fmr is not None:
-        sides = _template(first), _template(second)
-        doubt = None if found.answer == "match" else scale_doubt(*sides, job.fmr, own)
+    found = _rated(compare[method](a, b), _scores_of(method, a, b), job.fmr, own)
+    if method == "fusion" and "photo" not in (a.kind, b.kind) and found.fmr is not None and found.answer != "match":
+        sides = _template(a), _template(b)
+        doubt = scale_doubt(*sides, job.fmr, own)
         if found.answer == "no match" and doubt is None and _prints_match(mirrored(sides[0]), sides[1], job.fmr, own):
             doubt = "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
         found = found if doubt is None else replace(found, answer="undecided", undecided=doubt, decision=None)
-    written = None if template is None else _written(template, first)
+    written = None if template is None else _written(template, a)
     progress("done", 1.0)
     return replace(found, template=written)
 
 
 def make_template_file(job: MakeTemplateJob, progress: Progress = no_progress) -> TemplateMade:
     """Write the template of one finger; refusals as of :func:`match_fingers`."""
-    chosen, finger, template = override(MatchingSettings(), job.settings or {}), held(job.a), path(job.template)
+    override(MatchingSettings(), job.settings or {})  # refuses unknown ones
+    finger, template = held(job.a), path(job.template)
     if template is not None:
         _check_template_file(template, finger)
-    side = read_side(finger, job.preset, chosen, progress, job.input_ppi, where=PhotoFinger(job.mask, job.box))
+    side = read_side(finger, job.preset, progress, job.input_ppi, where=PhotoFinger(job.mask, job.box))
     written = None if template is None else _written(template, side)
     progress("done", 1.0)
     return TemplateMade(_side(side), written, undoubted(side).payload)
@@ -246,16 +251,19 @@ def _written(template: Path, side: Side) -> TemplateFile:
     return TemplateFile(str(template), template.stat().st_size)
 
 
-def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:
-    found = ridge_match(_template(a), _template(b), settings.ridge)
+def _by_ridges(a: Side, b: Side) -> Match:
+    return _laid("ridge", _side(a), _side(b), ridge_match(_template(a), _template(b)))
+
+
+def _laid(method: str, a: ComparedSide, b: ComparedSide, ridge: RidgeMatch) -> Match:
+    """A comparison by ridges."""
     return Match(
-        method="ridge", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
-        overlap_mm2=found.overlap_mm2, correlation=found.correlation,
-        alignment=PlaneAlignment(found.rotation_deg, found.right_mm, found.up_mm),
+        method=method, a=a, b=b, similarity=ridge.similarity, compared=ridge.compared, overlap_mm2=ridge.overlap_mm2,
+        correlation=ridge.correlation, alignment=PlaneAlignment(ridge.rotation_deg, ridge.right_mm, ridge.up_mm),
     )  # fmt: skip
 
 
-def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match:
+def _fused(assumed: bool, a: Side, b: Side) -> Match:
     """Compare two prints by ridges and minutiae, where one is a photograph of assumed scale at several.
 
     Raises BadInput if a side holds no minutiae.
@@ -270,7 +278,7 @@ def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match
             )
         acquired = minutiae.acquired or not _template(side).empty
         sides.append(replace(_side(side), minutiae=minutiae.count, acquired=acquired))
-    left, right = (Prepared(_template(side), settings.ridge) for side in (a, b))
+    left, right = (Prepared(_template(side)) for side in (a, b))
     photos = [side.kind == "photo" for side in (a, b)]
     if assumed and any(photos):
         found, scale, number = fused_photo(left, right, photos)
@@ -279,11 +287,9 @@ def _fused(assumed: bool, a: Side, b: Side, settings: MatchingSettings) -> Match
             sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
     else:
         found = fused_match(left, right)
-    laid = PlaneAlignment(found.ridge.rotation_deg, found.ridge.right_mm, found.ridge.up_mm)
-    return Match(
-        method="fusion", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+    return replace(
+        _laid("fusion", sides[0], sides[1], found.ridge), similarity=found.similarity, compared=found.compared,
         similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae,
-        overlap_mm2=found.ridge.overlap_mm2, correlation=found.ridge.correlation, alignment=laid,
     )  # fmt: skip
 
 
@@ -318,24 +324,18 @@ def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | Non
     return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
 
 
-def _rated(
-    found: Match, scores: str, settings: MatchingSettings, decide: tuple[float | None, OwnRates | None]
-) -> Match:
+def _rated(found: Match, scores: str, fmr: float | None, own: OwnRates | None) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
-    fmr, own = decide
     doubts = [doubt for doubt in map(doubt_of, (found.a, found.b)) if doubt is not None]
-    missing = None
     if not doubts and not (found.a.acquired and found.b.acquired):
         return replace(found, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
+    missing = ""
     if scores not in TABLES and own is None:
         missing = f"false match rates of the method {scores} were not measured"
-    elif own is None and not as_calibrated(settings, scores):
-        missing = "with other settings than the shipped ones false match rates are not known"
     elif not found.compared:
         missing = "nothing was compared"
     else:
-        areas = found.a.area_mm2, found.b.area_mm2
-        scores = scores_of(scores, areas, found.similarity_of_minutiae)
+        scores = scores_of(scores, (found.a.area_mm2, found.b.area_mm2), found.similarity_of_minutiae)
         rated = rate(found.similarity, scores, found.overlap_mm2, fmr, own)
         if not doubts or (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
             return replace(
@@ -433,28 +433,37 @@ def _threshold(table: FmrTable, fmr: float, method: str) -> float:
     return math.ceil(least) if method in _WHOLE else (math.ceil(least / _FMR_ROUNDING) + 1) * _FMR_ROUNDING
 
 
-def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
-    """Whether scores mean what they meant when the table was measured."""
-    plain, ridges = MatchingSettings(), method.split(maxsplit=1)[0] in ("ridge", "fusion", "fingerphotos", "windows")
-    return not ridges or replace(settings, thesis=plain.thesis) == plain
-
-
-def _by_thesis(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
+def _by_thesis(settings: ThesisSettings, a: Side, b: Side) -> Match:
     from splitknit_match.matching.thesis import thesis_match  # a template needs none of it
-    from splitknit_match.matching.thesis_code import code_match, code_side
 
-    left, right = (naming(side.path, partial(surface_images, _surface(side, method))) for side in (a, b))
-    found: Any
-    if method == "thesis":
-        found = thesis_match(left, right, settings.thesis)
-        compared, more, distances = found.compared, dict(found.dissimilarity), dict(found.distances)
-    else:
-        found, compared, more = code_match(code_side(left), code_side(right)), True, None
-        distances = {name: 1.0 - score for name, score in found.scores.items()}
+    left, right = _images(a, "thesis"), _images(b, "thesis")
+    found = thesis_match(left, right, settings)
     return Match(
-        method=method, a=_side(a), b=_side(b), similarity=found.similarity, compared=compared, overlap=found.ratio,
-        dissimilarity=more, distances=distances, alignment=PlaneAlignment(right_mm=found.shift_px / left.px_per_mm),
+        method="thesis", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
+        overlap=found.ratio, dissimilarity=found.dissimilarity, distances=found.distances,
+        alignment=PlaneAlignment(right_mm=found.shift_px / left.px_per_mm),
     )  # fmt: skip
+
+
+def _by_thesis_code(a: Side, b: Side) -> Match:
+    from splitknit_match.matching.thesis_code import code_match, code_side  # a template needs none of it
+
+    left, right = _images(a, "thesis-code"), _images(b, "thesis-code")
+    found = code_match(code_side(left), code_side(right))
+    return Match(
+        method="thesis-code", a=_side(a), b=_side(b), similarity=found.similarity, compared=True, overlap=found.ratio,
+        distances={name: 1.0 - score for name, score in found.scores.items()},
+        alignment=PlaneAlignment(right_mm=found.shift_px / left.px_per_mm),
+    )  # fmt: skip
+
+
+def _images(side: Side, method: str) -> FingerImages:
+    surface = side.surface
+    if surface is None:
+        raise BadInput(
+            f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
+        )
+    return naming(side.path, lambda: surface_images(surface))
 
 
 def _template(side: Side) -> Template:
@@ -468,13 +477,13 @@ def _side(side: Side) -> ComparedSide:
     if template is None:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
-    said = ComparedSide(
-        str(side.path), side.kind, template.area_mm2, not template.empty, note=template.lacks or side.note
-    )
-    return replace(said, quality=side.quality, doubt=side.doubt)
+    return ComparedSide(
+        str(side.path), side.kind, template.area_mm2, not template.empty, note=template.lacks or side.note,
+        quality=side.quality, doubt=side.doubt,
+    )  # fmt: skip
 
 
-def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
+def _by_minutiae(a: Side, b: Side) -> Match:
     """Compare by minutiae: similarity, and what each side's print holds.
 
     Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
@@ -482,12 +491,15 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
     """
     found = [side_minutiae(side) for side in (a, b)]
     sides = []
-    for side, one in zip((a, b), found, strict=True):
-        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
-        known = replace(_side(side), minutiae=one.count, acquired=one.acquired)
-        quality_or_none = None if quality == NFIQ2_FAILED else quality
-        sides.append(replace(known, nfiq2=quality_or_none, enhanced=side.picture is not None))
-    compared = all(one.acquired for one in found)
+    for side, minutiae in zip((a, b), found, strict=True):
+        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side), PPI)
+        sides.append(
+            replace(
+                _side(side), minutiae=minutiae.count, acquired=minutiae.acquired,
+                nfiq2=None if quality == NFIQ2_FAILED else quality, enhanced=side.picture is not None,
+            )
+        )  # fmt: skip
+    compared = all(minutiae.acquired for minutiae in found)
     return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*found), compared=compared)
 
 
@@ -499,33 +511,25 @@ def side_minutiae(side: Side) -> Minutiae:
     """
     if side.minutiae is not None:
         return side.minutiae
-    image, pressed = _print_of(side)
-    if pressed:
-        from splitknit_match.prints.from_file import print_minutiae  # a template needs none of it
+    image = _print_of(side)
+    if side.surface is not None:
+        return naming(side.path, lambda: extract(image, PPI))
+    from splitknit_match.prints.from_file import print_minutiae  # a template needs none of it
 
-        return naming(side.path, partial(print_minutiae, image))
-    return naming(side.path, partial(extract, image, PPI))
+    return naming(side.path, lambda: print_minutiae(image))
 
 
-def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
-    """The print of a side at 500 ppi, and whether it comes from a file."""
+def _print_of(side: Side) -> NDArray[np.uint8]:
+    """The print of a side at 500 ppi."""
     if side.surface is not None:
         from splitknit.finger.ridges import surface_print  # a template needs none of it
 
-        return naming(side.path, partial(surface_print, side.surface, PPI)), False
+        return naming(side.path, partial(surface_print, side.surface, PPI))
     if side.picture is None:
         raise BadInput(
             f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
         )
-    return side.picture, True
-
-
-def _surface(side: Side, method: str) -> Surface:
-    if side.surface is None:
-        raise BadInput(
-            f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
-        )
-    return side.surface
+    return side.picture
 
 
 @cache

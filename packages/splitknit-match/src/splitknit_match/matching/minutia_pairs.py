@@ -96,17 +96,15 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     # the Gaussian around a minutia is the product of one to the right and one up; each (N, cells, N)
     line = _LINE_MM[:, None]
     far = np.float32(-35)  # less makes numbers so small (subnormal) that sums of their products take ten times as long
-    right, up = (
-        np.exp(np.maximum((line - part) ** 2 / np.float32(-2 * _SIGMA_MM**2), far)) for part in (gap.real, gap.imag)
-    )
+    right, up = (np.exp(np.maximum((line - part) ** 2 / (-2 * _SIGMA_MM**2), far)) for part in (gap.real, gap.imag))
     own = np.arange(len(place))
     right[own, :, own] = 0.0
     turned = _wrapped(turn - turn[:, None]).astype(np.float32)[:, None]
-    apart = np.float32(np.pi) - np.abs(np.float32(np.pi) - np.abs(_LEVEL_RAD[:, None] - turned))
-    like = np.exp(np.float32(-0.5) * (apart / np.float32(_SIGMA_RAD)) ** 2)  # (N, levels, N)
+    apart = np.float32(np.pi) - np.abs(np.pi - np.abs(_LEVEL_RAD[:, None] - turned))
+    like = np.exp(-0.5 * (apart / _SIGMA_RAD) ** 2)  # (N, levels, N)
     both = (up[:, :, None] * like[:, None]).reshape(len(place), _CELLS * _LEVELS, len(place))
     near = (right @ both.swapaxes(1, 2)).reshape(len(place), _CELLS, _CELLS, _LEVELS)[:, _ROUND]
-    value = 1 / (1 + np.exp(np.float32(_STEEP) * (np.float32(_MIDDLE) - near)))
+    value = 1 / (1 + np.exp(_STEEP * (_MIDDLE - near)))
     at = place[:, None] + (_LINE_MM[:, None] + 1j * _LINE_MM)[_ROUND] * ahead
     reach = round(_MARGIN_MM / pitch_mm)
     shown = cv2.dilate(np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8))
@@ -173,10 +171,10 @@ def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
     """(N, M) of cylinders, 0 where too little is shown by both."""
     cross = a.value @ b.value.T
     own, other = (a.value * a.value) @ b.known.T, a.known @ (b.value * b.value).T
-    gap = np.sqrt(np.maximum(own + other - 2 * cross, np.float32(0)))
+    gap = np.sqrt(np.maximum(own + other - 2 * cross, 0))
     total = np.sqrt(own) + np.sqrt(other)
     enough = (a.known @ b.known.T >= _MIN_COMMON * a.known.shape[1]) & (total > 0)
-    return np.where(enough, 1 - gap / np.maximum(total, np.float32(1e-6)), np.float32(0.0))
+    return np.where(enough, 1 - gap / np.maximum(total, 1e-6), 0.0)
 
 
 def _compatible(a: tuple[Places, NDArray[np.float64]], b: tuple[Places, NDArray[np.float64]]) -> NDArray[np.float64]:

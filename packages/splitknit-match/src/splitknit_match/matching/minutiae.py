@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,9 +25,6 @@ from splitknit_match.matching.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
-
-if TYPE_CHECKING:
-    from splitknit_match.prints.pressed import PressedRidges
 
 # How far inside a print its minutiae lie.
 #
@@ -60,12 +57,7 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
 def _to_outline(area: BoolArray) -> FloatArray:
     """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
     pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return np.asarray(pixels * np.float32(25.4 / PPI), dtype=np.float32)
-
-
-def _inside_by(minutiae: Minutiae, distance_mm: FloatArray, min_mm: float) -> Minutiae:
-    """The minutiae whose pixel has a `distance_mm` (H, W) of at least `min_mm`."""
-    return minutiae.taken(distance_mm[minutiae.y_px, minutiae.x_px] >= min_mm)
+    return np.asarray(pixels * (25.4 / PPI), dtype=np.float32)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:
@@ -82,7 +74,7 @@ _LOCK = threading.Lock()
 
 
 def extract(
-    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool | PressedRidges = False, *,
+    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *,
     edge_mm: float | None = None,
 ) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column and row.
@@ -99,12 +91,12 @@ def extract(
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
-    if enhance is True:
+    pressed = None
+    if enhance:
         from splitknit_match.prints.pressed import pressed_ridges  # a comparison of templates needs none of it
 
-        enhance = pressed_ridges(image)
-    pressed = enhance or None
-    image = image if pressed is None else pressed.image
+        pressed = pressed_ridges(image)
+        image = pressed.image
     with _LOCK:
         found = _extractor(False).extract_minutiae(_png(image)).get()
     rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in found]
@@ -122,7 +114,8 @@ def extract(
     least = edge_mm if edge_mm is not None else (EDGE_MM if pressed is None else _PRESSED_EDGE_MM)
     if least <= 0:
         return every
-    return _inside_by(every, _edge_distance(image) if pressed is None else _to_outline(pressed.inside), least)
+    distance_mm = _edge_distance(image) if pressed is None else _to_outline(pressed.inside)
+    return every.taken(distance_mm[every.y_px, every.x_px] >= least)
 
 
 def minutiae_match(a: Minutiae, b: Minutiae) -> float:

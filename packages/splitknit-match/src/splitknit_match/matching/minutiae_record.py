@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,58 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-
-# What the bytes of minutiae and codes have in common: a head with magic, version, sizes, checksum, then the body.
-
-
-@dataclass(frozen=True, slots=True)
-class Packing:
-    """How one kind of things is packed."""
-
-    name: str
-    """What they are, for people."""
-    magic: bytes
-    """The first four bytes."""
-    version: int
-    """A reader refuses others."""
-    sizes: str
-    """Format of the sizes in the head, little-endian, as of :mod:`struct`."""
-    remedy: str
-    """What to do about bytes that cannot be read."""
-
-    @property
-    def head(self) -> struct.Struct:
-        """Magic, version (uint16), sizes, CRC-32 of the body (uint32)."""
-        return struct.Struct(f"<4sH{self.sizes}I")
-
-    def pack(self, sizes: tuple[int, ...], body: bytes) -> bytes:
-        """Head and body."""
-        return self.head.pack(self.magic, self.version, *sizes, zlib.crc32(body)) + body
-
-    def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
-        """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
-
-        Raises BadInput if the bytes are damaged, of another version, or something else.
-        """
-        head, name = self.head, self.name
-        require(
-            len(data) > head.size and data[:4] == self.magic,
-            f"these {len(data)} bytes are not a packed {name} (they begin with '{self.magic.decode('ascii')}'); "
-            f"{self.remedy}",
-        )
-        _, version, *sizes, sum_ = head.unpack_from(data)
-        require(
-            version == self.version,
-            f"the {name} are of version {version}, but this program reads version {self.version}; {self.remedy}",
-        )
-        body = data[head.size :]
-        size = body_size(*sizes)
-        require(
-            size > 0 and len(body) == size and zlib.crc32(body) == sum_,
-            f"the packed {name} are damaged (their length or checksum does not fit); {self.remedy}",
-        )
-        return tuple(sizes), body
-
 
 PPI = 500.0
 """Resolution of the grid on which minutiae lie, whatever the print's resolution was."""
@@ -84,7 +31,7 @@ LARGEST_SIDE_PX = 8192
 LARGEST_MM2 = 3600.0
 """Of one finger: a print with what is white about it, a template's box, a surface. A rolled print has 1,600 (40 x 40
 mm); four fingers side by side have 6,200 and are no print of one. Work and memory (0.4 GB) grow with it."""
-_PACKING = Packing("minutiae", b"SKMI", MINUTIAE_VERSION, "HHH", "extract them from the print again.")
+_MAGIC, _HEAD = b"SKMI", struct.Struct("<4sHHHHI")
 _ROW = np.dtype([("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")])
 _STEP_RAD = 2 * np.pi / 256
 
@@ -172,12 +119,13 @@ def pack_minutiae(minutiae: Minutiae) -> bytes:
         return b""
     steps = np.round(minutiae.direction_rad / _STEP_RAD).astype(np.int64) % 256
     columns: list[Any] = [minutiae.x_px, minutiae.y_px, steps, minutiae.type, minutiae.quality]
-    return _PACKING.pack((*minutiae.size, minutiae.count), np.rec.fromarrays(columns, _ROW).tobytes())
+    body = np.rec.fromarrays(columns, _ROW).tobytes()
+    return _HEAD.pack(_MAGIC, MINUTIAE_VERSION, *minutiae.size, minutiae.count, zlib.crc32(body)) + body
 
 
 def holds_minutiae(data: bytes) -> bool:
     """Whether a template's payload is of minutiae, not of ridges."""
-    return data[:4] == _PACKING.magic
+    return data[:4] == _MAGIC
 
 
 def unpack_minutiae(data: bytes) -> Minutiae:
@@ -190,7 +138,19 @@ def unpack_minutiae(data: bytes) -> Minutiae:
     """
     if not data:
         return no_minutiae()
-    (rows, columns, _), body = _PACKING.unpack(data, lambda rows, columns, count: count * _ROW.itemsize)
+    remedy = "extract them from the print again."
+    sound = len(data) > _HEAD.size and holds_minutiae(data)
+    require(sound, f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}")
+    _, version, rows, columns, count, checksum = _HEAD.unpack_from(data)
+    require(
+        version == MINUTIAE_VERSION,
+        f"the minutiae are of version {version}, but this program reads version {MINUTIAE_VERSION}; {remedy}",
+    )
+    body = data[_HEAD.size :]
+    require(
+        0 < len(body) == count * _ROW.itemsize and zlib.crc32(body) == checksum,
+        f"the packed minutiae are damaged (their length or checksum does not fit); {remedy}",
+    )
     table = np.frombuffer(body, dtype=_ROW)
     x, y = (table[name].astype(np.int32) for name in "xy")
     direction, kind, quality = table["direction"] * _STEP_RAD, table["type"].copy(), table["quality"].copy()

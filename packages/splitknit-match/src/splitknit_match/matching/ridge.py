@@ -6,7 +6,7 @@ A higher similarity means more similar fingers; 1 is the same picture. Comparing
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import cv2
@@ -17,10 +17,10 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.elastic import (
+    STEP_MM,
     Affine,
     Agreement,
     PatchGrid,
-    PatchSettings,
     better_affine,
     compare_patches,
     patch_grid,
@@ -28,7 +28,6 @@ from splitknit_match.matching.elastic import (
     spectrum_of,
 )
 from splitknit_match.matching.minutia_pairs import Cylinders, minutia_cylinders
-from splitknit_match.matching.score import prepared_sides
 from splitknit_match.matching.template import Template, pack
 
 Spectra = NDArray[np.complex64]
@@ -228,10 +227,10 @@ _REFINEMENTS = 2
 _MIN_OVERLAP_MM2 = 60.0
 """Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
 
-FIRST_PATCHES = PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8)
-"""Patches that refine the coarse alignment."""
-CLOSE_PATCHES = PatchSettings(patch_mm=2.4, step_mm=1.2, search_mm=0.4)
-"""Patches that bend a small print."""
+_FIRST_MM = (2.4, 0.8)
+"""Step and search of the patches that refine the coarse alignment."""
+_CLOSE_MM = (1.2, 0.4)
+"""Of those that bend a small print."""
 _POSE_STEP_DEG, _POSES, _APART_MM = 4.0, 8, 0.6
 """Of a small print: between two turns, how many alignments go on, and how far apart those of like turns lie."""
 _MIN_PAIRED = 3
@@ -240,14 +239,6 @@ _OVERLAPS = 3
 """Turns that share what overlaps."""
 _LEAST_POSE_MM2 = 6.0
 """What overlaps less counts as if it were so much."""
-
-
-@dataclass(frozen=True, slots=True)
-class RidgeMatchSettings:
-    """How two templates are compared."""
-
-    patches: PatchSettings = field(default_factory=PatchSettings)
-    """Patches that give the score."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +265,6 @@ class Prepared:
     """A template with all that comparisons need and that does not depend on the other side, made when first used."""
 
     template: Template
-    settings: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
 
     @cached_property
     def key(self) -> bytes:
@@ -285,7 +275,7 @@ class Prepared:
     def value(self) -> FloatArray:
         """(H, W) ridge band with the steps of its levels smoothed away, zero outside."""
         smooth = gaussian_mean(self.template.value(), 0.6)
-        return np.where(self.template.valid, smooth, np.float32(0.0)).astype(np.float32)
+        return np.where(self.template.valid, smooth, 0.0).astype(np.float32)
 
     @property
     def shown(self) -> tuple[FloatArray, BoolArray]:
@@ -311,24 +301,30 @@ class Prepared:
     @cached_property
     def turned(self) -> NDArray[np.float32]:
         """(2, A, side, side) ridges and where there are any on the coarse grid, turned by steps of a small print."""
-        pitch, step = self.template.pitch_mm, _PITCH_MM / self.template.pitch_mm
-        side = (int(np.ceil(np.hypot(*self.template.valid.shape) / step)) + 2,) * 2
+        side = int(np.ceil(np.hypot(*self.template.valid.shape) / self._step)) + 2
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
-        pictures = _softened(self.value, pitch), self.template.valid.astype(np.float32)
-        return np.stack([np.stack([_fetched(one, angle, step, side) for angle in angles.tolist()]) for one in pictures])
+        return self._on_grid(angles.tolist(), (side, side))
 
     @cached_property
     def still(self) -> NDArray[np.float32]:
         """(2, rows, columns) of the same, as it lies."""
-        pitch, step = self.template.pitch_mm, _PITCH_MM / self.template.pitch_mm
-        rows, columns = (int(np.ceil(length / step)) for length in self.template.valid.shape)
-        pictures = _softened(self.value, pitch), self.template.valid.astype(np.float32)
-        return np.stack([_fetched(one, 0.0, step, (rows, columns)) for one in pictures])
+        rows, columns = (int(np.ceil(side / self._step)) for side in self.template.valid.shape)
+        return self._on_grid([0.0], (rows, columns))[:, 0]
+
+    @property
+    def _step(self) -> float:
+        return _PITCH_MM / self.template.pitch_mm
+
+    def _on_grid(self, angles_rad: list[float], size: tuple[int, int]) -> NDArray[np.float32]:
+        pictures = _softened(self.value, self.template.pitch_mm), self.template.valid.astype(np.float32)
+        return np.stack(
+            [np.stack([_fetched(part, angle, self._step, size) for angle in angles_rad]) for part in pictures]
+        )
 
     @cached_property
     def close(self) -> PatchGrid:
         """Patches that bend a small print."""
-        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, CLOSE_PATCHES)
+        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, *_CLOSE_MM)
 
     @cached_property
     def cylinders(self) -> Cylinders | None:
@@ -341,18 +337,21 @@ class Prepared:
     @cached_property
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
-        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, FIRST_PATCHES)
+        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, *_FIRST_MM)
 
     @cached_property
     def patches(self) -> PatchGrid:
         """Patches for the score."""
-        return patch_grid(self.value, self.template.valid, self.template.pitch_mm, self.settings.patches)
+        return patch_grid(self.value, self.template.valid, self.template.pitch_mm)
 
 
-def ridge_match(
-    a: Template | Prepared, b: Template | Prepared, settings: RidgeMatchSettings | None = None
-) -> RidgeMatch:
-    """Compare two templates; prepare one that is compared more than once, then with the settings given here.
+def prepared(side: Template | Prepared) -> Prepared:
+    """A side of a comparison with all that it needs."""
+    return side if isinstance(side, Prepared) else Prepared(side)
+
+
+def ridge_match(a: Template | Prepared, b: Template | Prepared) -> RidgeMatch:
+    """Compare two templates; prepare one that is compared more than once.
 
     The `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
     neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(60 mm2, half of the smaller
@@ -362,7 +361,7 @@ def ridge_match(
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
     fingerprint verification system (local patches).
     """
-    left, right = prepared_sides(a, b, Prepared, settings)
+    left, right = prepared(a), prepared(b)
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     require(
@@ -423,7 +422,7 @@ def every_pose(a: Prepared, b: Prepared) -> list[Affine]:
 
     for number in range(turned.shape[1]):
         if number % _OVERLAPS == 0:
-            root = np.sqrt(np.maximum(correlated(1, number), np.float32(_LEAST_POSE_MM2 / _PITCH_MM**2)))
+            root = np.sqrt(np.maximum(correlated(1, number), _LEAST_POSE_MM2 / _PITCH_MM**2))
         height = correlated(0, number) / root
         for _ in range(2):
             row, column = divmod(int(height.argmax()), size[1])
@@ -463,7 +462,7 @@ def refined(a: Prepared, b: Prepared, start: Affine, found: Agreement) -> Affine
 
 def scored(a: Prepared, b: Prepared, final: Agreement) -> RidgeMatch:
     """Similarity by the patches of an alignment."""
-    overlap = float(final.weight.sum()) * a.settings.patches.step_mm**2
+    overlap = float(final.weight.sum()) * STEP_MM**2
     smaller = min(a.template.area_mm2, b.template.area_mm2)
     least = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller), 1e-9)
     correlation = final.mean

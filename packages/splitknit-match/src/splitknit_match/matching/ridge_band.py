@@ -7,7 +7,7 @@ freed from everything wider than a ridge, and made even in contrast. Roll then s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
@@ -25,28 +24,20 @@ _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
 """Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
 _LARGEST_PX = 4_000_000
 """Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
-
-
-@dataclass(frozen=True, slots=True)
-class RidgeBandSettings(Checked):
-    """How the ridge band is made."""
-
-    pitch_mm: Annotated[float, Limits(0, above=True)] = 0.1
-    """Side of a pixel of the band."""
-    ridge_mm: Annotated[float, Limits(0, above=True)] = 0.32
-    """Sigma of the Gaussian mean that is subtracted, to remove what is wider than a ridge."""
-    noise_mm: Annotated[float, Limits(0, above=True)] = 0.05
-    """Sigma of the low-pass before sampling."""
-    window_mm: Annotated[float, Limits(0, above=True)] = 0.6
-    """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
-    floor: Annotated[float, Limits(0, 1)] = 0.3
-    """Contrast below this fraction of the finger's median is not raised further; half of it is not a ridge at all."""
-    coherence: Annotated[float, Limits(0, 1, below=True)] = 0.2
-    """Skin whose ridges have less coherence (0 no direction, 1 parallel) is left out."""
-    slant_deg: Annotated[float, Limits(0, 85, above=True, below=True)] = 60.0
-    """Skin seen at a steeper slant is left out."""
-    unroll: bool = True
-    """Whether distances across the finger are measured along the skin, where the shape is known."""
+PITCH_MM = 0.1
+"""Side of a pixel of the band."""
+RIDGE_MM = 0.32
+"""Sigma of the Gaussian mean that is subtracted, to remove what is wider than a ridge."""
+NOISE_MM = 0.05
+"""Sigma of the low-pass before sampling."""
+WINDOW_MM = 0.6
+"""Sigma of the window over which contrast is made even and ridges are tested for one direction."""
+FLOOR = 0.3
+"""Contrast below this fraction of the finger's median is not raised further; half of it is not a ridge at all."""
+COHERENCE = 0.2
+"""Skin whose ridges have less coherence (0 no direction, 1 parallel) is left out."""
+SLANT_DEG = 60.0
+"""Skin seen at a steeper slant is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +48,6 @@ class RidgeBand:
     """(H, W) about unit variance, ridges positive, zero where not `valid`."""
     valid: BoolArray
     """(H, W) where ridges were found."""
-    orientation_rad: FloatArray
-    """(H, W) direction across which the ridges run (of their normal), counter-clockwise from x, in (-pi/2, pi/2]."""
-    coherence: FloatArray
-    """(H, W) 0 to 1: how well that direction is held in the window."""
     pitch_mm: float
 
     @property
@@ -76,105 +63,86 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     shape_mm: FloatArray | None = None,
     input_from_upright: NDArray[np.float64] | None = None,
     upright_size: tuple[int, int] | None = None,
-    settings: RidgeBandSettings | None = None,
+    *,
+    band_mm: float = PITCH_MM,
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
     `ridge_mm`: (H, W) ridges up, of any unit, ignored outside `mask`; `pitch_mm`: of the input on the finger plane;
     `shape_mm`: (H, W) finger without its ridges: without it nothing is unrolled and no slant is known;
     `input_from_upright`: (3, 3), takes (column, row, 1) of the upright frame, of `upright_size` rows and columns, to
-    the input; without it the input is upright. `valid` of the result may be empty (failure to acquire). Raises BadInput
-    if shapes disagree, the mask is empty, or the pitch is not positive.
+    the input; without it the input is upright; `band_mm`: pitch of the band. `valid` of the result may be empty
+    (failure to acquire). Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
 
     Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor);
     Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
     (unrolling by arc length).
     """
-    settings = settings or RidgeBandSettings()
     require(
         _FINEST_MM <= pitch_mm <= _COARSEST_MM,
         f"pitch_mm must be a number from {_FINEST_MM:g} to {_COARSEST_MM:g}, but it is {pitch_mm}.",
     )
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
-    mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1])) & np.isfinite(ridge_mm)
-    require(bool(mask.any()), "ridge_mm is NaN all over the mask.")
-    if shape_mm is not None:
-        require(
-            shape_mm.shape == mask.shape, f"shape_mm must have the shape {mask.shape}, but it has {shape_mm.shape}."
-        )
-        mask = mask & np.isfinite(shape_mm)
-        require(bool(mask.any()), "shape_mm is NaN all over the mask.")
+    mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
-        deep = field is not None and bool((np.abs(field[mask]) > _LONGEST_MM).any())
+        if field is None:
+            continue
+        require(field.shape == mask.shape, f"{name} must have the shape {mask.shape}, but it has {field.shape}.")
+        mask = mask & np.isfinite(field)
+        require(bool(mask.any()), f"{name} is NaN all over the mask.")
+        deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
         require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
-    transform = np.eye(3) if input_from_upright is None else np.asarray(input_from_upright, dtype=np.float64)
-    size = mask.shape if upright_size is None else upright_size
-    require(
-        max(size) * pitch_mm <= _LONGEST_MM,
-        f"the surface is {max(size) * pitch_mm:.0f} mm long, more than any finger; check its pitch ({pitch_mm:g} mm).",
-    )
-    grid = [round(side * pitch_mm / settings.pitch_mm) for side in size]
-    require(
-        grid[0] * grid[1] <= _LARGEST_PX,
-        f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
-        f"surface ({pitch_mm:g} mm).",
-    )
+    transform = np.eye(3) if input_from_upright is None else input_from_upright
+    size = upright_size or (mask.shape[0], mask.shape[1])
     area_mm2 = float(mask.sum()) * pitch_mm**2
     require(
-        area_mm2 <= LARGEST_MM2,
-        f"the surface shows {area_mm2:.0f} mm², more than a finger's {LARGEST_MM2:.0f}; check its pitch "
-        f"({pitch_mm:g} mm).",
+        max(size) * pitch_mm <= _LONGEST_MM
+        and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= _LARGEST_PX
+        and area_mm2 <= LARGEST_MM2,
+        f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more than a finger's "
+        f"{LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
     )
-    columns, rows, slant_cos = band_places(
-        mask, shape_mm, transform, (size[0], size[1]), pitch_mm=pitch_mm, settings=settings
-    )
+    columns, rows, slant_cos = band_places(mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm)
 
-    sigma = settings.noise_mm / pitch_mm
+    sigma = NOISE_MM / pitch_mm
     weight = gaussian_mean(mask.astype(np.float32), sigma)
-    known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
-    smooth: AnyArray = gaussian_mean(known, sigma) / np.maximum(weight, np.float32(1e-3))
+    known = np.where(mask, ridge_mm, 0.0).astype(np.float32)
+    smooth: AnyArray = gaussian_mean(known, sigma) / np.maximum(weight, 1e-3)
     value = sampled_at(smooth, columns, rows, outside=0.0)
-    inside = (sampled_at(weight, columns, rows, outside=0.0) > 0.5) & (
-        slant_cos >= np.cos(np.deg2rad(settings.slant_deg))
-    )
-    return even(value, inside, settings)
-
-
-def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> RidgeBand:
-    """Keep ridges of even contrast of `value` (H, W), which lies on the band's grid; what is wider is taken out."""
-    pitch = settings.pitch_mm
+    inside = sampled_at(weight, columns, rows, outside=0.0) > 0.5
+    inside &= slant_cos >= np.cos(np.deg2rad(SLANT_DEG))
+    # ridges of even contrast; what is wider is taken out
     weight = inside.astype(np.float32)
-    narrow, window = settings.ridge_mm / pitch, settings.window_mm / pitch
-    total = np.maximum(gaussian_mean(weight, narrow), np.float32(1e-3))
-    ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
+    narrow, window = RIDGE_MM / band_mm, WINDOW_MM / band_mm
+    total = np.maximum(gaussian_mean(weight, narrow), 1e-3)
+    ridges: AnyArray = np.where(inside, value, 0.0).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
         ridges = (ridges - gaussian_mean(ridges, narrow) / total) * weight
-    fraction = np.maximum(gaussian_mean(weight, window), np.float32(1e-3))
-    spread = np.sqrt(np.maximum(gaussian_mean(ridges * ridges, window) / fraction, np.float32(0.0)))
+    fraction = np.maximum(gaussian_mean(weight, window), 1e-3)
+    spread = np.sqrt(np.maximum(gaussian_mean(ridges * ridges, window) / fraction, 0.0))
     typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
-    empty = np.zeros(value.shape, dtype=np.float32)
     if typical <= 0.0:
-        return RidgeBand(empty, np.zeros(value.shape, dtype=np.bool_), empty, empty, pitch)
-    flat = ridges / np.maximum(spread, np.float32(settings.floor * typical))
-    orientation, coherence = _ridge_direction(flat, window)
-    valid = inside & (spread > 0.5 * settings.floor * typical) & (coherence >= settings.coherence)
+        return RidgeBand(np.zeros(value.shape, dtype=np.float32), np.zeros(value.shape, dtype=np.bool_), band_mm)
+    flat = ridges / np.maximum(spread, FLOOR * typical)
+    # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation detection
+    across, down = cv2.Sobel(flat, cv2.CV_32F, 1, 0), cv2.Sobel(flat, cv2.CV_32F, 0, 1)
+    xx, yy, xy = (gaussian_mean(part, window) for part in (across * across, down * down, across * down))
+    total = xx + yy
+    coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(total, 1e-6 * max(float(total.max()), 1e-30))
+    valid = inside & (spread > 0.5 * FLOOR * typical) & (coherence >= COHERENCE)
     # specks and threads of valid skin at the edge are not used
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    valid = cv2.morphologyEx(valid.view(np.uint8), cv2.MORPH_OPEN, element).astype(np.bool_)
-    return RidgeBand(np.where(valid, flat, np.float32(0.0)), valid, orientation, coherence, pitch)
+    valid = cv2.morphologyEx(valid.view(np.uint8), cv2.MORPH_OPEN, element) > 0
+    return RidgeBand(np.where(valid, flat, 0.0), valid, band_mm)
 
 
-def print_band(
-    image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBandSettings | None = None,
-    inside: BoolArray | None = None,
-) -> RidgeBand:  # fmt: skip
+def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeBand:
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
     `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there are ridges, by
     default wherever there is contrast; without any, nothing is valid. Raises BadInput if it is not a grey image or the
     resolution is not positive.
     """
-    settings = settings or RidgeBandSettings()
     require(
         image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
         f"a print must be (H, W) uint8, not {image.shape} {image.dtype}.",
@@ -182,27 +150,14 @@ def print_band(
     require(bool(np.isfinite(ppi)) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
-    detail = ink - gaussian_mean(ink, settings.ridge_mm / pitch)
-    spread = np.sqrt(gaussian_mean(detail * detail, 0.5 * settings.window_mm / pitch))
+    detail = ink - gaussian_mean(ink, RIDGE_MM / pitch)
+    spread = np.sqrt(gaussian_mean(detail * detail, 0.5 * WINDOW_MM / pitch))
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
     if inside is not None:
         finger &= inside[:, ::-1]
     if not bool(finger.any()):
         finger, ink = np.ones(image.shape, dtype=np.bool_), np.zeros_like(ink)  # a band without any valid skin
-    return ridge_band(ink, finger, pitch, settings=settings)
-
-
-def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Direction across the ridges (counter-clockwise from x, y up) and its coherence, by the structure tensor. Source:
-    Bigun and Granlund 1987, Optimal orientation detection of linear symmetry.
-    """
-    across = cv2.Sobel(ridges, cv2.CV_32F, 1, 0)
-    up = -cv2.Sobel(ridges, cv2.CV_32F, 0, 1)
-    xx, yy, xy = (gaussian_mean(part, sigma) for part in (across * across, up * up, across * up))
-    difference, total = xx - yy, xx + yy
-    strength = np.hypot(difference, 2 * xy)
-    coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
-    return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
+    return ridge_band(ink, finger, pitch)
 
 
 def band_places(
@@ -212,10 +167,10 @@ def band_places(
     size: tuple[int, int],
     *,
     pitch_mm: float,
-    settings: RidgeBandSettings,
+    band_mm: float = PITCH_MM,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
-    step = settings.pitch_mm / pitch_mm
+    step = band_mm / pitch_mm
     grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
     column = np.arange(grid_columns, dtype=np.float64) * step
     row = np.arange(grid_rows, dtype=np.float64) * step
@@ -226,14 +181,14 @@ def band_places(
     reduced = max(1, int(0.25 / pitch_mm))
     small = (max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced))
     weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-    height: AnyArray = cv2.resize(np.where(mask, shape_mm, np.float32(0.0)), small, interpolation=cv2.INTER_AREA)
+    height: AnyArray = cv2.resize(np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA)
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
-    height = np.where(inside, height / np.maximum(weight, np.float32(0.5)), np.float32(np.nan)).astype(np.float32)
+    height = np.where(inside, height / np.maximum(weight, 0.5), np.float32(np.nan)).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
-    total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), np.float32(1e-3))
-    limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
+    total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), 1e-3)
+    limit = np.float32(np.tan(np.deg2rad(SLANT_DEG)))
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
     known = sampled_at(inside.astype(np.float32), *there, outside=0.0) > 0.5
@@ -242,8 +197,6 @@ def band_places(
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
-    if not settings.unroll:
-        return x, y, slant_cos
     length = np.sqrt(1.0 + np.clip(across, -limit, limit) ** 2)
     arc = np.cumsum(length, axis=1) - 0.5 * length
     anywhere = np.flatnonzero(known.any(axis=0))

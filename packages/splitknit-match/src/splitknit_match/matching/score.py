@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,6 @@ _TAIL = 50
 """Impostors by which rates are extrapolated."""
 _ENTRIES = 64
 """Entries of a table of false match rates, at most."""
-Side = TypeVar("Side", bound=Any)
 
 
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:
@@ -30,31 +29,7 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
     """
     total = float(np.sum(np.asarray(distances, dtype=np.float64)))
-    require(0 < ratio <= 1, f"the ratio of the masks must lie in (0, 1], but it is {ratio}.")
-    require(bool(np.isfinite(total)) and bool(np.min(distances) >= 0), "distances must be finite and not negative.")
     return math.exp(-(ratio**4) / total) if total > 0 else 0.0
-
-
-def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
-    """One side of a comparison as `kind`, made with `settings` (or the usual ones) where it is not prepared.
-
-    Raises BadInput if it was prepared with other settings.
-    """
-    if not isinstance(side, kind):
-        made: Side = kind(side) if settings is None else kind(side, settings)
-        return made
-    require(settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again.")
-    return side
-
-
-def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
-    """Both sides, see :func:`prepared_side`. Raises BadInput if they were prepared with different settings."""
-    left, right = (prepared_side(side, kind, settings) for side in (a, b))
-    require(
-        left.settings == right.settings,
-        "the two sides were prepared with different settings; prepare both with the same.",
-    )
-    return left, right
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import Surface
-from splitknit_match.matching.ridge import RidgeMatchSettings
-from splitknit_match.matching.ridge_band import RidgeBandSettings, ridge_band
-from splitknit_match.matching.template import Template, TemplateSettings, make_template
+from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.template import Template, make_template
 from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_images
 
 
@@ -16,19 +15,16 @@ from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger
 class MatchingSettings:
     """All that the settings of a comparison can change."""
 
-    band: RidgeBandSettings = field(default_factory=RidgeBandSettings)
-    template: TemplateSettings = field(default_factory=TemplateSettings)
-    ridge: RidgeMatchSettings = field(default_factory=RidgeMatchSettings)
     thesis: ThesisSettings = field(default_factory=ThesisSettings)
 
 
-def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
+def surface_template(surface: Surface) -> Template:
     """Template of a reconstruction."""
     band = ridge_band(
         surface.ridge_mm, surface.mask, surface.pitch_mm, surface.shape_mm, surface.input_from_upright,
-        upright_size=surface.upright_size, settings=settings.band,
+        upright_size=surface.upright_size,
     )  # fmt: skip
-    return make_template(band, settings.template)
+    return make_template(band)
 
 
 def surface_images(surface: Surface) -> FingerImages:

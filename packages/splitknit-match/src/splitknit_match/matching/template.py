@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import (
     LARGEST_MM2,
     PPI,
@@ -39,16 +37,10 @@ _THRESHOLD, _LEVELS = 0.98, (-1.51, -0.45, 0.45, 1.51)
 _LONG = 65535
 _NO_MINUTIAE = b"SKMI"
 """In place of the minutiae of a print that has none."""
+LEAST_MM2 = 30.0
+"""Smallest area of ridges; less is a failure to acquire."""
 _LARGEST_SIDE, _FINEST_UM = 2048, 50
 """Rows or columns at most; finer pixels count as if they were so large: work grows with their number."""
-
-
-@dataclass(frozen=True, slots=True)
-class TemplateSettings(Checked):
-    """What a template keeps."""
-
-    least_area_mm2: Annotated[float, Limits(0)] = 30.0
-    """Smallest area of ridges; less is a failure to acquire."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,13 +69,13 @@ class Template:
 
     def value(self) -> FloatArray:
         """(H, W) ridge band of about unit variance, zero where not valid."""
-        return np.where(self.valid, np.asarray(_LEVELS, dtype=np.float32)[self.level], np.float32(0.0))
+        return np.where(self.valid, np.asarray(_LEVELS, dtype=np.float32)[self.level], 0.0)
 
 
-def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
+def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
-    It is empty where less than ``least_area_mm2`` is valid: a failure to acquire. Raises BadInput if the band is larger
+    It is empty where less than `least_mm2` is valid: a failure to acquire. Raises BadInput if the band is larger
     than the format allows: larger than any finger.
 
     >>> import numpy as np
@@ -92,8 +84,7 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     >>> make_template(ridge_band(waves.astype(np.float32), np.ones((200, 200), bool), 0.1)).empty
     False
     """
-    settings = settings or TemplateSettings()
-    if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
+    if not bool(band.valid.any()) or band.area_mm2 < least_mm2:
         return failed_template(band.pitch_mm)
     box = bounding_box(band.valid)
     value, valid = band.value[box], np.ascontiguousarray(band.valid[box])

@@ -33,7 +33,6 @@ def align_masks(database: BoolArray, query: BoolArray) -> tuple[int, float]:
     Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
     search removes that chance.
     """
-    require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
     start = tip_column(database) - tip_column(query)
     small_database, small_query = (mask[factor // 2 :: factor, factor // 2 :: factor] for mask in (database, query))
@@ -55,37 +54,17 @@ def _largest(a: BoolArray, b: BoolArray, shifts: range) -> tuple[int, int]:
     """The one of `shifts` of `b` to the right with the largest overlap, of equal ones the smallest; and the overlap."""
     counts = overlaps(a, b, shifts)
     best = max(range(len(shifts)), key=lambda k: (counts[k], -abs(shifts[k])))
-    return shifts[best], int(counts[best])
+    return shifts[best], counts[best]
 
 
-def overlaps(a: BoolArray, b: BoolArray, shifts: range) -> NDArray[np.int64]:
-    """Pixels in common after each of the shifts: from where the rows' runs begin and end, where a row has one run."""
+def overlaps(a: BoolArray, b: BoolArray, shifts: range) -> list[int]:
+    """Pixels in common after each of the shifts of `b` to the right."""
     rows = min(len(a), len(b))
-    (first_a, last_a, one_a), (first_b, last_b, one_b) = _runs(a[:rows]), _runs(b[:rows])
-    moved = np.asarray(shifts)[:, None]
-    common = np.minimum(last_a, last_b + moved) - np.maximum(first_a, first_b + moved)
-    one = one_a & one_b
-    counts: NDArray[np.int64] = np.where(one, np.maximum(common, 0), 0).sum(axis=1)
-    if not one.all():
-        counts += [_overlap(a[:rows][~one], b[:rows][~one], shift) for shift in shifts]
+    counts = []
+    for right in shifts:
+        first, last = max(0, right), max(0, right, min(a.shape[1], b.shape[1] + right))
+        counts.append(int(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right])))
     return counts
-
-
-def _runs(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
-    """First column of each row, column behind the last, and whether all between them belong to the mask."""
-    width = mask.shape[1] + 1
-    flat = np.zeros(1 + len(mask) * width, dtype=np.bool_)  # a place without finger before and behind each row
-    flat[1:].reshape(-1, width)[:, :-1] = mask
-    first, last = np.flatnonzero(flat[1:] != flat[:-1]).reshape(-1, 2).T
-    row = first // width
-    ends = np.zeros((2, len(mask)), dtype=np.int64)
-    ends[:, row] = np.stack([first, last]) - row * width
-    return ends[0], ends[1], np.bincount(row, minlength=len(mask)) <= 1
-
-
-def _overlap(a: BoolArray, b: BoolArray, right: int) -> int:
-    first, last = max(0, right), min(a.shape[1], b.shape[1] + right)
-    return int(np.count_nonzero(a[:, first:last] & b[:, first - right : last - right])) if last > first else 0
 
 
 def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
@@ -164,28 +143,21 @@ def finger_images(
     and columns, to the input, which is upright where it is missing; `shape_normals`: of the finger without ridges.
     Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
     """
-    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
-    require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     channels = {"relief": ridge_mm}
-    for prefix, field_of in (("", normals), ("shape_", shape_normals)):
-        if field_of is not None:
-            require(
-                field_of.shape == (*mask.shape, 3),
-                f"normals must have the shape {(*mask.shape, 3)}, but have {field_of.shape}.",
-            )
-            channels |= {prefix + name: field_of[..., k] for k, name in enumerate(NORMALS)}
+    for prefix, vectors in (("", normals), ("shape_", shape_normals)):
+        if vectors is not None:
+            channels |= {prefix + name: vectors[..., k] for k, name in enumerate(NORMALS)}
     cleaned = {
-        name: np.where(mask & np.isfinite(channel), channel, np.float32(0.0)).astype(np.float32)
+        name: np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
         for name, channel in channels.items()
     }
     if input_from_upright is not None:
-        size = mask.shape if upright_size is None else upright_size
-        matrix = np.asarray(input_from_upright, dtype=np.float64)
-        mask = warp(mask.astype(np.float32), matrix, (size[0], size[1])) > 0.5
+        size = upright_size or (mask.shape[0], mask.shape[1])
+        mask = warp(mask.astype(np.float32), input_from_upright, size) > 0.5
         require(bool(mask.any()), "the mask lies outside the upright frame.")
-        cleaned = {name: warp(channel, matrix, (size[0], size[1])) for name, channel in cleaned.items()}
-        back = np.linalg.inv(matrix[:2, :2])
+        cleaned = {name: warp(channel, input_from_upright, size) for name, channel in cleaned.items()}
+        back = np.linalg.inv(input_from_upright[:2, :2])
         turn = back / np.sqrt(abs(np.linalg.det(back)))
         for prefix in ("", "shape_"):
             if prefix + "normal_x" in cleaned:
@@ -194,11 +166,8 @@ def finger_images(
                 cleaned[prefix + "normal_y"] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
     box = bounding_box(mask)
     inside = mask[box]
-    return FingerImages(
-        {name: np.where(inside, channel[box], np.float32(0.0)) for name, channel in cleaned.items()},
-        inside,
-        1.0 / pitch_mm,
-    )
+    cut = {name: np.where(inside, channel[box], 0.0) for name, channel in cleaned.items()}
+    return FingerImages(cut, inside, 1.0 / pitch_mm)
 
 
 def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
@@ -247,14 +216,7 @@ def thesis_match(
         known = lbp_features(database.channels[name], scale) if features is None else features[name]
         return float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
 
-    if cv2.getNumThreads() > 1:
-        from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
-
-        with ThreadPoolExecutor(2) as pool:
-            found = list(pool.map(distance, needed))
-    else:  # in the workers of a batch a pool takes longer than it saves
-        found = [distance(name) for name in needed]
-    distances = dict(zip(needed, found, strict=True))
+    distances = {name: distance(name) for name in needed}
     scores = {one: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[one]]) for one in settings.attributes}
     mean = float(np.mean(list(scores.values())))
     return _ThesisMatch(1.0 - mean, scores, distances, ratio, right, True)

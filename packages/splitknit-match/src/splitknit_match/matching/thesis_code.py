@@ -119,7 +119,7 @@ def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
     shifts = range(tip - reach, tip + reach + 1, step)
     common = overlaps(database.mask, query.mask, shifts)
     best = max(range(len(shifts)), key=lambda k: (common[k], -abs(shifts[k] - tip)))
-    both = int(common[best])
+    both = common[best]
     union = np.count_nonzero(database.mask) + np.count_nonzero(query.mask) - both
     scores = {}
     for attribute, names in ATTRIBUTES.items():

@@ -36,7 +36,7 @@ from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
-from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
 from splitknit_match.prints.sources import Source
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
@@ -191,10 +191,9 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], Bo
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere, so that blocks of
     JPEG that lost their ridges stay flat.
     """
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1, 2 * _RIM_PX + 1))
-    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc(_RIM_PX), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     known = whole.astype(np.float32)
-    detail, _ = without_shading(np.log(np.maximum(values, np.float32(1.0))) * known, known, _SHADING_PX)
+    detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, _SHADING_PX)
     usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0
     grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * float(usual), 1e-6), -1.0, 1.0)
     return np.round(grey).astype(np.uint8), whole > 0
@@ -247,7 +246,7 @@ def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright
     middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
     aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
     height = np.float32(_THICKNESS) * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
-    return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), np.float32(0.0))
+    return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), 0.0)
 
 
 def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Upright, step: float) -> PrintMap:
@@ -268,7 +267,7 @@ def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Uprigh
     at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
     there = np.asarray(cv2.transform(places, upright.input_from_upright[:2]), np.float32)
-    columns, rows = (np.where(np.abs(at) < steepest, there[..., k], np.float32(NOWHERE)) for k in (0, 1))
+    columns, rows = (np.where(np.abs(at) < steepest, there[..., k], NOWHERE) for k in (0, 1))
     return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 
 

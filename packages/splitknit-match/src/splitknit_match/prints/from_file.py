@@ -22,6 +22,7 @@ from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
+from splitknit_match.prints.ridge_field import disc
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
@@ -164,14 +165,14 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
         mean = np.tensordot(tiles, taper, 2) / taper.sum()
         power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2 * counted
         power[..., 1:] *= np.float32(2.0)  # each wave is there twice, but those of the first column, which are halved
-        total = power.sum(axis=(1, 2)) + np.float32(1e-6)
-        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * np.float32(9.0)
+        total = power.sum(axis=(1, 2)) + 1e-6
+        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
         near = near.reshape(power[0].size, -1)
         best = near.argmax(axis=0)
         around = np.moveaxis(power, 0, -1).reshape(near.shape)
         close = (np.abs(down[:, None] - down[best]) < 1.5 / side) & (np.abs(right[:, None] - right[best]) < 1.5 / side)
-        weight = np.where(close, around, np.float32(0.0))
-        weight /= weight.sum(axis=0) + np.float32(1e-9)
+        weight = np.where(close, around, 0.0)
+        weight /= weight.sum(axis=0) + 1e-9
         there = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
         found[0, row] = np.where(
             band[best] & (there > 1 / 11.5), np.minimum(near[best, np.arange(len(best))] / total, 1), 0
@@ -181,8 +182,8 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
         found[2, row] = np.sqrt(total) / (taper.sum() * 0.6)
     strong = found[2] > max(_FAINT, 0.3 * float((found[2] ** 2).sum() / max(float(found[2].sum()), 1e-6)))
     around = [cv2.blur(one, (3, 3)) for one in (turn.real, turn.imag, found[0])]  # ridges run on into the tiles beside
-    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], np.float32(1e-6))
-    return np.where(strong, found[0] * agree, np.float32(0.0)), found[1], strong
+    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], 1e-6)
+    return np.where(strong, found[0] * agree, 0.0), found[1], strong
 
 
 def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
@@ -222,12 +223,13 @@ def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
     if not page and covered > 0.2 * item.image.size:
         return (_dark_ridges(item),)
     whole = f"cut out of a picture of {columns} x {rows} pixels."
-    return tuple(
-        _dark_ridges(
-            dataclasses.replace(item, image=item.image[box].copy(), note=" ".join(filter(None, (item.note, whole))))
-        )
-        for box in parts
-    )
+    return tuple(_dark_ridges(_noted(item, whole, item.image[box].copy())) for box in parts)
+
+
+def _noted(item: PrintFile, words: str, image: NDArray[np.uint8] | None = None) -> PrintFile:
+    """The print with a note more, and another picture."""
+    note = " ".join(filter(None, (item.note, words)))
+    return dataclasses.replace(item, image=item.image if image is None else image, note=note)
 
 
 def resolution_doubt(item: PrintFile, apart_px: float | None = None) -> str:
@@ -259,7 +261,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     rows, columns = item.image.shape
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
     there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
-    light = (np.float32(255.0) - image).astype(np.float32)
+    light = (255.0 - image).astype(np.float32)
     weight = ridges.astype(np.float32)
     return Print(image, weight, there, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
 
@@ -276,7 +278,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
         image, ppi = at_500_ppi(image, ppi), PPI
     side = max(2, round(8 * ppi / PPI))
     n, m = (size // side for size in image.shape)
-    in_doubt = dataclasses.replace(item, note=" ".join(filter(None, (item.note, _DOUBT))))
+    in_doubt = _noted(item, _DOUBT)
     if min(n, m) < 8:
         return in_doubt
     framed = frame(image)
@@ -287,18 +289,18 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     strong = deviation > max(_FAINT, 0.35 * float((deviation**2).sum() / max(float(deviation.sum()), 1e-6)))
     inside, pad = cv2.copyMakeBorder(strong.astype(np.uint8), 6, 6, 6, 6, cv2.BORDER_REPLICATE), slice(6, -6)
     for kind, radius in ((cv2.MORPH_CLOSE, 5), (cv2.MORPH_OPEN, 2)):
-        inside = cv2.morphologyEx(inside, kind, _disc(radius))
+        inside = cv2.morphologyEx(inside, kind, disc(radius))
     whole = np.ascontiguousarray(inside[pad, pad])
     if not whole.any():
         return item
     whole = fill_holes(largest_component(whole > 0)).astype(np.uint8)
 
     def eroded(radius: int) -> BoolArray:
-        return np.asarray(cv2.erode(whole, _disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
+        return np.asarray(cv2.erode(whole, disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
 
     middle, rim = eroded(4), (whole > 0) & ~eroded(1) & there
-    outside = (cv2.dilate(whole, _disc(1)) == 0) & there
-    beside, edge = outside & (cv2.dilate(whole, _disc(4)) > 0), cv2.dilate(whole, _disc(1)) == 0
+    outside = (cv2.dilate(whole, disc(1)) == 0) & there
+    beside, edge = outside & (cv2.dilate(whole, disc(4)) > 0), cv2.dilate(whole, disc(1)) == 0
     edge[1:-1, 1:-1] = False
     known = [one for one in (beside, rim, edge) if int(one.sum()) > 8]
     if not known or int(middle.sum()) <= 8:
@@ -307,14 +309,8 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     level = float(np.median(mean[middle]))
     levels = [(float(np.median(mean[one])) - level) / contrast for one in known]
     if len(known) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
-        note = " ".join(filter(None, (item.note, "its ridges were white and have been turned dark.")))
-        return dataclasses.replace(item, image=255 - item.image, note=note)
+        return _noted(item, "its ridges were white and have been turned dark.", 255 - item.image)
     return item if np.mean(levels) > _DARK else in_doubt
-
-
-def _disc(radius: int) -> NDArray[np.uint8]:
-    shape = (2 * radius + 1, 2 * radius + 1)
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, shape), dtype=np.uint8)
 
 
 def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +12,15 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import ink
 from splitknit.model import FloatArray
+from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import Minutiae
-from splitknit_match.prints.curvature import CurvatureSettings, curvature
+from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
 from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit_match.prints.print_quality import PrintQuality, print_quality
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import KINDS, NODES_MM, Unrolled, UnrollSettings, unroll
-from splitknit_match.prints.unroll_grid import surface_grid
-from splitknit_match.rolled.blend import RolledSettings
+from splitknit_match.prints.unroll import KINDS, Unrolled, surface_grid, unroll
 
 if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
@@ -31,15 +30,18 @@ SURFACES = ("plane", *KINDS)
 
 
 @dataclass(frozen=True, slots=True)
+class RolledSettings(Checked):
+    """How the method ``rolled`` combines the views of a capture with mirrors."""
+
+    pitch_mm: Annotated[float, Limits(0.01, 0.2)] = 0.035
+    """Pitch of the chart, finer than the camera resolves."""
+
+
+@dataclass(frozen=True, slots=True)
 class PrintingSettings:
     """All that the settings of a print can change."""
 
-    unroll: UnrollSettings = field(default_factory=UnrollSettings)
-    curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
-    minutiae: Literal["phase", "print", "enhanced"] = "phase"
-    """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
     rolled: RolledSettings = field(default_factory=RolledSettings)
-    """How the method ``rolled`` combines the views of a capture with mirrors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,41 +69,42 @@ class Print:
         return self.image if self.even is None else self.even
 
 
-def make_print(
-    source: Source, method: str, surface: str | None = None, ppi: float = 500.0,
-    settings: PrintingSettings | None = None,
-) -> Print:  # fmt: skip
+def make_print(source: Source, method: str, surface: str | None = None, ppi: float = 500.0) -> Print:
     """Make a print of a finger by a method of :data:`METHODS` other than ``rolled``.
 
     `surface`: of :data:`SURFACES`; by default the finger plane, but of ``unroll`` the skin laid flat (``free``). Raises
     BadInput if the source lacks what is needed, or there are no ridges.
     """
-    settings = settings or PrintingSettings()
     require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
     place = checked_surface(method, surface)
     unrolled: Unrolled | None = None
     if place == "plane":
         print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
     else:
-        unrolled, print_map = _laid_flat(source, place, ppi, settings.unroll)
+        grid = surface_grid(
+            _needed(source.shape_mm), source.mask, source.pitch_mm, source.input_from_upright, source.upright_size,
+            xy_mm=source.xy_mm,
+        )  # fmt: skip
+        unrolled = unroll(grid, place)
+        print_map = unrolled_map(unrolled, place, ppi)
+
+    def read(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return resample(values, source.mask & np.isfinite(values), source.pitch_mm, print_map)
+
     if method == "curvature":
-        height = _needed(source.height_mm)
-        found = curvature(height, source.mask, source.pitch_mm, settings.curvature, source.xy_mm).shape_index
-        known = source.mask & np.isfinite(found)
-        require(bool(known.any()), "the finger is too small for a curvature map.")
-        values, weight = resample(found, known, source.pitch_mm, print_map)
+        index = curvature(_needed(source.height_mm), source.mask, source.pitch_mm, source.xy_mm).shape_index
+        require(bool(np.isfinite(index).any()), "the finger is too small for a curvature map.")
+        values, weight = read(index)
         ink(values, weight, ppi)  # refuses what has no ridges
         grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1
         image = np.round(255.0 * (1.0 - grey * weight)).astype(np.uint8)
-        relief = _needed(source.ridge_mm)
-        inked, _ = resample(relief, source.mask & np.isfinite(relief), source.pitch_mm, print_map)
+        inked, _ = read(_needed(source.ridge_mm))
     else:
         require(
             method != "specular" or source.specular is not None,
             "there is no specular image: it needs a capture through polarising films; print with `method` unroll.",
         )
-        field_of = _needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm))
-        inked, weight = resample(field_of, source.mask & np.isfinite(field_of), source.pitch_mm, print_map)
+        inked, weight = read(_needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm)))
         image = ink(inked, weight, ppi)
     return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
 
@@ -143,7 +146,7 @@ def enhance(made: Print, ppi: float) -> Enhanced:
 
 def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
-    values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
+    values = (1000.0 * made.values).astype(np.float32) if made.in_mm else made.values
     return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm)
 
 
@@ -156,12 +159,3 @@ def _needed(values: FloatArray | None) -> FloatArray:
     if values is None:
         raise BadInput("this kind of print needs a reconstruction or a photograph that the input does not hold.")
     return values
-
-
-def _laid_flat(source: Source, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
-    grid = surface_grid(
-        _needed(source.shape_mm), source.mask, source.pitch_mm, source.input_from_upright, source.upright_size,
-        xy_mm=source.xy_mm, node_mm=NODES_MM,
-    )  # fmt: skip
-    unrolled = unroll(grid, kind)
-    return unrolled, unrolled_map(unrolled, kind, ppi, settings.slant_deg)

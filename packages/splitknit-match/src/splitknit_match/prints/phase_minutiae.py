@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import FloatArray
 from splitknit_match.matching.minutiae_record import BIFURCATION, ENDING, Minutiae
@@ -52,10 +51,6 @@ def by_phase(
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.
     """
-    require(
-        image.shape == enhanced.wave.shape,
-        f"the print has {image.shape} pixels, but its enhancement {enhanced.wave.shape}; give those of one print.",
-    )
     ridges = -enhanced.wave.astype(np.float64)  # positive on ridges
     along, wave_number = _field(enhanced)
     turns, quadratures = _turns(ridges, along, wave_number)
@@ -65,7 +60,7 @@ def by_phase(
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:
-        like = like * np.sqrt(np.minimum(confidence[rows, columns] / np.float32(_SURE), 1))
+        like = like * np.sqrt(np.minimum(confidence[rows, columns] / _SURE, 1))
     kept = (distance[rows, columns] >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
     rows, columns, place, like = rows[kept], columns[kept], place[kept], like[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
@@ -163,4 +158,4 @@ def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) ->
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth
     wave = ridges.astype(np.float32)
     both, own, other = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
-    return np.asarray(both / np.sqrt(own * other + np.float32(1e-6)), dtype=np.float32)
+    return np.asarray(both / np.sqrt(own * other + 1e-6), dtype=np.float32)

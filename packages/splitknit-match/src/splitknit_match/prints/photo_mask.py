@@ -216,7 +216,7 @@ def _sought(lab: FloatArray) -> list[Outline]:
     down, right = (cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((0, 1), (1, 0)))
     pairs = ((right, right), (right, down), (down, down))
     xx, xy, yy = (cv2.GaussianBlur((one * two).sum(-1), (0, 0), 1.0) for one, two in pairs)
-    tensor = [part / (xx + yy + np.float32(1.0)) for part in (xx, xy, yy)]
+    tensor = [part / (xx + yy + 1.0) for part in (xx, xy, yy)]
     found: list[tuple[float, Outline, Array, float]] = []
     for width in _WIDTHS:
         found += _of_width(width, tensor, _skin(smooth))
@@ -302,7 +302,7 @@ def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float
     values = cv2.remap(stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = cv2.GaussianBlur(values, (0, 0), sigmaX=0.01, sigmaY=0.6)
     change = np.linalg.norm(np.gradient(values[..., :3], step, axis=1), axis=-1)
-    edge = np.where(seen, change / (change + np.float32(1.5)), 0.0)
+    edge = np.where(seen, change / (change + 1.5), 0.0)
     inside = np.cumsum(np.where(seen, values[..., 3], 0.0), axis=1) * step / px
     gain = edge + (inside - inside.mean(axis=1, keepdims=True)) - 0.3 * (offsets / (reach * px)) ** 2
     came, index, best = np.zeros(gain.shape, np.intp), np.arange(_ACROSS), gain[0]
@@ -340,7 +340,7 @@ def _moved(one: Outline, where: Array, back: Array, shown: BoolArray, side: int)
 
 def _bins(lab: FloatArray) -> NDArray[np.intp]:
     """(H, W) numbers of the colours' bins in a histogram (32^3,)."""
-    part = np.minimum((lab - lab.reshape(-1, 3).min(0)) / np.float32(5.0), 31).astype(np.intp)
+    part = np.minimum((lab - lab.reshape(-1, 3).min(0)) / 5.0, 31).astype(np.intp)
     return np.asarray((part[..., 0] * 32 + part[..., 1]) * 32 + part[..., 2])
 
 

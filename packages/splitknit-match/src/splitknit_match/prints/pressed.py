@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import overlap_added, spectra_of
+from splitknit_match.prints.ridge_field import disc, overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8
@@ -33,7 +33,7 @@ _LEVEL, _RAISED = 8.0, 0.3
 """Grey levels, and part of the print's usual contrast; contrast below the larger one is not raised further."""
 _DIRECTIONS, _PERIODS = 24, 10
 """Directions and periods that a window may have; means between them are taken."""
-_ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * np.float32(np.pi / _DIRECTIONS)
+_ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * (np.pi / _DIRECTIONS)
 """Directions across the ridges, counter-clockwise."""
 _LOGS = np.log(np.geomspace(1 / _LONGEST_PX, 1 / _SHORTEST_PX, _PERIODS)).astype(np.float32)
 """Logarithms of the frequencies."""
@@ -116,7 +116,7 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
-    wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + np.float32(0.02)
+    wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + 0.02
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
     sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence: FloatArray = np.asarray(
@@ -124,12 +124,12 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
         dtype=np.float32,
     )
     strong = contrast[confidence >= 0.5 * _clearest(confidence)]
-    confidence *= np.minimum(contrast / (_FAINT[kind] * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
+    confidence *= np.minimum(contrast / (_FAINT[kind] * _usual(strong) + 1e-6), 1) ** 2
     inside = _extent(confidence, _EDGE[kind])
     soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
-    grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(np.float32(_STEEPNESS) * wave))
+    grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(_STEEPNESS * wave))
     even_ridges = np.round(255.0 * grey).astype(np.uint8)
-    return PressedRidges(even_ridges, inside, np.where(inside, confidence, np.float32(0)), _lacks(direction, inside))
+    return PressedRidges(even_ridges, inside, np.where(inside, confidence, 0), _lacks(direction, inside))
 
 
 def _lacks(direction: FloatArray, inside: BoolArray) -> str:
@@ -162,7 +162,7 @@ def without_shading(values: FloatArray, known: FloatArray, reach: float) -> tupl
     """(H, W) values less their mean in a Gaussian window of sigma `reach` (px) where `known` is 1, else 0; and the
     window's weight, above 0.
     """
-    weight = np.maximum(_mean(known, reach), np.float32(1e-3))
+    weight = np.maximum(_mean(known, reach), 1e-3)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the edge
         values = np.asarray((values - _mean(values * known, reach) / weight) * known, dtype=np.float32)
     return values, weight
@@ -175,7 +175,7 @@ def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatAr
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
     centred, weight = without_shading(grey, known, reach)
     contrast = np.sqrt(_mean(centred * centred, reach) / weight)
-    level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
+    level = np.maximum(_LEVEL, _RAISED * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
 
@@ -188,12 +188,11 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
     """(H, W) areas of one grey level at the picture's border that end in a step: beside the sensor's window."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     level = int(np.bincount(border).argmax())
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
     padded = cv2.copyMakeBorder((image == level).astype(np.uint8), 9, 9, 9, 9, cv2.BORDER_REPLICATE)
     found = np.zeros(image.shape, dtype=np.bool_)
     if not padded.any() or padded.all():
         return found
-    flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc)[9:-9, 9:-9])
+    flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc(4))[9:-9, 9:-9])
     count, labels, stats, _ = cv2.connectedComponentsWithStats(flat)
     for k in range(1, count):
         if stats[k, cv2.CC_STAT_AREA] < 400:
@@ -270,16 +269,16 @@ def _field(
     typical = _TYPICAL if expected is None else _OF_PHOTO
     usual = (np.exp(-0.5 * ((_LOGS - own) / typical) ** 2) + 0.05).astype(np.float32)
     said = said @ usual
-    strength = said.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    strength = said.sum(axis=2, keepdims=True) + 1e-12
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
     belief = said
     for reach in _REACHES:
         around = blur(belief, reach) @ turn
-        around /= around.sum(axis=2, keepdims=True) + np.float32(1e-12)
+        around /= around.sum(axis=2, keepdims=True) + 1e-12
         belief = said * around
-        belief *= strength / (belief.sum(axis=2, keepdims=True) + np.float32(1e-12))
+        belief *= strength / (belief.sum(axis=2, keepdims=True) + 1e-12)
     belief = (said + np.float32(0.02 * said.max())) * around
-    belief /= belief.sum(axis=2, keepdims=True) + np.float32(1e-12)
+    belief /= belief.sum(axis=2, keepdims=True) + 1e-12
     number = (belief.argmax(axis=2)[..., None] + np.arange(-3, 4)) % _DIRECTIONS
     peak = np.take_along_axis(belief, number, axis=2)
     direction = 0.5 * np.angle((peak * np.exp(2j * _ANGLES[number])).sum(axis=2)).astype(np.float32)
@@ -287,7 +286,7 @@ def _field(
     near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / np.deg2rad(1.5 * _DIRECTION_DEG)) ** 2)
     along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
     period = blur(along * usual * trust[..., 0], 1.5) ** 2
-    frequency = (period @ _LOGS) / (period.sum(axis=2) + np.float32(1e-20))
+    frequency = (period @ _LOGS) / (period.sum(axis=2) + 1e-20)
     of_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_WIDTH)) ** 2)
     return direction, frequency, agreement, (along * of_period).sum(axis=2).astype(np.float32)
 
@@ -326,8 +325,7 @@ def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     raw, pad = (confidence > edge * clearest).astype(np.uint8), 2 * _CLOSED_PX
     closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-        closed = cv2.morphologyEx(closed, kind, disc)
+        closed = cv2.morphologyEx(closed, kind, disc(radius))
     closed = np.ascontiguousarray(closed[pad:-pad, pad:-pad])
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     sizes = stats[:, cv2.CC_STAT_AREA].copy()

@@ -120,7 +120,7 @@ class MakePrintJob(Job):
 
             if isinstance(finger, Capture | Reconstruction):
                 raise BadInput("a rolled print needs the path of a capture folder.")
-            source, rolled = read_rolled(Path(finger), "metric", chosen.rolled, progress)
+            source, rolled = read_rolled(Path(finger), "metric", chosen.rolled.pitch_mm, progress)
             return make_rolled_print(rolled, source, "free", self.ppi)
         if isinstance(finger, Reconstruction):
             source = source_of(finger)
@@ -128,7 +128,7 @@ class MakePrintJob(Job):
             source = source_of_capture(finger, photo=photo, surface=not photo)
         else:
             source = read_source(Path(finger), photo=photo, surface=not photo)
-        return make_print(source, self.method, ppi=self.ppi, settings=chosen)
+        return make_print(source, self.method, ppi=self.ppi)
 
 
 make_print = function_of(MakePrintJob)

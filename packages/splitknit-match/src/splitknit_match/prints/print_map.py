@@ -8,6 +8,7 @@ row), as everywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,8 +20,7 @@ from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.unroll import Unrolled
-from splitknit_match.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
+from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, slant_cos
 
 # Smooth functions on coarse grids: read anywhere, read densely, and inverted.
 #
@@ -119,6 +119,10 @@ NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing."""
 _STEP_MM = 0.25
 """Spacing of the coarse grid on the print on which the inverse is computed."""
+_MARGIN_MM = 0.5
+"""Of a print, around all that it holds."""
+SLANT_DEG = 70.0
+"""Skin steeper than this is left out of a print: the camera hardly sees it."""
 _LARGEST_PX = 25_000_000
 """Largest print: 250 x 250 mm at 500 ppi."""
 
@@ -146,7 +150,7 @@ class PrintMap:
 
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
-        nodes = _moved(_inverse(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
+        nodes = _moved(np.linalg.inv(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
         return _cubic(self.print_of_grid, nodes)[0]
 
     def input_from_print(self, points: Array) -> Array:
@@ -158,7 +162,7 @@ class PrintMap:
         at = np.rint(points[there]).astype(np.intp)
         start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
         start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
-        nodes[there] = _moved(_inverse(self.input_from_grid), start)
+        nodes[there] = _moved(np.linalg.inv(self.input_from_grid), start)
         return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
 
     def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
@@ -194,9 +198,7 @@ def plane_map(
     )  # fmt: skip
 
 
-def unrolled_map(
-    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = 70.0, margin_mm: float = 0.5
-) -> PrintMap:
+def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
 
     Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
@@ -208,7 +210,7 @@ def unrolled_map(
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
     require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
     used = flat[facing]
-    low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
+    low, high = used.min(axis=0) - _MARGIN_MM, used.max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
     middle = 0.5 * (low + high)
     print_of_grid = np.stack(
@@ -264,7 +266,7 @@ def _dense_inverse(
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
-    columns, rows = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    columns, rows = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return columns, rows
 
 
@@ -284,12 +286,8 @@ def _facing(grid: SurfaceGrid) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
 
 
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-
-
-def _moved(matrix: Array, points: Array) -> Array:
-    return points @ matrix[:2, :2].T + matrix[:2, 2]
+def _moved(matrix: NDArray[Any], points: Array) -> Array:
+    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
 
 
 # A field of the input, read at a print's pixels.
@@ -308,18 +306,18 @@ def resample(
     rows, columns = bounding_box(mask, int(4 * step) + 2)
     inside = mask[rows, columns]
     weight = inside.astype(np.float32)
-    values = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)
+    values = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
     factor = max(1, int(step / 1.9))
     if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
         weight, values = (bin_mean(image, factor) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         fraction = gaussian_mean(weight, sigma)
-        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, 1e-3), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
-        (places - np.float32(box.start) + np.float32(0.5)) / np.float32(factor) - np.float32(0.5)
+        (places - np.float32(box.start) + 0.5) / np.float32(factor) - 0.5
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))
     )
     return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)

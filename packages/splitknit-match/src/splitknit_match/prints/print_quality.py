@@ -8,13 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.ridge_field import RidgeField
+from splitknit_match.prints.ridge_field import RidgeField, disc
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
@@ -67,10 +66,6 @@ def _quality_figures(
     None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
     in_um = min_height_um is not None
-    if values.ndim != 2 or values.shape != weight.shape:
-        raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
-    nodes = tuple(-(-side // found.step_px) for side in values.shape)
-    require(nodes == found.mask.shape, f"the ridges' field must have {nodes} nodes, but it has {found.mask.shape}.")
     px = ppi / MM_PER_INCH
     finger = _at_nodes(weight, found) > 0.5
     require(bool(finger.any()), "nothing of the finger lies on the print.")
@@ -110,29 +105,29 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), np.float32(1e-3))
-    centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
+    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
+    centred = np.where(inside > 0, values, 0.0).astype(np.float32)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
         mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
-        centred = np.where(inside > 0, centred - mean, np.float32(0.0)).astype(np.float32)
+        centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
-    twice = replace(looked, frequency_px=np.float32(2.0) * looked.frequency_px)
+    twice = replace(looked, frequency_px=2.0 * looked.frequency_px)
     first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
     width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
-    there: FloatArray = np.maximum(gaussian_mean(inside, width), np.float32(0.3))
+    there: FloatArray = np.maximum(gaussian_mean(inside, width), 0.3)
     variance = _at_nodes((gaussian_mean(centred * centred, width) / there).astype(np.float32), looked)
     fraction = _at_nodes(there, looked)
     first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
-    purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
-    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), np.float32(0.0)).astype(np.float32)
+    purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, 1e-12)
+    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), 0.0).astype(np.float32)
 
 
 def _sharpness(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> float:
     """Second harmonic that keeps its phase against the first's, which noise does not, over the first."""
     if first.size == 0:
         return 0.0
-    size = np.maximum(np.abs(first), np.float32(1e-12))
+    size = np.maximum(np.abs(first), 1e-12)
     return float(np.abs(np.mean(second * np.conj(first / size) ** 2)) / np.mean(size))
 
 
@@ -149,9 +144,8 @@ def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     if not bool(strong.any()):
         return 1.0
     reach = max(1, round(_CLOSE_MM / cell_mm))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     raw = cv2.copyMakeBorder(strong.astype(np.uint8), *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc)[reach:-reach, reach:-reach] > 0
+    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc(reach))[reach:-reach, reach:-reach] > 0
     closed &= finger
     return float(1.0 - strong[closed].mean())
 

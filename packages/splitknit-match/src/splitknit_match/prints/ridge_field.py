@@ -14,7 +14,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.model import BoolArray, FloatArray
@@ -58,16 +57,12 @@ class RidgeField:
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
 
-    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if the image is of another kind, or has
-    no ridges.
+    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
 
     Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
     points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
     Fingerprint enhancement using STFT analysis, section 3 (frequencies).
     """
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")
-    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / MM_PER_INCH
     step = max(2, round(_STEP_MM * px))
@@ -87,15 +82,13 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     strength = np.sqrt(np.maximum(wide[0], 0.0))
     mask = _extent(strength, px / step)
     if inside is not None:
-        require(inside.shape == image.shape, f"inside must have the print's shape {image.shape}, not {inside.shape}.")
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
         mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
     require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
-    sure = [np.hypot(c, s) / np.maximum(e, np.float32(1e-6)) for e, c, s in (narrow, wide)]
+    sure = [np.hypot(c, s) / np.maximum(e, 1e-6) for e, c, s in (narrow, wide)]
     trust = sure[0] ** 4
     vector = [
-        trust * part / np.maximum(narrow[0], np.float32(1e-6))
-        + (1 - trust) * other / np.maximum(wide[0], np.float32(1e-6))
+        trust * part / np.maximum(narrow[0], 1e-6) + (1 - trust) * other / np.maximum(wide[0], 1e-6)
         for part, other in zip(narrow[1:], wide[1:], strict=True)
     ]
     # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
@@ -117,6 +110,12 @@ def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     return np.asarray(spectra, dtype=np.complex64)
 
 
+def disc(radius: int) -> NDArray[np.uint8]:
+    """(2 radius + 1, 2 radius + 1) round structuring element."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(kernel, dtype=np.uint8)
+
+
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     """Sum of tiles (n, m, side, side) that lie `step` pixels apart, as far as whole steps go."""
     (n, m), times = tiles.shape[:2], tiles.shape[2] // step
@@ -134,9 +133,9 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
         return np.zeros(strength.shape, dtype=np.bool_)
     raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
     size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    kernel = disc(size // 2)
     padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel), cv2.MORPH_OPEN, kernel)
     closed = closed[size:-size, size:-size]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]
@@ -180,23 +179,23 @@ def _frequencies(
     low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
     accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     power = power[:, band]
-    angle = 2.0 * (orientation[::2, ::2][wanted] + np.float32(0.5 * np.pi))
+    angle = 2.0 * (orientation[::2, ::2][wanted] + (0.5 * np.pi))
     toward = 2.0 * np.arctan2(-y, x)
     across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
     best = np.argmax(power * across * accepted, axis=1)
     near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
-    near_power = np.where(near, power, np.float32(0.0))
-    weight = np.maximum(near_power.sum(axis=1), np.float32(1e-9))
+    near_power = np.where(near, power, 0.0)
+    weight = np.maximum(near_power.sum(axis=1), 1e-9)
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
-    fraction = weight / np.maximum(total, np.float32(1e-9))
+    fraction = weight / np.maximum(total, 1e-9)
     sure = (fraction > 0.1) & (found > low) & (found < high)
     if not bool(sure.any()):
         return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
-    trust[wanted] = np.where(sure, fraction, np.float32(0.0))
+    trust[wanted] = np.where(sure, fraction, 0.0)
     value[wanted] = found
     around = _blur(trust, 1.5)
-    smooth = _blur(trust * value, 1.5) / np.maximum(around, np.float32(1e-9))
+    smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
     smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
     large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
     known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)

@@ -1,62 +1,226 @@
-"""Unrolling a finger: where its skin lies when it is laid flat.
+"""The finger's shape on a coarse grid of nodes, and how it is laid flat.
 
-``free``: along the skin, then relaxed until nothing is stretched more than it must be; ``arc``: along the skin, row by
-row.
+A node every few tenths of a millimetre carries the surface point there (x to the right, y to the tip, z to the camera,
+mm). Heights are local quadratic fits, weighted by a Gaussian and by the mask, so that neither ridges nor the one-sided
+windows at the outline bend them. A few rings of nodes outside the mask are extrapolated, so that maps can be read and
+inverted up to the outline. ``free``: laid flat along the skin, then relaxed until nothing is stretched more than it
+must be; ``arc``: along the skin, row by row.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Any
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit.errors import require
-from splitknit.settings import Checked, Limits
-from splitknit_match.prints.unroll_grid import SurfaceGrid
+from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import BoolArray, FloatArray
 
-# How far a flat map of the skin stretches it: two principal stretches everywhere, as maps and as numbers.
+AnyArray = np.ndarray[Any, Any]
+Array = NDArray[np.float64]
+KINDS = ("free", "arc")
+_ITERATIONS = 10
+"""Rounds of relaxation at most."""
+CENTRE_WEIGHT = 4.0
+"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger values keep the
+middle undistorted at the cost of the sides."""
+NODES_MM = 0.5
+"""Distance of the nodes on the finger plane."""
+_POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+"""Exponents of x and y of the local quadratic."""
+
+_WINDOW_MM = 0.3
+"""Standard deviation of the Gaussian window of the local fits."""
+_FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
+"""Pitch and length of a surface that can be a finger's, and what can be a place of it."""
+_TOO_SMALL = "the mask is too small to be unrolled: it must be some millimetres wide."
+RINGS = 3
+"""Nodes outside the mask that are extrapolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Distortion:
-    """Distortion of the cells between the nodes; NaN where there is no surface."""
+class SurfaceGrid:
+    """Surface points on nodes of the upright frame."""
 
-    area: Array
-    """(n - 1, m - 1) area on the map over area of the skin, minus one."""
-    anisotropy: Array
-    """(n - 1, m - 1) larger over smaller principal stretch, minus one."""
-    largest: Array
-    """(n - 1, m - 1) larger principal stretch."""
-    smallest: Array
-    """(n - 1, m - 1) smaller principal stretch."""
-    slant_deg: Array
-    """(n - 1, m - 1) slant of the skin."""
-    skin_mm2: Array
-    """(n - 1, m - 1) area of the skin."""
+    points_mm: Array
+    """(n, m, 3) x to the right, y to the tip, z to the camera, in the upright finger's frame; NaN where unknown."""
+    inside: BoolArray
+    """(n, m) on the finger; elsewhere points are extrapolated or unknown."""
+    input_from_grid: Array
+    """(3, 3) on (column, row, 1): where a node lies in the input."""
+    pitch_mm: float
+    """Distance of the nodes on the finger plane."""
 
-    def figures(self) -> dict[str, float | None]:
-        """Percent, weighted by the skin's area: medians, 95th percentiles, and by zones of slant."""
-        zones = {
-            "": np.isfinite(self.area),
-            "_centre": self.slant_deg < 20.0,
-            "_slant_60": np.abs(self.slant_deg - 60.0) < 5.0,
-        }
-        result: dict[str, float | None] = {}
-        worst = np.maximum(np.abs(self.largest - 1.0), np.abs(self.smallest - 1.0))
-        for zone, slanted in zones.items():
-            where = slanted & np.isfinite(self.area)
-            for name, values in (("area", np.abs(self.area)), ("anisotropy", self.anisotropy), ("length", worst)):
-                for word, fraction in (("median", 0.5), ("p95", 0.95)):
-                    found = _percentile(values[where], self.skin_mm2[where], fraction)
-                    result[f"{name}{zone}_{word}_percent"] = None if found is None else round(100.0 * found, 3)
-        return result
+    @property
+    def known(self) -> BoolArray:
+        """(n, m) nodes with a point, measured or extrapolated."""
+        return np.asarray(np.isfinite(self.points_mm).all(axis=2))
 
 
-def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _Distortion:
-    """Compare a flat map with the surface, cell by cell.
+def surface_grid(
+    shape_mm: FloatArray,
+    mask: BoolArray,
+    pitch_mm: float,
+    input_from_upright: Array,
+    upright_size: tuple[int, int],
+    *,
+    xy_mm: tuple[FloatArray, FloatArray] | None = None,
+    node_mm: float = NODES_MM,
+) -> SurfaceGrid:
+    """Return the smooth surface on a coarse upright grid.
+
+    Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
+
+    `shape_mm`: (H, W) height without ridges, ignored outside `mask`; `xy_mm`: x and y (H, W) of the surface points, for
+    perspective cameras; without them pixels lie at their pitch; `node_mm`: distance of the nodes. The upright frame
+    has `upright_size` rows and columns.
+    """
+    require(
+        _FINEST_MM <= pitch_mm < _LONGEST_MM,
+        f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
+    )
+    mask = check_mask(mask, (shape_mm.shape[0], shape_mm.shape[1]))
+    fields = [shape_mm, *(xy_mm or ())]
+    mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
+    require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
+    step = node_mm / pitch_mm
+    upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
+    # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the frame
+    rows, columns = np.nonzero(mask[::4, ::4])
+    require(rows.size > 0, _TOO_SMALL)
+    places = upright_from_input[:2] @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
+    beyond = 0.1 * max(upright_size)
+    low = np.maximum(places.min(axis=1) - 4.0, -beyond)
+    high = np.minimum(places.max(axis=1) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
+    longest = float((high - low).max()) * pitch_mm
+    require(longest < _LONGEST_MM, f"the surface is {longest:.0f} mm long, more than any finger; check its scale.")
+    margin = (RINGS + 1) * step
+    across, down = (int(np.ceil(length)) + 1 for length in (high - low + 2 * margin) / step)
+    size = down, across
+    upright_from_grid = np.array([[step, 0.0, low[0] - margin], [0.0, step, low[1] - margin], [0.0, 0.0, 1.0]])
+    input_from_grid = input_from_upright @ upright_from_grid
+    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size)
+    require(int(inside.sum()) >= 16, _TOO_SMALL)
+    if len(values) == 1:
+        node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
+        place = node @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
+        rig_x = (place[..., 0] - 0.5 * (mask.shape[1] - 1)) * pitch_mm
+        rig_y = (0.5 * (mask.shape[0] - 1) - place[..., 1]) * pitch_mm
+    else:
+        rig_x, rig_y = values[1:]
+    turn = upright_from_input[:2, :2] / np.sqrt(abs(np.linalg.det(upright_from_input[:2, :2])))
+    x = turn[0, 0] * rig_x - turn[0, 1] * rig_y  # rows run down, y runs up
+    y = -turn[1, 0] * rig_x + turn[1, 1] * rig_y
+    points = np.stack([x, y, values[0]], axis=2)
+    points[~inside] = np.nan
+    return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, node_mm)
+
+
+def slant_cos(points: Array) -> Array:
+    """(n, m) cosine of the slant at the nodes, by central differences; 1 where unknown."""
+    down, right = np.gradient(points, axis=(0, 1))
+    normal = np.cross(right, -down)
+    cosine = np.abs(normal[..., 2]) / np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
+    return np.asarray(np.nan_to_num(cosine, nan=1.0))
+
+
+def extrapolated(values: Array, rings: int) -> Array:
+    """Continue (n, m, C) straight on into its NaN nodes, `rings` nodes far: the mean over the directions that can."""
+    result = values.copy()
+    directions = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
+    for _ in range(rings):
+        total = np.zeros_like(result)
+        count = np.zeros((*result.shape[:2], 1))
+        wide = np.pad(result, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+        n, m = result.shape[:2]
+        for dy, dx in directions:
+            near = wide[2 + dy : 2 + dy + n, 2 + dx : 2 + dx + m]
+            far = wide[2 + 2 * dy : 2 + 2 * dy + n, 2 + 2 * dx : 2 + 2 * dx + m]
+            guess = 2.0 * near - far
+            usable = np.isfinite(guess).all(axis=2, keepdims=True)
+            weight = 1.0 if dy == 0 or dx == 0 else 0.5
+            total += np.where(usable, weight * guess, 0.0)
+            count += weight * usable
+        new = ~np.isfinite(result).all(axis=2) & (count[..., 0] > 0)
+        result[new] = total[new] / count[new]
+    return result
+
+
+def _fits(
+    fields: list[FloatArray], mask: BoolArray, pitch_mm: float, input_from_grid: Array, size: tuple[int, int]
+) -> tuple[list[Array], BoolArray]:
+    """Local quadratic fits of the fields at the nodes, and where they are supported by the mask."""
+    factor = max(1, int(0.1 / pitch_mm))
+    rows, columns = (  # its sides multiples of the factor where the image allows
+        slice(box.start, min(side, box.start + -(-(box.stop - box.start) // factor) * factor))
+        for box, side in zip(bounding_box(mask), mask.shape, strict=True)
+    )
+    inside = mask[rows, columns]
+    height, width = (n // factor for n in inside.shape)
+    require(min(height, width) > 0, _TOO_SMALL)
+    weight = _binned(inside.astype(np.float32), (height, width), factor) > 0.99  # whole blocks only: no shifted means
+    sigma = _WINDOW_MM / (pitch_mm * factor)
+    reach = int(np.ceil(3.0 * sigma))
+    offset = np.arange(-reach, reach + 1) / sigma
+    window = np.exp(-0.5 * offset**2)
+    taps = [(window * offset**k).astype(np.float32) for k in range(5)]
+    # places of the nodes in the reduced image
+    grid = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2).reshape(-1, 2)
+    place = grid @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
+    small = (place - [columns.start, rows.start] + 0.5) / factor - 0.5
+    nearest = np.rint(small).astype(np.intp)
+    there = ((nearest >= 0) & (nearest < [width, height])).all(axis=1)
+    there[there] = weight[nearest[there, 1], nearest[there, 0]]
+    at = nearest[there, 1], nearest[there, 0]
+    rest = (small[there] - nearest[there]) / sigma
+    one = weight.astype(np.float32)
+    moments = {(i, j): _separable(one, taps[i], taps[j])[at] for i in range(5) for j in range(5 - i)}
+    normal = np.empty((len(at[0]), 6, 6))
+    for a, (i, j) in enumerate(_POWERS):
+        for b, (k, m) in enumerate(_POWERS):
+            normal[:, a, b] = moments[i + k, j + m]
+    support = normal[:, 0, 0] / float(window.sum()) ** 2
+    normal += 1e-6 * normal[:, :1, :1] * np.eye(6)
+    monomials = np.stack([rest[:, 0] ** i * rest[:, 1] ** j for i, j in _POWERS], axis=1)
+    supported = np.zeros(size[0] * size[1], dtype=np.bool_)
+    supported[there] = support > 0.25
+    results = []
+    for field in fields:
+        filled = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
+        values = np.where(weight, _binned(filled, (height, width), factor), 0.0)
+        middle = float(values[weight].mean()) if bool(weight.any()) else 0.0
+        values = np.where(weight, values - np.float32(middle), 0.0)
+        right = np.stack([_separable(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
+        solved = np.linalg.solve(normal, right[..., None])[..., 0]
+        flat = np.full(supported.size, np.nan)
+        flat[there] = (solved * monomials).sum(axis=1) + middle
+        results.append(np.where(supported, flat, np.nan).reshape(size))
+    return results, supported.reshape(size)
+
+
+def _separable(image: FloatArray, across: AnyArray, down: AnyArray) -> Array:
+    filtered = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(filtered, dtype=np.float64)
+
+
+def _binned(image: FloatArray, size: tuple[int, int], factor: int) -> FloatArray:
+    if factor == 1:
+        return image
+    cut = np.ascontiguousarray(image[: size[0] * factor, : size[1] * factor])
+    return np.asarray(cv2.resize(cut, (size[1], size[0]), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+# How far a flat map of the skin stretches it.
+
+
+def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str, float]:
+    """By how much lengths are off where a map lays nodes flat, percent, the worse direction of each cell: median and
+    95th percentile, weighted by the skin's area; empty without a cell.
 
     `points_mm`: (n, m, 3) surface points of the nodes; `flat_mm`: (n, m, 2) where the map lays them; `inside`: (n, m)
     bool, cells with four corners inside count. Source: the stretches are the roots of the eigenvalues of J G^-1 J^T, J
@@ -72,15 +236,16 @@ def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _
     trace = (g * a - 2.0 * f * b + e * c) / determinant
     product = np.maximum(a * c - b * b, 0.0) / determinant
     root = np.sqrt(np.maximum(0.25 * trace * trace - product, 0.0))
-    largest = np.sqrt(np.maximum(0.5 * trace + root, 1e-18))
-    smallest = np.sqrt(np.maximum(0.5 * trace - root, 1e-18))
-    normal = np.cross(right, -down)
-    size = np.linalg.norm(normal, axis=2)
-    slant = np.rad2deg(np.arccos(np.clip(np.abs(normal[..., 2]) / np.maximum(size, 1e-18), 0.0, 1.0)))
-    cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
-    cell &= np.isfinite(trace)
-    fields = [largest * smallest - 1.0, largest / smallest - 1.0, largest, smallest, slant, size]
-    return _Distortion(*(np.where(cell, field, np.nan) for field in fields))
+    cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:] & np.isfinite(trace)
+    stretches = np.sqrt(np.maximum(0.5 * trace + root * np.array([[[1.0]], [[-1.0]]]), 1e-18))
+    worst = np.abs(stretches - 1.0).max(axis=0)[cell]
+    if not worst.size:
+        return {}
+    order = np.argsort(worst)
+    total = np.cumsum(np.sqrt(determinant)[cell][order])
+    at = np.minimum(np.searchsorted(total, np.array([0.5, 0.95]) * total[-1]), worst.size - 1)
+    median, most = (100.0 * worst[order][at]).round(3).tolist()
+    return {"length_median_percent": median, "length_p95_percent": most}
 
 
 def _differences(values: Array) -> tuple[Array, Array]:
@@ -88,14 +253,6 @@ def _differences(values: Array) -> tuple[Array, Array]:
     right = 0.5 * (values[:-1, 1:] - values[:-1, :-1] + values[1:, 1:] - values[1:, :-1])
     down = 0.5 * (values[1:, :-1] - values[:-1, :-1] + values[1:, 1:] - values[:-1, 1:])
     return right, down
-
-
-def _percentile(values: Array, weights: Array, fraction: float) -> float | None:
-    if values.size == 0:
-        return None
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][min(int(np.searchsorted(total, fraction * total[-1])), values.size - 1)])
 
 
 # Nonparametric unrolling: distances along the skin, laid flat.
@@ -160,7 +317,7 @@ def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:
     return np.moveaxis(result, 1, axis)
 
 
-def _relaxed(grid: SurfaceGrid, start: Array, iterations: int, centre_weight: float) -> Array:
+def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
     """As-rigid-as-possible flattening of the sheet of nodes, from `start` (n, m, 2).
 
     Triangles weigh with their area times the cosine of their slant to the power `centre_weight`; extrapolated ones
@@ -192,7 +349,7 @@ def _relaxed(grid: SurfaceGrid, start: Array, iterations: int, centre_weight: fl
     across, along = _edge_sums(corner, local, cotangent, count)
     pin = flat[pinned].copy()
     pull = ones[free][:, [pinned]].toarray() * pin[None]
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         cos = across.T @ flat[:, 0] + along.T @ flat[:, 1]
         sin = across.T @ flat[:, 1] - along.T @ flat[:, 0]
         length = np.maximum(np.hypot(cos, sin), 1e-12)
@@ -205,7 +362,14 @@ def _relaxed(grid: SurfaceGrid, start: Array, iterations: int, centre_weight: fl
             break
     result = np.full((start.shape[0] * start.shape[1], 2), np.nan)
     result[nodes] = flat
-    return _turned_back(result.reshape(start.shape), start, grid.inside)
+    result = result.reshape(start.shape)
+    # turned and shifted so that it lies on `start` as well as a rigid sheet can
+    both = grid.inside & np.isfinite(result).all(axis=2) & np.isfinite(start).all(axis=2)
+    middle, target = result[both].mean(axis=0), start[both].mean(axis=0)
+    a, b = result[both] - middle, start[both] - target
+    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.asarray((result - middle) @ turn + target)
 
 
 def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[NDArray[np.intp], Array]:
@@ -228,11 +392,11 @@ def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[N
 def _laid_flat(corners: Array) -> Array:
     """Triangles (T, 3, 3) in space as congruent triangles (T, 3, 2) in a plane, counter-clockwise."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(first, axis=1)
-    along = (first * second).sum(axis=1) / length
-    beside = np.linalg.norm(np.cross(first, second), axis=1) / length
-    zero = np.zeros_like(length)
-    return np.stack([np.stack([zero, zero], 1), np.stack([length, zero], 1), np.stack([along, beside], 1)], axis=1)
+    result = np.zeros((len(corners), 3, 2))
+    result[:, 1, 0] = length = np.linalg.norm(first, axis=1)
+    result[:, 2, 0] = (first * second).sum(axis=1) / length
+    result[:, 2, 1] = np.linalg.norm(np.cross(first, second), axis=1) / length
+    return result
 
 
 def _cotangents(local: Array) -> Array:
@@ -267,36 +431,6 @@ def _edge_sums(
     return parts[0], parts[1]
 
 
-def _turned_back(flat: Array, start: Array, inside: NDArray[np.bool_]) -> Array:
-    """Turn and shift `flat` so that it lies on `start` as well as a rigid sheet can."""
-    both = inside & np.isfinite(flat).all(axis=2) & np.isfinite(start).all(axis=2)
-    middle, target = flat[both].mean(axis=0), start[both].mean(axis=0)
-    a, b = flat[both] - middle, start[both] - target
-    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return np.asarray((flat - middle) @ turn + target)
-
-
-Array = NDArray[np.float64]
-KINDS = ("free", "arc")
-
-_ITERATIONS = 10
-"""Rounds of relaxation at most."""
-CENTRE_WEIGHT = 4.0
-"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger values keep the
-middle undistorted at the cost of the sides."""
-NODES_MM = 0.5
-"""Distance of the nodes on the finger plane."""
-
-
-@dataclass(frozen=True, slots=True)
-class UnrollSettings(Checked):
-    """How the skin is laid flat."""
-
-    slant_deg: Annotated[float, Limits(10, 85)] = 70.0
-    """Skin steeper than this is left out of the print: the camera hardly sees it."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Unrolled:
     """The nodes of a surface, laid flat."""
@@ -304,17 +438,17 @@ class Unrolled:
     grid: SurfaceGrid
     flat_mm: Array
     """(n, m, 2) u to the right and v to the tip, as the camera sees them; NaN where unknown."""
-    distortion: _Distortion
+    distortion: dict[str, float]
 
 
 def unroll(grid: SurfaceGrid, kind: str = "free", centre_weight: float = CENTRE_WEIGHT) -> Unrolled:
     """Lay a surface flat, by one of :data:`KINDS`. Raises BadInput if there is too little surface.
 
-    `grid`: from :func:`splitknit_match.prints.unroll_grid.surface_grid`.
+    `grid`: from :func:`surface_grid`.
     """
     flat = _arc_lengths(grid)
     if kind == "free":
-        flat = _relaxed(grid, flat, _ITERATIONS, centre_weight)
+        flat = _relaxed(grid, flat, centre_weight)
     # what the map does not reach is not known
     reached = np.isfinite(flat).all(axis=2)
     grid = replace(grid, inside=grid.inside & reached)

@@ -3,23 +3,173 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from splitknit import Capture
 from splitknit.errors import require
-from splitknit.mirrors.reflection import Glass
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.reflection import Glass, Sight
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, RolledSettings, blend
 from splitknit_match.rolled.chart import Chart, surface_normals
-from splitknit_match.rolled.work import MIN_MEETING, MirrorViews, ReliefSettings, Work
+from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
+from splitknit_match.rolled.views import MirrorViews, ReliefSettings, ViewRelief, view_relief
 
+Array = NDArray[np.float64]
+ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
+"""Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
+PITCH_MM = 0.035  # of the chart, finer than the camera resolves
+AROUND_SKIN_DEG = 105.0  # the chart reaches this far to either side of the front
+SHAPE_PITCH_MM = 0.25  # pitch of the chart of the smooth finger
+FAN_DEG = 75.0  # how far the chart bends over the tip
+BELOW_MM = 4.0  # the chart goes on below what the outlines show: light from there matters
+AROUND_DEG = 172.0
+STATIONS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """A smooth finger on a chart all around it."""
+
+    chart: Chart
+    radius_mm: Array  # (n, m)
+    half_mm: float  # half its typical breadth
+
+
+def _shape_of(body: Body) -> Shape:
+    """A body on a chart whose axis runs through its sections' middles."""
+    u = body.tip_mm - body.length_mm * np.linspace(0.1, 1.0, STATIONS)
+    sections = body.sections(u)
+    half = float(np.median(sections.a))
+    cap = min(half, 0.6 * body.length_mm)
+    along, right = np.array([*body.axis, 0.0]), np.array([*body.across, 0.0])
+    axes = np.stack([right, along, [0.0, 0.0, 1.0]])
+    centre = np.array([*body.origin_mm, float(np.median(sections.z))])
+    centre = centre + (body.tip_mm - cap) * along + float(np.median(sections.t)) * right
+    lengths = (cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)))
+    rays = _angles(AROUND_DEG, cap, SHAPE_PITCH_MM), _lengths(*lengths, SHAPE_PITCH_MM)
+    chart = Chart(centre, axes, *rays, cap)
+    radius = _radius_of(body, chart)
+    return Shape(chart, radius + _rolled_pad(body, chart, radius), half)
+
+
+SEARCH_PITCH_MM = 0.1  # pitch of the chart on which ridges are compared
+MIN_COSINE = 0.25  # views are compared where both see the skin less steeply than this
+MIN_MEETING, SURE_MEETING = 0.3, 0.4
+"""Correlation of two views' ridges below which they are taken not to meet, and said that they may not."""
+STEEPEST_DEG = 72.0  # slant, as a view sees it, from which it counts for nothing
+FADE_MM = 0.8  # width over which a view fades in from the outline of what it shows
+MOST_DEVIATION_UM = 35.0
+"""Where the relief's standard deviation exceeds this, ridges are unknown; a view loses weight from three quarters of it
+on."""
 _POWER = 8.0  # views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone
 _DEVIATION_FLOOR_UM = 4.0  # added to the relief's standard deviation, so that no view is trusted without limit
-Array = NDArray[np.float64]
+
+
+class Work:
+    """A finger between its mirrors while it is put together."""
+
+    def __init__(self, capture: Capture, views: MirrorViews, settings: ReliefSettings) -> None:  # noqa: D107
+        self.capture, self.notes = capture, views.notes
+        masks = {view.name: view.mask for view in views if view.mask is not None}
+        glasses = {view.name: view.glass for view in views if view.glass is not None}
+        self.glasses = {name: glass for name, glass in glasses.items() if name in masks}
+        self.cut = {view.name for view in views if view.cut}
+        self.shape = _shape_of(views.body)
+        self.correlation: dict[str, list[float]] = {}
+        self.met: dict[str, bool] = {}
+        lit = (*self.glasses.values(), *(glass for name, glass in glasses.items() if name not in masks))
+        self.reliefs: dict[str, ViewRelief] = {
+            name: view_relief(capture, sight, masks[name], lit, self.shape.chart, self.shape.radius_mm, settings)
+            for name, sight in self.sights().items()
+        }
+
+    def sights(self) -> dict[str, Sight]:
+        """The front and the mirrors where they are taken to be by now."""
+        camera = self.capture.rig.camera
+        mirrors = {name: Sight(name, camera, glass.plane) for name, glass in self.glasses.items()}
+        return {"front": Sight("front", camera), **mirrors}
+
+    def surface(self, pitch_mm: float) -> tuple[Chart, Array, Array, Array]:
+        """The finger's chart, as far around as a print reaches; radius, points and normals on it."""
+        whole = self.shape.chart
+        angles = _angles(AROUND_SKIN_DEG, self.shape.half_mm, pitch_mm)
+        lengths = _lengths(float(whole.length_mm[-1]), float(whole.length_mm[0]), pitch_mm)
+        chart = replace(whole, angle_rad=angles, length_mm=lengths)
+        radius = _sampled(whole, self.shape.radius_mm, chart)
+        points = chart.points(radius)
+        return chart, radius, points, surface_normals(points)
+
+    def seen(self, name: str, points: Array, normals: Array) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Relief, deviation and trust of a view at points; and where it shows them."""
+        sight = self.sights()[name]
+        fields = self.reliefs[name].sampled(sight, points)
+        known = np.isfinite(fields).all(axis=0) & (sight.cosine(normals, points) > MIN_COSINE)
+        relief, deviation, trust = (np.where(known, field, 0) for field in fields)
+        return relief, deviation, trust, known
+
+    def register(self, coarse: bool) -> None:
+        """Bring the mirrors' ridges onto the front's: by a search first, then by what bends and moves."""
+        chart, radius, points, normals = self.surface(SEARCH_PITCH_MM)
+        sights = self.sights()
+        relief, _, _, there = self.seen("front", points, normals)
+        front = ViewRidges(sights["front"], ridges_of(relief, there, chart.pitch_mm), there)
+        mirrors = {}
+        for name in self.glasses:
+            relief, _, _, known = self.seen(name, points, normals)
+            mirrors[name] = ViewRidges(sights[name], ridges_of(relief, known, chart.pitch_mm), there & known)
+        if coarse:
+            matches = []
+            for name, mirror in mirrors.items():
+                match = search(chart, radius, front, mirror, cut=name in self.cut)
+                if match.correlation < MIN_MEETING and name not in self.cut:  # it may lie further off than it should
+                    again = search(chart, radius, front, mirror, cut=True)
+                    match = max(match, again, key=lambda each: each.correlation)
+                self.met[name] = match.correlation >= MIN_CORRELATION
+                matches.append(match)
+            added = np.sum([match.radius_mm for match in matches], axis=0)
+            moves = [(match.pose, match.correlation) for match in matches]
+        else:
+            none = np.zeros(chart.shape, dtype=np.bool_)
+            seen = [mirror if self.met[name] else replace(mirror, known=none) for name, mirror in mirrors.items()]
+            done = align(chart, radius, front, seen)
+            added, moves = done.radius_mm, list(zip(done.poses, done.correlations, strict=True))
+        for name, (pose, correlation) in zip(mirrors, moves, strict=True):
+            self.correlation.setdefault(name, []).append(round(correlation, 3))
+            plane = self.glasses[name].plane.moved((pose[0], pose[1]), pose[2])
+            self.glasses[name] = replace(self.glasses[name], plane=plane)
+        # the correction of a part of the finger, on the chart all around it
+        whole = self.shape.chart
+        beyond = np.maximum(np.abs(whole.angle_rad) - float(chart.angle_rad[-1]), 0.0) / np.deg2rad(30.0)
+        spread = _sampled(chart, added, whole) * np.exp(-0.5 * beyond**2)
+        self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blended:
+    """One relief from all views."""
+
+    relief_mm: FloatArray  # (n, m) along the skin's normal, zero where no view shows the finger
+    deviation_mm: FloatArray  # (n, m)
+    known: BoolArray  # (n, m)
+    fractions: FloatArray  # (V, n, m) of each view; they sum to one where known
+
+
+def blend(reliefs: FloatArray, deviations_mm: FloatArray, weights: FloatArray) -> Blended:
+    """Mean of the views (V, n, m) by their weights (V, n, m)."""
+    total = weights.sum(axis=0)
+    known = total > 1e-6
+    fractions = weights / np.where(known, total, 1.0)
+    relief, deviation = (np.where(fractions > 0, values, 0.0) for values in (reliefs, deviations_mm))
+    variance = (fractions**2 * deviation**2).sum(axis=0)
+    return Blended(
+        (fractions * relief).sum(axis=0), np.sqrt(variance).astype(np.float32), known, fractions.astype(np.float32)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,90 +187,62 @@ class Rolled:
     facts: Mapping[str, object]
 
 
-SURE_MEETING = 0.4  # correlation of two views' ridges below which it is said that they may not meet
-
-
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
     settings: ReliefSettings,
-    rolled: RolledSettings | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    pitch_mm: float = PITCH_MM,
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Rolled:
-    """One finger from its front and its mirrors. `capture`: with the white band. Raises BadInput if the front or every
-    mirror beside the finger is missing, or they do not show the same part of the finger.
+    """One finger from its front and its mirrors. `capture`: with the white band; `pitch_mm`: of the chart. Raises
+    BadInput if the front or every mirror beside the finger is missing, or they do not show the same part of it.
     """
-    chosen = rolled or RolledSettings()
-    report = progress or (lambda stage, fraction: None)
-    names = [view.name for view in views]
-    require("front" in names, "the front view of the finger is missing.")
-    sides = [view.name for view in views if view.glass is not None and view.mask is not None]
-    require(bool(sides), "no mirror beside the finger shows it.")
+    require("front" in [view.name for view in views], "the front view of the finger is missing.")
+    shown = any(view.glass is not None and view.mask is not None for view in views)
+    require(shown, "no mirror beside the finger shows it.")
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
-    work = Work(capture, views, settings, chosen)
-    report("views", 0.0)
-    work.find_ridges()
-    report("registration", 0.35)
+    progress("views", 0.0)
+    work = Work(capture, views, settings)
+    progress("registration", 0.35)
     for coarse in (True, False, False, False):
         work.register(coarse)
-    report("fusion", 0.5)
-    return _fused(work)
-
-
-def _fused(work: Work) -> Rolled:
-    chosen = work.rolled
-    chart = work.chart(chosen.pitch_mm)
-    radius = work.radius_on(chart)
-    points = chart.points(radius)
-    normals = surface_normals(points)
-    names = ("front", *work.glasses)
+    progress("fusion", 0.5)
+    chart, _, points, normals = work.surface(pitch_mm)
     sights = work.sights()
     reliefs, deviations, weights, places = [], [], [], []
-    for name in names:
+    for name, sight in sights.items():
         relief, deviation, trust, known = work.seen(name, points, normals)
-        weight = _view_weight(sights[name].cosine(normals, points), known, deviation, chart.pitch_mm, chosen.blend)
+        weight = _view_weight(sight.cosine(normals, points), known, deviation, chart.pitch_mm)
         reliefs.append(relief)
         deviations.append(deviation)
         weights.append(weight * trust)
-        places.append(np.stack(sights[name].pixels(points), axis=-1))
-    stacked = np.stack(reliefs).astype(np.float32)
-    weighed = np.stack(weights).astype(np.float32)
-    weighed[:, _base(weighed[0] > 0) :] = 0.0
-    blended = blend(stacked, np.stack(deviations).astype(np.float32), weighed)
-    facts = {
-        "views": list(names),
-        "relief_by": {name: work.reliefs[name].how for name in names},
-        "views_meet": dict(work.correlation),
-        "warnings": [*work.notes, *_apart(work)],
-    }
-    return Rolled(
-        chart, points.astype(np.float32), normals.astype(np.float32), blended, names, stacked,
-        np.stack(places), tuple(work.glasses.values()), facts,
-    )  # fmt: skip
-
-
-def _base(front: BoolArray) -> int:
-    """First row below what the front (n, m) shows in nine tenths of its usual breadth: all views end there."""
-    breadth = front.sum(axis=1)
-    if not breadth.any():
-        return len(front)
-    return int(np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]) + 1
-
-
-def _apart(work: Work) -> list[str]:
-    """Views whose ridges do not meet the front's, or may not, in sentences."""
-    return [
+        places.append(np.stack(sight.pixels(points), axis=-1))
+    weighed, stacked = np.stack(weights).astype(np.float32), np.stack(reliefs).astype(np.float32)
+    breadth = (weighed[0] > 0).sum(axis=1)
+    if breadth.any():  # all views end where the front shows less than nine tenths of its usual breadth
+        last = np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]
+        weighed[:, last + 1 :] = 0.0
+    warnings = [
         f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie on the front's "
         f"(correlation {values[-1]:.2f}), so that they may be kinked where the views meet: check the mirror's pose in "
         "rig.json, and that ridges are seen in it."
         for name, values in work.correlation.items()
-        if values and values[-1] < SURE_MEETING
+        if values[-1] < SURE_MEETING
     ]
+    facts = {
+        "views": list(sights),
+        "relief_by": {name: relief.how for name, relief in work.reliefs.items()},
+        "views_meet": dict(work.correlation),
+        "warnings": [*work.notes, *warnings],
+    }
+    return Rolled(
+        chart, points.astype(np.float32), normals.astype(np.float32),
+        blend(stacked, np.stack(deviations).astype(np.float32), weighed), tuple(sights), stacked, np.stack(places),
+        tuple(work.glasses.values()), facts,
+    )  # fmt: skip
 
 
-def _view_weight(
-    cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float, settings: BlendSettings
-) -> FloatArray:
+def _view_weight(cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float) -> FloatArray:
     """(n, m) weight of a view on the chart, zero where it shows nothing. `cosine`: of the slant as the view sees it;
     `known`: where it shows the finger; `deviation_mm`: of its relief, along the skin's normal; all (n, m).
     """
@@ -128,12 +250,68 @@ def _view_weight(
     facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
     inside = np.asarray(known & (facing > 0), dtype=np.uint8)
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
-    fade = np.clip(depth / settings.fade_mm, 0.0, 1.0)
+    fade = np.clip(depth / FADE_MM, 0.0, 1.0)
     fade = fade * fade * (3.0 - 2.0 * fade)
     floor = 1e-3 * _DEVIATION_FLOOR_UM
-    smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    fraction = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    deviation = smooth / np.maximum(fraction, np.float32(1e-3))
+    deviation = gaussian_over(np.where(known, deviation_mm, 0.0), known, 0.5 / pitch_mm)
     certain = floor**2 / (floor**2 + deviation**2)
-    sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
+    sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * MOST_DEVIATION_UM)), 0.0, 1.0)
     return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
+
+
+def _angles(reach_deg: float, radius_mm: float, pitch_mm: float) -> Array:
+    """Angles to both sides of the front, `pitch_mm` apart at `radius_mm`."""
+    low, high = np.deg2rad(-reach_deg), np.deg2rad(reach_deg)
+    return np.linspace(low, high, max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1))
+
+
+def _lengths(base_mm: float, tip_mm: float, pitch_mm: float) -> Array:
+    """Lengths from the tip to the base."""
+    rows = max(2, int(np.ceil((tip_mm - base_mm) / pitch_mm)) + 1)
+    return np.linspace(tip_mm, tip_mm - pitch_mm * (rows - 1), rows)
+
+
+def _sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:
+    """(n, m) a surface of one chart on the rays of another with the same axis; held beyond the first's ends."""
+    spline = scipy.interpolate.RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
+    low, high = chart.length_mm[-1], chart.length_mm[0]
+    rows = -np.clip(other.length_mm, low, high)
+    return np.asarray(spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1])))
+
+
+def _radius_of(body: Body, chart: Chart) -> Array:
+    """(n, m) distance of the body's skin along the rays of a chart."""
+    start, directions = chart.rays()
+    low = np.zeros(chart.shape)
+    high = np.full(chart.shape, 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm)
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        out = _outside(body, start[:, None] + middle[..., None] * directions)
+        high, low = np.where(out, middle, high), np.where(out, low, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def _outside(body: Body, points_mm: Array) -> BoolArray:
+    """Whether points (..., 3) of the rig's frame lie outside a body; beyond its base its last section goes on."""
+    t, u, z = body.to_frame(points_mm.reshape(-1, 3), place=True).T
+    sections = body.sections(u)
+    rise = z - sections.z
+    across = (t - sections.t - sections.shear * rise) / np.maximum(sections.a, 1e-6)
+    squared = np.minimum(across * across, 1.0)
+    most = np.sqrt(1.0 - squared) * (1.0 + sections.squareness * squared)
+    out = (np.abs(rise) > sections.b * most) | (np.abs(across) >= 1.0) | (u > body.tip_mm)
+    return np.asarray(out.reshape(points_mm.shape[:-1]))
+
+
+def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
+    """(n, m) to be added to the skin's distance where a finger is rolled: its flat pad is rolled, too.
+
+    A body's sections shear when it rolls, but their flat side stays where it faces the camera. With squareness k and
+    roll phi the pad of k sin^2(2 w) / 4 of the radius turns by phi, to first order -phi k sin(4 w) / 2: nothing at the
+    outlines of front and sides, all of it between them.
+    """
+    expected = MirrorShapeSettings().squareness
+    flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
+    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
+    turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
+    return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)

@@ -1,28 +1,49 @@
-"""From a capture with mirrors to its views: where each shows the finger, and how the mirrors lie."""
+"""Views of a finger between mirrors: where each shows it, its lights, and its ridges.
+
+In a mirror's view everything is reflected: the LEDs light the finger by way of their images, and the light that came by
+way of the mirror seems to come from the LEDs themselves. So a ring of lights stands around every line of sight. Ridges
+are found by photometric stereo on a surface that is known but for them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Capture
+from splitknit import Capture, Led, Rig
 from splitknit.errors import require
 from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease
-from splitknit.imaging.band import linear_survey, pick_channel
+from splitknit.finger.regions import largest_component
+from splitknit.imaging.band import Window, has_colour, linear_channels, linear_survey, pick_channel
+from splitknit.imaging.geometry import (
+    bounding_box,
+    enlarged,
+    gradients_from_normals,
+    height_gradients,
+    normals_from_gradients,
+)
+from splitknit.imaging.view import view_of
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.captured import skin_slopes
 from splitknit.mirrors.mirror import mirror_shape
-from splitknit.mirrors.reflection import glass_in
+from splitknit.mirrors.reflection import Glass, Sight, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.rolled.work import MirrorView, MirrorViews
+from splitknit.photometric.near_light import pseudo_normals
+from splitknit.skin.grid import COARSE_PITCH_MM, WORKING_PITCH_MM, BandImages, Grid, coarsen, refine, smooth_step
+from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
+from splitknit.skin.learned import can_learn, features, relief_by_network
+from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
+from splitknit_match.rolled.chart import Chart, heights, read
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")
@@ -30,6 +51,28 @@ NO_MIRRORS = (
     "the capture has no mirrors beside the finger, so that it shows the finger from the front only; name them in its "
     "rig.json (docs/guide/rolled.md), or print with `method` unroll."
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorView:
+    """What a capture with mirrors shows once."""
+
+    name: str  # ``front``, ``left``, ``right`` or ``tip``
+    mask: BoolArray | None  # (H, W) where the view shows the finger; None for a mirror whose light alone counts
+    glass: Glass | None = None  # the mirror; None for the front
+    cut: bool = False  # whether the border of picture or mirror cuts the view, so that the mirror's pose is less sure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorViews:
+    """All views of a finger, and what their outlines determine."""
+
+    views: tuple[MirrorView, ...]
+    body: Body  # the smooth finger
+    notes: tuple[str, ...] = ()  # what became of views that are not used, or not whole: sentences
+
+    def __iter__(self) -> Iterator[MirrorView]:
+        return iter(self.views)
 
 
 def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
@@ -65,33 +108,29 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     for name, glass in mirrors.items():
         mask = enlarged_mask(views.mirrors[name], capture.shape, binning) if name in used else None
         found.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
-    unseen = [name for name in SIDES if name in mirrors and name not in seen]
-    beyond = [name for name in mirrors if name not in SIDES]
     assert isinstance(shape.model, Body)
-    return MirrorViews(tuple(found), shape.model, (*shape.doubts, *_notes(cut, useless, unseen, beyond)))
-
-
-def _notes(
-    cut: Sequence[str], useless: Sequence[str], unseen: Sequence[str], beyond: Sequence[str] = ()
-) -> tuple[str, ...]:
-    """What became of views that are not as they should be."""
-    found = [
+    notes = [
         f"the view in the {name} mirror is cut off at the picture's border or the mirror's, so that its outline shows "
         "less of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad."
         for name in cut
     ]
-    found += [
+    notes += [
         f"the view in the {name} mirror is cut off so much that it is left out, and that side of the finger is missing "
         "from the print: lay the finger in the middle."
         for name in useless
     ]
-    found += [
+    notes += [
         f"no finger was found in the {name} mirror, so that that side of it is missing from the print: check the "
         "mirror's pose in rig.json, and the light on that side."
-        for name in unseen
+        for name in SIDES
+        if name in mirrors and name not in seen
     ]
-    found += [f"the {name} mirror gives light only: its view is not used for the print." for name in beyond]
-    return tuple(found)
+    notes += [
+        f"the {name} mirror gives light only: its view is not used for the print."
+        for name in mirrors
+        if name not in SIDES
+    ]
+    return MirrorViews(tuple(found), shape.model, (*shape.doubts, *notes))
 
 
 def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int) -> BoolArray:
@@ -102,7 +141,246 @@ def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: 
     if not crease.found:
         return mask
     across, along, offset = upright.upright_from_input[1]
-    columns = (np.arange(mask.shape[1], dtype=np.float32) + 0.5) / binning - 0.5
-    rows = (np.arange(mask.shape[0], dtype=np.float32) + 0.5) / binning - 0.5
+    rows, columns = ((np.arange(side, dtype=np.float32) + 0.5) / binning - 0.5 for side in mask.shape)
     beyond = np.float32(crease.row + BEYOND_CREASE_MM * px_per_mm)
-    return np.asarray(mask & (columns[None, :] * across + rows[:, None] * along + offset < beyond))
+    return np.asarray(mask & (columns * across + rows[:, None] * along + offset < beyond))
+
+
+EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Light:
+    """An LED or its image, in the rig's frame."""
+
+    led: Led
+    path: str  # the mirror's name; empty for the LED itself
+    facing: NDArray[np.float32]  # (h, w) fraction that the skin is not turned away from
+    through: NDArray[np.float32] | None = None  # (h, w) fraction that comes within the mirror's outline
+
+
+def view_light(  # noqa: PLR0917
+    rig: Rig, glasses: Sequence[Glass], sight: Sight, heights_mm: FloatArray, grid: Grid, origin_mm: Array
+) -> tuple[Rig, NDArray[np.float32]]:
+    """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid. Light
+    that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]` lights image k; `glasses`: all mirrors;
+    `heights_mm` (h, w) of the skin, in perspective along the rays, on the view's grid moved to `origin_mm` (3,).
+
+    Returns the rig, and (L, h, w) zero where one of an exposure's lights begins or ends at a mirror's edge, one
+    elsewhere: a line of light that is not known to a tenth of a millimetre would look like a ridge.
+    """
+    slopes = height_gradients(heights_mm, grid.pitch_mm)
+    normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=np.float64))
+    points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(np.float64) + origin_mm)
+
+    def in_view(light: _Light) -> Led:
+        """A light of the rig's frame in the view's moved frame, with its shade."""
+        led = light.led if sight.plane is None else led_image(light.led, sight.plane)
+        if led.position_mm is not None:
+            x, y, z = (float(v) for v in np.asarray(led.position_mm) - origin_mm)
+            ax, ay, az = (float(v) for v in led.axis)
+            led = replace(led, position_mm=(x, y, z), aim=(ax, ay, az))
+        fraction = light.facing if light.through is None else light.facing * light.through
+        return replace(led, shade=shade_of(fraction, grid.view), reflected=True, also=())
+
+    leds, inner = [], []
+    for exposure in rig.leds:
+        lights = []
+        for led in (replace(exposure, also=()), *exposure.also):
+            lights.append(_Light(led, "", facing_fraction(points, normals, led)))
+            for glass in glasses:
+                image = led_image(led, glass.plane, glass.reflectance)
+                through = mirrored_fraction(points, image, glass.plane, glass.corners_mm)
+                lights.append(_Light(image, glass.name, facing_fraction(points, normals, image), through))
+        inner.append(np.min([_inner(light, grid.pitch_mm) for light in lights], axis=0))
+        # the ring around the line of sight comes first: it stands for the exposure
+        ring = "" if sight.plane is None else sight.name
+        first = [replace(in_view(light), reflected=False) for light in lights if light.path == ring]
+        others = [in_view(light) for light in lights if light.path != ring]
+        leds.append(replace(first[0], also=(*first[1:], *others)))
+    return replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32)
+
+
+def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
+    """(h, w) zero beside the line where the light by way of a mirror ends."""
+    if light.through is None or float(np.ptp(light.through)) < 0.5:
+        return np.ones(light.facing.shape, dtype=np.float32)
+    lit = (light.through > 0.5).astype(np.uint8)
+    edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (light.facing > 0.5)
+    away = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5) * pitch_mm
+    return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM)
+
+
+LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
+"""Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
+UNKNOWN_MM = 0.02  # standard deviation of a relief that no network estimated
+SLOPE_PRIOR = 0.5
+"""Holds slopes which the lights hardly determine to those of the shape: variance of the images' relative error over
+that of the slopes."""
+_ROWS = 64  # rows of the grid whose normals are computed at once
+_MAX_SLOPE = 6.0
+"""Steeper slopes are shortened to this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewRelief:
+    """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
+
+    window: Window
+    binning: int
+    relief_mm: FloatArray  # (h, w) along the skin's normal, NaN outside the finger
+    deviation_mm: FloatArray  # (h, w) its standard deviation, NaN outside
+    trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside
+    how: str
+
+    def sampled(self, sight: Sight, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where `sight` lacks them."""
+        size = np.float32(self.binning)
+        column, row = (
+            ((place - np.float32(side.start) + 0.5) / size - 0.5).astype(np.float32)
+            for place, side in zip(sight.pixels(points_mm), self.window[::-1], strict=True)
+        )
+        relief = read(self.relief_mm, column, row, cubic=True)
+        relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
+        return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefSettings:
+    """How the relief of a view is found: grids and networks of the `metric` method, and shapelets where it has none."""
+
+    metric: MetricSettings = field(default_factory=MetricSettings)
+    shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
+
+
+def view_relief(  # noqa: PLR0915, PLR0917
+    capture: Capture,
+    sight: Sight,
+    mask: BoolArray,
+    glasses: Sequence[Glass],
+    chart: Chart,
+    radius_mm: Array,
+    settings: ReliefSettings,
+) -> ViewRelief:
+    """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band. `glasses`: all
+    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges.
+    """
+    white = capture.bands["white"]
+    camera = capture.rig.camera
+    binning = max(1, round(WORKING_PITCH_MM / camera.pitch_mm))
+    window = bounding_box(mask, round(0.5 * camera.px_per_mm))
+    rows, columns = window
+    view = view_of(camera, rows, columns, binning=binning)
+    blocks = _blocks(mask[window], binning)
+    few = (slice(None, None, 4),) * view.x_mm.ndim
+    seen = heights(sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few]))
+    level = float(np.nanmean(seen)) if np.isfinite(seen).any() else 0.0
+    origin, nearer, apex = np.array([view.x_mm.mean(), view.y_mm.mean(), level]), 1.0, None
+    if view.apex_mm is not None:  # the plane that the pixels are on goes to the finger, or to its image in the mirror
+        origin, nearer, apex = np.array([0.0, 0.0, level]), 1.0 - level / view.apex_mm, view.apex_mm - level
+    cut = tuple(bool(side.any()) for side in (blocks[0], blocks[-1], blocks[:, 0], blocks[:, -1]))
+    x, y, pitch = view.x_mm * nearer - origin[0], view.y_mm * nearer - origin[1], camera.pitch_mm * binning * nearer
+    grid = Grid(blocks, x, y, pitch, (cut[0], cut[1], cut[2], cut[3]), apex)
+    factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
+    low = coarsen(grid, factor)
+    on_plane = replace(view, x_mm=(low.x_mm + origin[0]) / nearer, y_mm=(low.y_mm + origin[1]) / nearer)
+    height = low.view.along(heights(sight, chart, radius_mm, on_plane) - np.float32(level))
+    known = low.mask & np.isfinite(height)
+    low = replace(low, mask=known)
+    height = np.where(known, height, 0).astype(np.float32)
+    filled = refine(height, known, 1, low.shape)
+    rig, inner = view_light(capture.rig.select(white.lights), glasses, sight, filled, low, origin)
+    smooth = refine(height, known, factor, grid.shape)
+    reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
+    reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
+    grid = replace(grid, mask=grid.mask & reach)
+    names = ("red", "green", "blue") if has_colour(white) else ("grey",)
+    images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), rig)
+    facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
+    if apex is not None:  # from heights along the rays to millimetres
+        facing *= np.exp(-smooth / np.float32(apex))
+    inside = grid.mask
+    skin = capture.material == "skin"
+    finer = settings.metric.relief == "network" and skin
+    finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
+    if finer:
+        grid, images, factor = finer_grid(grid), finer_images(images), factor * FACTOR
+        smooth = refine(height, known, factor, grid.shape)
+    light = fine_lighting(images.rig, low, filled, factor, grid)
+    # zero where fewer than three exposures light the skin, which determine no slope
+    enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
+    lit = np.clip(2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm) - 1.0, 0.0, 1.0)
+    within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
+    light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
+    networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
+    if skin and networks is not None:
+        g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
+        found = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
+        fields, how = (found.relief_mm, found.deviation_mm, found.trust * lit), "network"
+    else:
+        trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
+        relief = _by_shapelets(images, grid, smooth, light, trust, settings.shapelets, skin=skin)
+        fields, how = (relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust), "shapelets"
+    relief, deviation, trust = map(coarser, fields) if finer else fields
+    relief, deviation, trust = (
+        np.where(inside, values, np.nan).astype(np.float32) for values in (relief * facing, deviation * facing, trust)
+    )
+    return ViewRelief(window, binning, relief, deviation, trust, how)
+
+
+def _by_shapelets(  # noqa: PLR0917
+    images: BandImages, grid: Grid, smooth: FloatArray, light: Lighting, trust: FloatArray, settings: ShapeletSettings,
+    *, skin: bool,
+) -> FloatArray:  # fmt: skip
+    """Relief along the line of sight without a network."""
+    entering = light.entering if skin else None
+    stack = images.stack.mean(axis=0)
+    g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
+    normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
+    slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
+    shape = height_gradients(smooth, grid.pitch_mm)
+    beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
+    evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
+    bank = replace(settings, sigma_px=settings.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
+    relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
+    return relief * np.float32(grid.pitch_mm) * trust
+
+
+def _blocks(mask: BoolArray, binning: int) -> BoolArray:
+    height, width = (n // binning for n in mask.shape)
+    cut = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    return largest_component(np.asarray(cut.all(axis=(1, 3))))
+
+
+# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near
+# the shape's.
+
+
+def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float) -> FloatArray:
+    """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
+
+    An LED and its image in a mirror give little of the slope towards the mirror. Minimises
+    sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across the shape's normal. `stack`: (C, L, h, w)
+    images over the light that enters; `prior`: variance of the images' relative error over that of the slopes.
+    """
+    channels, count = stack.shape[:2]
+    slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))
+    normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
+    weights = light.trust * light.entering * light.entering
+    result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
+    for start in range(0, grid.shape[0], _ROWS):
+        rows = slice(start, start + _ROWS)
+        here = grid.mask[rows]
+        if not here.any():
+            continue
+        v = light.vectors[:, :, rows][:, :, here].astype(np.float64)  # (L, 3, n)
+        w = weights[:, rows][:, here].astype(np.float64)
+        n = normals[:, rows][:, here].astype(np.float64)  # (3, n)
+        across = np.eye(3)[:, :, None] - n[:, None] * n[None]
+        hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
+        matrix = np.einsum("ln,lin,ljn->nij", w, v, v) + np.moveaxis(hold * across, -1, 0) + 1e-6 * np.eye(3)
+        right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(np.float64), v)
+        solved = np.linalg.solve(matrix, right)  # (n, 3, C)
+        for c in range(channels):
+            result[c, rows][here] = solved[:, :, c]
+    return result

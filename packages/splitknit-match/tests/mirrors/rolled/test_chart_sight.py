@@ -12,7 +12,7 @@ from splitknit.imaging.view import View, view_of
 from splitknit.mirrors.reflection import Plane, Sight, shade_of
 from splitknit.model import Camera, Led, Rig
 from splitknit_match.rolled.chart import Chart, heights, read, surface_normals
-from splitknit_match.rolled.work import _angles, _lengths, _sampled
+from splitknit_match.rolled.finger import _angles, _lengths, _sampled
 
 CAMERA = Camera(12.0, (420, 900))
 A, B, CAP = 8.0, 6.5, 8.0

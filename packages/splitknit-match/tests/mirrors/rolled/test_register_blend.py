@@ -6,15 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.mirrors.reflection import Plane, Sight
 from splitknit.model import Camera
 from splitknit_match.prints.rolled import _coverage_deg
-from splitknit_match.rolled.blend import STEEPEST_DEG, BlendSettings, blend, seam_lines, seam_steps
 from splitknit_match.rolled.chart import Chart, surface_normals
-from splitknit_match.rolled.finger import _view_weight
-from splitknit_match.rolled.register import RidgeSearchSettings, ViewRidges, _shifts_by, align, ridges_of, search
-from splitknit_match.rolled.work import _angles, _lengths
+from splitknit_match.rolled.finger import STEEPEST_DEG, _angles, _lengths, _view_weight, blend
+from splitknit_match.rolled.register import ViewRidges, _shifts_by, align, ridges_of, search
 
 CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -64,15 +61,14 @@ def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
     first, second, both, truth = bulged(chart, more)
     before = np.corrcoef(first[both], second[both])[0, 1]
     assert before < 0.3  # ridges are shifted by more than a period
-    ranges = RidgeSearchSettings(across_mm=(1.0, 0.05), along_mm=(0.05, 0.05), deviations=(0.2, 0.06, 0.1))
-    found = search(chart, radius, ViewRidges(FRONT, first, both), ViewRidges(RIGHT, second, both), ranges)
+    found = search(chart, radius, ViewRidges(FRONT, first, both), ViewRidges(RIGHT, second, both))
     assert found.correlation > 0.8
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
     left = found.radius_mm[70, middle] - truth[middle]
     # surface and mirror trade against each other: what both move by is what counts
     assert np.abs(left + found.pose[2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
     other = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
-    nothing = search(chart, radius, ViewRidges(FRONT, first, both), other, ranges)
+    nothing = search(chart, radius, ViewRidges(FRONT, first, both), other)
     assert not nothing.radius_mm.any()
 
 
@@ -88,16 +84,14 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
         radius,
         ViewRidges(FRONT, first + calm, both),
         (ViewRidges(RIGHT, second, both), ViewRidges(left, calm, there)),
-        pose_free=False,
     )
-    assert done.after[0] > max(0.95, done.before[0] + 0.05)
-    assert done.after[1] > 0.99
-    assert np.allclose(done.poses, 0.0, atol=1e-6)
+    assert done.correlations[0] > 0.95
+    assert done.correlations[1] > 0.99
     assert np.abs(done.radius_mm[:, there[70]]).max() < 0.005
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
-    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
+    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.025
     # with one mirror the side that it does not show stays as it is
-    alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),), pose_free=False)
+    alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),))
     assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
     # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror alone
     lower = np.roll(second, 1, axis=0) * both
@@ -134,12 +128,9 @@ def test_views_fade_into_each_other() -> None:
     chart, radius = cylinder(7.0)
     points = chart.points(radius)
     normals = surface_normals(points)
-    settings = BlendSettings()
     known = np.ones(chart.shape, dtype=bool)
     deviation = np.full(chart.shape, 0.004, np.float32)
-    weights = np.stack(
-        [_view_weight(sight.cosine(normals, points), known, deviation, 0.1, settings) for sight in (FRONT, RIGHT)]
-    )
+    weights = np.stack([_view_weight(sight.cosine(normals, points), known, deviation, 0.1) for sight in (FRONT, RIGHT)])
     degrees = np.rad2deg(chart.angle_rad)
     assert not weights[0][:, np.abs(degrees) > STEEPEST_DEG].any()
     assert not weights[1][:, degrees < 90 - STEEPEST_DEG].any()
@@ -150,11 +141,6 @@ def test_views_fade_into_each_other() -> None:
     assert (np.diff(rising) > -1e-6).all()
     assert np.abs(np.diff(rising)).max() < 0.2  # no jump between neighbours 0.1 mm apart
     assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
-    line = seam_lines(made.fractions, 0, 1)
-    assert np.abs(degrees[np.flatnonzero(line[70])] - 45).max() < 2
-    hard = np.where(made.fractions[0] > made.fractions[1], 0.0, 1.0)
-    assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
-    assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
     # from -72 deg of the front to the chart's end, less what fades out
     around = _coverage_deg(chart, made.known, normals)
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
@@ -164,25 +150,6 @@ def test_what_is_as_uncertain_as_ridges_are_deep_is_not_shown() -> None:
     known = np.ones((60, 60), dtype=bool)
     deviation = np.full((60, 60), 0.010, np.float32)
     deviation[:, 30:] = 0.060
-    weight = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1))
-    assert (weight[:, :20] > 0).all()
+    weight = _view_weight(np.ones((60, 60)), known, deviation, 0.1)
+    assert (weight[1:-1, 1:20] > 0).all()
     assert not weight[:, 40:].any()
-    spared = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1, most_deviation_um=100.0))
-    assert (spared[:, 40:] > 0).all()
-
-
-def test_settings_are_checked() -> None:
-    for wrong in (
-        {"fade_mm": 0.0},
-        {"most_deviation_um": -1.0},
-    ):
-        with pytest.raises(BadInput, match=r"rolled\.blend"):
-            BlendSettings(**wrong)
-    for wrong in (
-        {"across_mm": (-1.0, 0.1)},
-        {"along_mm": (0.1, 0.0)},
-        {"deviations": (0.0, 0.1, 0.1)},
-        {"candidates": 0},
-    ):
-        with pytest.raises(BadInput, match=r"rolled\.search"):
-            RidgeSearchSettings(**wrong)
