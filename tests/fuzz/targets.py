@@ -54,8 +54,7 @@ from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
-from splitknit.separation.folder import _read_light
-from splitknit.separation.pattern_folder import read_pattern_folder
+from splitknit.separation.folder import read_light
 from splitknit.settings import override
 from splitknit.viewer.server import pages_of, start
 from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
@@ -737,14 +736,11 @@ def _radiometric(folder: Path, files: Files) -> object:
 def _patterns() -> list[Files]:
     images = {f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png") for i in (0, 2) for j in (0, 2)}
     singles = {name: encode_image(_noise(8, 9, seed=8) // 20, ".png") for name in ("black.png", "white.png")}
-    document = {"format": "splitknit-separation", "version": 1, "method": "checkerboard", "images": list(images)}
-    document |= {"shifts": [[0, 0], [0, 2], [2, 0], [2, 2]], "black": "black.png", "white": "white.png", "period": 4}
-    files: Files = {**images, **singles}
-    return [files, {**files, "separation.json": json.dumps(document).encode()}]
+    return [{**images, **singles}]
 
 
 def _pattern(folder: Path, files: Files) -> None:
-    _read_light(read_pattern_folder(folder), folder)
+    read_light(folder)
 
 
 # --- viewer ------------------------------------------------------------------------------------------------------
