@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_mask, check_stack
+from splitknit.errors import Note
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
@@ -64,8 +64,6 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     All is zero below five shots, and a drift that follows the lights around is underestimated. Source: Lucas, B. and
     Kanade, T., "An iterative image registration technique", IJCAI 1981.
     """
-    stack = check_stack(stack)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     box = bounding_box(mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
     if count < 5:

@@ -12,7 +12,6 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask
 from splitknit.finger.regions import reduce_mask
 from splitknit.imaging.geometry import rotation_about, warp
 from splitknit.model import BoolArray, FloatArray
@@ -80,8 +79,6 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     counter-clockwise; None: found by the outline; `all_rows`: a plain line through the middles of all rows, as the
     thesis has it. Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
-    array = np.asarray(mask)
-    mask = check_mask(array, (array.shape[0], array.shape[1]))
     expected, clear = (np.deg2rad(tip_direction_deg), True) if tip_direction_deg is not None else _found(mask)
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)

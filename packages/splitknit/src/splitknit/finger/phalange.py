@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_image, check_mask
+from splitknit.errors import Note
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import smoothed, warp
@@ -79,10 +79,8 @@ def find_crease(
     `equalised`: the thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds
     nor the width of the blur; three and 0.5 mm here..
     """
-    grey = check_image(mean_grey, name="the mean grey image")
-    mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
-    small, inside = _upright_copy(grey, mask, upright, scale)
+    small, inside = _upright_copy(mean_grey, mask, upright, scale)
     seek = _darkest_rows if equalised else _transverse_valleys
     valleys = seek(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm

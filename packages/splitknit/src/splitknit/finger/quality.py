@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_image, check_mask, check_stack, require
+from splitknit.errors import Note, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import (
     blur,
@@ -151,7 +151,7 @@ def capture_quality(
     finger: bool = True,
     lights: NDArray[np.float64] | None = None,
     ambient: FloatArray | None = None,
-    saturation: float | NDArray[np.float64] | None = None,
+    saturation: float | NDArray[np.float64] = _SATURATION,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -165,35 +165,26 @@ def capture_quality(
     length is the relative irradiance the rig promises (``Rig.light_vectors``); `ambient`: (H, W) linear image with all
     LEDs off; `saturation`: value at which all images saturate, or (L,) at which each does.
     """
-    stack = check_stack(stack)
-    shape = (stack.shape[1], stack.shape[2])
-    mask = check_mask(mask, shape)
     stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
     some = np.s_[::stride, ::stride]
     some = some if mask[some].any() else np.s_[::1, ::1]
     light = [image[some][mask[some]] for image in stack]
     medians = np.array([quantile(image) for image in light])
     brightness = quantile(np.mean(light, axis=0))
-    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
-    pairs = zip(stack, ceilings, strict=True)
+    pairs = zip(stack, np.broadcast_to(saturation, (len(stack),)), strict=True)
     saturated = [float((image[mask] >= limit).mean()) if float(image.max()) >= limit else 0.0 for image, limit in pairs]
     found, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
     if finger:
         found["dark_specks"], found["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
-    ambient_share = None
-    if ambient is not None:
-        dark = check_image(ambient, name="the ambient image")
-        require(dark.shape == shape, f"the ambient image must have the shape {shape}, but it has {dark.shape}.")
-        ambient_share = quantile(dark[mask]) / max(brightness, 1e-12)
     return {
         **found,
         "sharpness": sharpness,
         "saturated_per_image": saturated,
         "brightness": brightness,
         "brightness_per_image": [float(v) for v in medians],
-        "ambient_share": ambient_share,
+        "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
         **outline_figures(mask, px_per_mm),
-        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
+        "led_relative": None if lights is None else _led_relative(medians, lights),
     }
 
 
@@ -291,7 +282,6 @@ _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
 
 def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
     """Measured over promised brightness of every image, median one; a light counts with its z, as facing the camera."""
-    require(lights.shape == (len(medians), 3), f"lights must have the shape ({len(medians)}, 3), not {lights.shape}.")
     ratio = medians / np.maximum(lights[:, 2], 1e-6)
     middle = float(np.median(ratio))
     return [float(value / middle) if middle > 0 else 0.0 for value in ratio]
@@ -308,19 +298,17 @@ _PINHOLE_MM2 = 1.0
 
 
 def photometric_mask(
-    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] | None = None
+    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] = _SATURATION
 ) -> BoolArray:
     """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without pinholes, at full
     resolution. The thesis's threshold (3.3.1.5, refined mask) follows the finger's own brightness here, and three
     lights must pass it. `saturation`: at which each image of `stack` (L, H, W) saturates, or (L,). Raises BadInput if
     nothing is left.
     """
-    stack = check_stack(stack)
-    finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")
     box = bounding_box(finger)
     inside = finger[box]
     least = min(_MIN_LIGHTS, len(stack))
-    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
+    ceilings = np.broadcast_to(saturation, (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
     floor = np.float32(_DARK_FRACTION * float(np.median(sample)))

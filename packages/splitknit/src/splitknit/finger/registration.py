@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import blur, dilate, erode
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import BoolArray, FloatArray
@@ -203,23 +202,14 @@ def gram(columns: FloatArray) -> Array:
 # What surfaces may show under lights that differ from place to place.
 
 
-def check_light_vectors(lights: Array, count: int) -> None:
-    """Refuse light vectors that are neither (L, 3) nor (L, 3, h, w)."""
-    fits = lights.shape[:2] == (count, 3) and lights.ndim in (2, 4)
-    require(fits, f"lights must have the shape ({count}, 3) or ({count}, 3, h, w), but they have {lights.shape}.")
-
-
 def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: float) -> FloatArray:
-    """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
-    if lights.ndim == 2:
-        return lights[..., None].astype(np.float32)
+    """(L, 3, N) light vectors at the pixels of a level of images of `shape`."""
     height, width = lights.shape[2:]  # of nodes that lie evenly over the image, ends included
     x, y = level.places()
     columns = (x * (width - 1) / max((shape[1] - 1) / px_per_mm, 1e-9)).astype(np.float32)
     rows = (y * (height - 1) / max((shape[0] - 1) / px_per_mm, 1e-9)).astype(np.float32)
     flat = np.ascontiguousarray(lights, dtype=np.float32).reshape(-1, height, width)
-    found = np.stack([sampled_at(part, columns, rows) for part in flat])
-    return np.asarray(found.reshape(-1, 3, x.size), dtype=np.float32)
+    return np.stack([sampled_at(part, columns, rows) for part in flat]).reshape(-1, 3, x.size)
 
 
 def shown_by_surfaces(lights: FloatArray) -> FloatArray:
@@ -233,7 +223,7 @@ def shown_by_surfaces(lights: FloatArray) -> FloatArray:
 
 
 def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
-    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N) or (L, 3, 1)."""
+    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N)."""
     along = (axes * images[:, None]).sum(axis=0)
     return np.asarray(images - (axes * along).sum(axis=1), dtype=np.float32)
 
@@ -263,23 +253,16 @@ def register_shots(
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
-    Raises BadInput with fewer than five images, or where shapes do not fit. Source: Golub, G. and Pereyra, V., "The
+    Source: Golub, G. and Pereyra, V., "The
     differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
     Anal. 10(2), 1973 (the surface is eliminated from the least squares). `stack`: (L, H, W) float32 linear, at least
-    five images, best without glare (:func:`without_glare`); `lights`: (L, 3) towards the light, its length the relative
-    strength, or, under near LEDs, (L, 3, h, w) on nodes that lie evenly over the image, first and last pixel included;
+    five images, best without glare (:func:`without_glare`); `lights`: (L, 3, h, w) towards the light, its length the
+    relative strength, on nodes that lie evenly over the image, first and last pixel included;
     `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought; `shots`: (L,) shot of
     every image, where several lights share one; None = every image is a shot.
     """
-    stack = check_stack(stack, least=5)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
-    count = len(stack)
-    lights = np.asarray(lights, dtype=np.float64)
-    check_light_vectors(lights, count)
-    shots = np.arange(count) if shots is None else np.asarray(shots)
-    require(shots.shape == (count,), f"shots must have the shape ({count},), but they have {shots.shape}.")
+    shots = np.arange(len(stack)) if shots is None else shots
     number = int(shots.max()) + 1
-    require(0 <= reference < number, f"the reference must be one of {number} shots, but it is {reference}.")
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
@@ -304,7 +287,7 @@ class _Problem:
 
     level: Level
     axes: FloatArray
-    """(L, 3, N) or (L, 3, 1): orthonormal brightnesses that span what a matt surface may show."""
+    """(L, 3, N) orthonormal brightnesses that span what a matt surface may show."""
     shots: NDArray[np.intp]
     """(L,)"""
     reference: int

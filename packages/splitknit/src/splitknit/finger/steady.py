@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_mask, check_stack, require
+from splitknit.errors import Note, require
 from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
 from splitknit.finger.motion import CORRECT_MM, MIN_RELIABILITY, MOST_LEFT, WARN_MM
 from splitknit.finger.regions import dilate, erode
@@ -38,7 +38,6 @@ from splitknit.finger.registration import (
     Basis,
     Flow,
     Level,
-    check_light_vectors,
     details_of,
     gram,
     lights_on,
@@ -62,7 +61,7 @@ class _RegisteredBand:
     stack: FloatArray
     """(K, H, W) grey, linear."""
     lights: NDArray[np.float64]
-    """(K, 3) or (K, 3, h, w)"""
+    """(K, 3, h, w)"""
     flow: Flow
     shots: NDArray[np.intp]
     """(K,) shot of every image."""
@@ -77,14 +76,8 @@ def _register_band(
 ) -> tuple[Flow, NDArray[np.float64], NDArray[np.float64]]:
     """Flow of another band's `stack` (L, H, W), each image a shot, onto the registered band `first`, and the
     correlation (L,) of details with the expected ones with the motion undone, and as they are. `lights`: as those of
-    `first`. BadInput if images differ in size, or lights and images in number.
+    `first`.
     """
-    stack = check_stack(stack)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
-    require(first.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
-    lights = np.asarray(lights, dtype=np.float64)
-    check_light_vectors(lights, len(stack))
-    check_light_vectors(first.lights, len(first.stack))
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):

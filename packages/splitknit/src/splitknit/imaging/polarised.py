@@ -110,15 +110,13 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
     depolarised passes either. Light that was scattered once or twice stays in part with the specular light. `parallel`
     and `crossed`: (..., H, W) or (..., H, W, C) linear light of one exposure. Returns the difference, zero where noise
-    makes it negative, and the crossed images as they are. Raises BadInput if the two differ in shape. Source: S. L.
+    makes it negative, and the crossed images as they are. Source: S. L.
     Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", 2002.
 
     >>> specular, diffuse = separate_polarised(np.full((1, 4, 4), 0.5), np.full((1, 4, 4), 0.3))
     >>> float(specular[0, 0, 0].round(3)), float(diffuse[0, 0, 0])
     (0.2, 0.3)
     """
-    differ = f"parallel and crossed images must have one shape, but they have {parallel.shape} and {crossed.shape}."
-    require(parallel.shape == crossed.shape, differ)
     return np.maximum(parallel - crossed, np.float32(0.0)), crossed
 
 

@@ -175,11 +175,8 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
 
 def plane_points(camera: Camera, pixels: Any) -> Points:
     """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's centre is (0, 0))
-    look at. Raises BadInput for another shape, or what is not finite.
-    """
+    look at."""
     places = np.asarray(pixels, dtype=np.float64)
-    sound = places.ndim == 2 and places.shape[1] == 2 and bool(np.isfinite(places).all())
-    require(sound, f"pixels must be finite and of the shape (N, 2), but they have the shape {places.shape}.")
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     assert camera.matrix is not None
@@ -194,11 +191,9 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
 
 def pixels_of(camera: Camera, points_mm: Any) -> Points:
     """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
-    Raises BadInput for another shape, what is not finite, or points at or beyond a perspective camera's height.
+    Raises BadInput for points at or beyond a perspective camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
-    sound = points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
-    require(sound, f"points_mm must be finite and of the shape (N, 3), but it has the shape {points.shape}.")
     rows, columns = camera.image_size
     if camera.model == "orthographic":
         column = points[:, 0] * camera.px_per_mm + (columns - 1) / 2

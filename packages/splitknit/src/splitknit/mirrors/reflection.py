@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View, pixels_of
 from splitknit.model import Camera, FloatArray, Led, Mirror, Shade
@@ -56,12 +55,6 @@ class Plane:
 
     point_mm: Array  # (3,) on the reflecting face
     normal: Array  # (3,) unit length, towards the camera (z > 0)
-
-    def __post_init__(self) -> None:
-        shapes = np.shape(self.point_mm), np.shape(self.normal)
-        require(shapes == ((3,), (3,)), f"a mirror's point and normal are three numbers each, not {shapes}.")
-        length = float(np.linalg.norm(self.normal))
-        require(abs(length - 1.0) < 1e-6, f"a mirror's normal must have unit length, but it has {length:.6g}.")
 
     @property
     def offset_mm(self) -> float:

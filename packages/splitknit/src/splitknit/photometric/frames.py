@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_lights, check_mask, check_stack, require
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import BoolArray, FloatArray, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 
@@ -403,8 +403,8 @@ def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
     within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
     sigma = 0.12 * max(cover.shape)
-    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-6))
-    coarse = sum(float(((_blurred(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
+    mean = np.maximum(gaussian_mean(cover, sigma), np.float32(1e-6))
+    coarse = sum(float(((gaussian_mean(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
     own = sum(float((part[within] ** 2).sum()) for part in (p, q))
     return float(np.sqrt(coarse / max(own, 1e-12)))
 
@@ -523,11 +523,7 @@ def _smooth_slopes(
     slopes = [-part[..., axis] / nz for axis in (0, 1)]
     steep = np.maximum(np.hypot(*slopes) / np.float32(_STEEPEST), np.float32(1.0))
     sigma = max(1.0, blur * max(cover.shape))
-    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-3))
-    p, q = (_blurred(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
+    mean = np.maximum(gaussian_mean(cover, sigma), np.float32(1e-3))
+    p, q = (gaussian_mean(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
     believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
     return np.asarray(p, np.float32), np.asarray(q, np.float32), np.asarray(believed, dtype=np.float32)
-
-
-def _blurred(values: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)

@@ -17,7 +17,6 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.settings import Checked, Limits
 
 CHANNELS = ("red", "green", "blue", "nir")
@@ -99,14 +98,6 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
     >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
     (1.0, True)
     """
-    require(
-        bool(np.isfinite(scattering_per_mm)) and scattering_per_mm > 0,
-        f"scattering must be a positive number per mm, but it is {scattering_per_mm}.",
-    )
-    require(
-        bool(np.isfinite(absorption_per_mm)) and absorption_per_mm >= 0,
-        f"absorption must be a number per mm that is not negative, but it is {absorption_per_mm}.",
-    )
     albedos, frequencies, table = _table()
     total = scattering_per_mm + absorption_per_mm
     # between albedos the table is nearly linear in the logarithm of the absorbed part
