@@ -103,7 +103,7 @@ def _placed(values: FloatArray, mask: BoolArray) -> FloatArray:
     return whole
 
 
-def _bits(values: NDArray[np.float32]) -> NDArray[np.int32]:
+def _bits(values: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.ascontiguousarray(values, dtype=np.float32).view(np.int32)
 
 
@@ -111,7 +111,7 @@ def _floats(words: NDArray[np.int32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(words, dtype=np.int32).view(np.float32)
 
 
-def _along(values: NDArray[np.float32]) -> bytes:
+def _along(values: NDArray[np.floating]) -> bytes:
     bits = _bits(values)
     return _planes(np.diff(bits, prepend=np.zeros(1, dtype=np.int32)))
 

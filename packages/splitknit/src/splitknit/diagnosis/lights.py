@@ -98,7 +98,7 @@ def fitted_places(  # noqa: PLR0917
         slopes = [np.zeros(mask.shape, dtype=np.float32) for _ in range(2)]
         for axis, slope in enumerate(slopes):
             slope[inside] = -normals[:, axis] / nz[inside]
-        height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * np.float32(pitch_mm)
+        height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * pitch_mm
     low, high = _STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
     if chosen.sum() < 2 * _INDEPENDENT:
@@ -139,7 +139,7 @@ def _solved(  # noqa: PLR0917
     """Light left over (L, n), relative, albedo (n,) and normals (n, 3) at the pixels `where`, under moved lights."""
     raised = float(np.exp(unknowns[0]))
     moved = replace(rig, leds=tuple(_moved(led, raised, unknowns[1], unknowns[2]) for led in rig.leds))
-    surface = (height_mm * np.float32(raised) + np.float32(_PLANE_MM)).astype(np.float32)  # slopes go with the height
+    surface = (height_mm * raised + _PLANE_MM).astype(np.float32)  # slopes go with the height
     vectors = view.turned(light_vectors_at(moved, *view.points(surface)))[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
     length = np.sqrt((vectors * vectors).sum(axis=1))

@@ -242,7 +242,7 @@ def _quality(
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
             lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
         light = ambient_light(band, capture.encoding, window, binning)
-        ambient = None if light is None else np.maximum(pick_channel(light, "grey"), np.float32(0.0))
+        ambient = None if light is None else np.maximum(pick_channel(light, "grey"), 0.0)
         found = capture_quality(
             stack, inside, px_per_mm, finger=skin, lights=lights, ambient=ambient, saturation=saturation
         )

@@ -62,22 +62,22 @@ def _chromaticity(image: FloatArray) -> FloatArray:
     """
     least = _least(image)
     average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
-    msf = np.maximum(image - least[..., None] + np.float32(average), np.float32(1e-12))
-    return np.asarray(msf / _brightness(msf)[..., None], dtype=np.float32)
+    msf = np.maximum(image - least[..., None] + average, 1e-12)
+    return msf / _brightness(msf)[..., None]
 
 
 def _brightness(image: FloatArray) -> FloatArray:
-    return image if image.ndim == 2 else np.asarray(image[..., 0] + image[..., 1] + image[..., 2])
+    return image if image.ndim == 2 else image[..., 0] + image[..., 1] + image[..., 2]
 
 
 def _least(image: FloatArray) -> FloatArray:
-    return np.asarray(np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2]))
+    return np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2])
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
     """Brightness, and the sum of I - I_min, which ignores neutral light: reflection, white dust, leaked infra-red."""
     brightness = _brightness(image)
-    return [brightness] if image.ndim == 2 else [brightness, brightness - np.float32(3.0) * _least(image)]
+    return [brightness] if image.ndim == 2 else [brightness, brightness - 3.0 * _least(image)]
 
 
 def _skin_evidence(
@@ -101,15 +101,15 @@ def _skin_evidence(
         background, noise = _fit_background(signal, outside, samples)
         rise = signal - background
         if local:
-            dim = np.minimum(rise, np.float32(3.0 * noise))  # dust, which is bright, hardly counts
+            dim = np.minimum(rise, 3.0 * noise)  # dust, which is bright, hardly counts
             offset, cover = _local_mean(dim, outside, 2.0 * margin)
-            rise = rise - np.where(cover > 1e-3, offset, np.float32(0.0))
+            rise = rise - np.where(cover > 1e-3, offset, 0.0)
         level = float(np.median(rise[inside]))
         if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
         near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)  # a shaded part is darker
-        own = np.minimum(np.where(cover > 1e-2, near, np.float32(level)), np.float32(level))
+        own = np.minimum(np.where(cover > 1e-2, near, level), level)
         threshold = np.maximum(_EDGE_FRACTION * own, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
@@ -119,8 +119,8 @@ def _local_mean(values: FloatArray, where: BoolArray, sigma: float) -> tuple[Flo
     """Mean of values near every pixel over those of a region, and how much of it is near."""
     weight = where.astype(np.float32)
     cover = wide_blur(weight, sigma)
-    mean = wide_blur(values * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.asarray(mean, dtype=np.float32), cover
+    mean = wide_blur(values * weight, sigma) / np.maximum(cover, 1e-3)
+    return mean, cover
 
 
 def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
@@ -266,7 +266,7 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
     return mask
 
 
-def _colour_filter(image: FloatArray) -> NDArray[np.float32] | None:
+def _colour_filter(image: FloatArray) -> FloatArray | None:
     """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before any other. They are
     orthogonal to its colour, the median along the image's border (skin along most of it is none), towards the direction
     in which the rest of the image is strongest.
@@ -288,7 +288,7 @@ def _colour_filter(image: FloatArray) -> NDArray[np.float32] | None:
     return np.asarray(sign * weights, dtype=np.float32)
 
 
-def _filtered(image: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
+def _filtered(image: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("hwc,c->hw", image, weights), dtype=np.float32)
 
 
@@ -330,7 +330,7 @@ class NoFinger(BadInput):
 def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
-    image = np.asarray(mean_image)
+    image = mean_image
     flat = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
     require(flat, f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
     rows, columns = image.shape[:2]
@@ -353,7 +353,7 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
     """
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
-    root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
+    root = np.sqrt(np.clip(brightness / ceiling, 0.0, 1.0)).astype(np.float32)
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
         candidates.append(blur(_chromaticity(image), sigma))
@@ -405,7 +405,7 @@ def _fine_outline(
 # Two-class k-means that gives the same answer every time.
 
 
-def _two_means(features: NDArray[np.float32]) -> tuple[BoolArray, float]:
+def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
     """Membership (N,) of the second of two clusters of features (N, D), by Lloyd's algorithm (IEEE Trans. IT 28(2),
     1982) from a split at the middle of the direction of greatest variance; and the distance of the two means over the
     pooled standard deviation along it.
@@ -450,8 +450,7 @@ def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
     mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
-    full = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.asarray(full, dtype=np.bool_)
+    return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
 
 
 def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
@@ -485,4 +484,4 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     mask = _seed(image if weights is None else _filtered(image, weights), BLUR_MM * px_per_mm, wide)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
-    return [np.asarray(labels == 1 + k) for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]
+    return [labels == 1 + k for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]

@@ -76,10 +76,10 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     for band in _BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
-        total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
+        total = aligned.sum(axis=0)
         found = np.zeros_like(shifts)
         for k in range(count):
-            reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
+            reference = np.subtract(total, aligned[k]) / (count - 1)
             found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
         shifts = _without_illumination(found / px, light)
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
@@ -98,7 +98,7 @@ def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
     fraction = reduce_mask(mask, scale)
-    return np.asarray(fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0)
+    return fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0
 
 
 def _details(
@@ -120,11 +120,11 @@ def _details(
     details, light = [], []
     for image in stack:
         small = reduce_image(image, scale)[box]
-        on_finger = np.maximum(small[inside], np.float32(0.0))
+        on_finger = np.maximum(small[inside], 0.0)
         power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
         light.append(tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows)))
         floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
-        local = np.maximum(blur(small, 1.2 * px), np.float32(floor))
+        local = np.maximum(blur(small, 1.2 * px), floor)
         relative: FloatArray = np.divide(small, local, dtype=np.float32)
         details.append(np.subtract(blur(relative, band_mm * px), blur(relative, reach * px)))
     return np.stack(details), region, np.array(light) / px, px
@@ -133,8 +133,7 @@ def _details(
 def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
     """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
     across, down = (_cubic(float(along)) for along in shift)
-    moved = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, dtype=np.float32)
+    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE))
 
 
 def _cubic(shift: float) -> NDArray[np.float64]:
@@ -165,7 +164,7 @@ def _register(
             x, y, gain = solution.astype(np.float32)
             residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
             spread = max(1.4826 * quantile(residual[some]), 1e-12)
-            root = 1.0 / np.sqrt(np.maximum(np.float32(1.0), residual / np.float32(1.5 * spread)))
+            root = 1.0 / np.sqrt(np.maximum(1.0, residual / (1.5 * spread)))
         step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
         shift = shift + step
         if float(np.abs(step).max()) < 0.01:
@@ -200,4 +199,4 @@ def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:
     normal, target = products[:-1, :-1], products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
-    return np.asarray(np.linalg.solve(normal, target / scale) / scale)
+    return np.linalg.solve(normal, target / scale) / scale

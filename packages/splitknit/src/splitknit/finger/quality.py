@@ -89,10 +89,10 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
     box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
-    return box, np.asarray(depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max())))
+    return box, depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max()))
 
 
-def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
+def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
     filled = np.full_like(image, np.inf)
     closed = np.empty_like(image)
@@ -114,12 +114,12 @@ def _lines(length_px: float) -> list[NDArray[np.uint8]]:
     return lines
 
 
-def _finer(image: NDArray[np.float32], px: float) -> NDArray[np.float32]:
+def _finer(image: FloatArray, px: float) -> FloatArray:
     large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
     return blur(np.asarray(large, dtype=np.float32), _SMOOTH_MM * px * _FINER)
 
 
-def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray[np.float32]:
+def _relative(image: FloatArray, core: BoolArray, px: float) -> FloatArray:
     wide = blur(image, _LEVEL_MM * px)
     least = np.float32(0.05 * max(quantile(wide[core][::4]), 1e-12))
     return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
@@ -266,7 +266,7 @@ def _ridge_contrast(
             continue
         fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
         fine, wide = fine[core], wide[core]
-        level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
+        level = np.maximum(wide, 0.05 * max(quantile(wide[::8]), 1e-12))
         contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
     found = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
     if not core.any():
@@ -311,7 +311,7 @@ def photometric_mask(
     ceilings = np.broadcast_to(saturation, (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
-    floor = np.float32(_DARK_FRACTION * float(np.median(sample)))
+    floor = _DARK_FRACTION * float(np.median(sample))
     count = np.zeros(inside.shape, dtype=np.uint8)
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))

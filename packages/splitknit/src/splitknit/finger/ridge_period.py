@@ -57,9 +57,9 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
     12.0
     """
     mask = check_mask(mask, (normals.shape[0], normals.shape[1]))
-    steep = np.maximum(normals[..., 2], np.float32(0.2))
+    steep = np.maximum(normals[..., 2], 0.2)
     slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
-    fields = np.dstack([np.where(mask[..., None], slopes, np.float32(0.0)), mask.astype(np.float32)])
+    fields = np.dstack([np.where(mask[..., None], slopes, 0.0), mask.astype(np.float32)])
     best: tuple[float, NDArray[np.float64], float] = (0.0, np.zeros(0), 0.0)
     for level in range(_LEVELS):
         factor = 2**level
@@ -67,7 +67,7 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
         if min(size) < _BLOCK:
             break
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
-        periods, blocks = _periods(np.asarray(small, dtype=np.float32), step)
+        periods, blocks = _periods(np.asarray(small), step)
         area = float(len(periods) * factor**2)
         if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
             best = area, periods * factor, len(periods) / blocks

@@ -54,11 +54,11 @@ def relief_print(
 
     rows, columns = bounding_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
-    relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
+    relief = np.where(mask[rows, columns], ridge_mm[rows, columns], 0.0)
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
     weight = gaussian_mean(inside, sigma)
-    relief = gaussian_mean(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
+    relief = gaussian_mean(relief, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
@@ -81,18 +81,18 @@ def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], ste
 
 def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is inked."""
-    score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    dark = 0.5 + 0.5 * np.tanh(np.float32(_CONTRAST) * score)
-    return np.asarray(np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8))
+    score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
+    dark = 0.5 + 0.5 * np.tanh(_CONTRAST * score)
+    return np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8)
 
 
 def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
-    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), np.float32(1e-3))
+    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), 1e-3)
     centred: FloatArray = values
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
         centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
-    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, np.float32(0.0)))
+    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, 0.0))
 
 
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
@@ -133,7 +133,7 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     scale = float(np.abs(values[inside]).max())
     flat = "the print has no ridges: its relief is flat; check focus and light of the capture."
     require(typical > 1e-6 * scale, flat)
-    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), np.float32(1e-3))
+    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
-    shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
+    shown = np.clip((near / typical - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
     return _ink(centred, deviation, typical, shown)

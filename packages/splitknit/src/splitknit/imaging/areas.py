@@ -64,7 +64,7 @@ def shrunk(mask: BoolArray, radius: float) -> BoolArray:
 def mirror_outline(mirror: Mirror, camera: Camera, binning: int = 1) -> Array:
     """(n, 2) column and row of a mirror's nominal outline in an image of blocks of `binning` pixels a side."""
     full = pixels_of(camera, np.asarray(mirror.corners_mm, dtype=np.float64))
-    return np.asarray((full - 0.5 * (binning - 1)) / binning)
+    return (full - 0.5 * (binning - 1)) / binning
 
 
 def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:

@@ -109,7 +109,7 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
     rows, columns = shade.fraction.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
-        places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
+        places.append(((values - first) * ((count - 1) / (last - first))).astype(np.float32))
     column, row = np.broadcast_arrays(*places)
     return sampled_at(shade.fraction, column, row)
 

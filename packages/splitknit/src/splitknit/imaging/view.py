@@ -59,8 +59,8 @@ class View:
             nearer = np.float32(1.0) - height_mm / apex
             return x * nearer, y * nearer, height_mm
         # r over the distance at which the ray meets the plane
-        nearer = np.exp(-height_mm / apex) / np.sqrt(np.float32(1.0) + (x * x + y * y) / (apex * apex))
-        return x * nearer, y * nearer, apex * (np.float32(1.0) - nearer)
+        nearer = np.exp(-height_mm / apex) / np.sqrt(1.0 + (x * x + y * y) / (apex * apex))
+        return x * nearer, y * nearer, apex * (1.0 - nearer)
 
     def along(self, z_mm: FloatArray) -> FloatArray:
         """Heights along the rays (H, W) of surface points at `z_mm` (H, W): what :meth:`points` takes back to them."""
@@ -83,7 +83,7 @@ class View:
         a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
         vx, vy, vz = vectors[:, 0], vectors[:, 1], vectors[:, 2]
         sideways = a * vx + b * vy
-        common = sideways / (np.float32(1.0) + c) + vz
+        common = sideways / (1.0 + c) + vz
         return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
 
     def in_rig(self, vectors: FloatArray) -> FloatArray:
@@ -93,7 +93,7 @@ class View:
         a, b, c = self._towards(slice(None), vectors.shape[:2], None)
         rx, ry, rz = vectors[..., 0], vectors[..., 1], vectors[..., 2]
         sideways = a * rx + b * ry
-        common = rz - sideways / (np.float32(1.0) + c)
+        common = rz - sideways / (1.0 + c)
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
 
     def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -108,7 +108,7 @@ class View:
         if not self._spread:
             return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
         a, b, c = self._towards(slice(None), shape, None)
-        k = np.float32(1.0) / (np.float32(1.0) + c)
+        k = 1.0 / (1.0 + c)
         xx, xy, yy = c * (1 - a * a * k), -c * a * b * k, c * (1 - b * b * k)
         x_x, x_y = xx * x_right + xy * y_right, xx * x_up + xy * y_up
         y_x, y_y = xy * x_right + yy * y_right, xy * x_up + yy * y_up
@@ -141,8 +141,8 @@ def view_of(
     starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
     (top, bottom, _), (left, right, _) = starts
     middle = 0.5 * (binning - 1)
-    row = np.asarray(top + np.arange(int((bottom - top) // binning)) * binning + middle, dtype=np.float64)
-    column = np.asarray(left + np.arange(int((right - left) // binning)) * binning + middle, dtype=np.float64)
+    row = top + np.arange(int((bottom - top) // binning), dtype=np.float64) * binning + middle
+    column = left + np.arange(int((right - left) // binning), dtype=np.float64) * binning + middle
     if camera.model == "orthographic":
         return View(*_pixel_axes_mm(camera, row, column))
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
@@ -151,7 +151,7 @@ def view_of(
     from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
 
     x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
-    return View(np.asarray(x), np.asarray(y), camera.height_mm, along_rays)
+    return View(x, y, camera.height_mm, along_rays)
 
 
 def _lattice(axis: Axis) -> Axis:
@@ -161,7 +161,7 @@ def _lattice(axis: Axis) -> Axis:
 
 
 def _f32(values: Any) -> FloatArray:
-    return np.asarray(values, dtype=np.float32)
+    return np.asarray(values)
 
 
 def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
@@ -170,7 +170,7 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
     column = np.arange(width, dtype=np.float64) if columns is None else columns
     row = np.arange(height, dtype=np.float64) if rows is None else rows
     x = (column - (width - 1) / 2) * camera.pitch_mm
-    return np.asarray(x), np.asarray(((height - 1) / 2 - row) * camera.pitch_mm)
+    return x, ((height - 1) / 2 - row) * camera.pitch_mm
 
 
 def plane_points(camera: Camera, pixels: Any) -> Points:
@@ -179,14 +179,14 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
     places = np.asarray(pixels, dtype=np.float64)
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
-    assert camera.matrix is not None
+    matrix = camera.matrix
+    assert matrix is not None
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-    matrix = np.asarray(camera.matrix, dtype=np.float64)
     rays = cv2.undistortPointsIter(places[:, None], matrix, distortion, np.eye(3), matrix, criteria)[:, 0]
     rays = (rays - matrix[:2, 2]) / np.diag(matrix)[:2]
     rays[:, 0] -= matrix[0, 1] / matrix[0, 0] * rays[:, 1]
-    return np.asarray(rays * (camera.height_mm, -camera.height_mm), dtype=np.float64)
+    return rays * (camera.height_mm, -camera.height_mm)
 
 
 def pixels_of(camera: Camera, points_mm: Any) -> Points:

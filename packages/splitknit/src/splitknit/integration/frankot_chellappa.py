@@ -38,7 +38,7 @@ def check_fields(
 def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
     """Return `height` with a zero mean over the mask, NaN outside it."""
     mean = float(np.sum(height, where=mask, dtype=np.float64)) / int(np.count_nonzero(mask))
-    return np.where(mask, height - np.float32(mean), np.float32(np.nan))
+    return np.where(mask, height - mean, np.nan)
 
 
 # Least-squares integration in the frequency domain: the height whose gradient is nearest to (p, q) has the spectrum
@@ -69,7 +69,7 @@ def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatAr
     spectrum += other
     spectrum *= _radial_factor(row_frequency, column_frequency, None) * np.complex64(-1j)
     result = scipy.fft.irfft2(spectrum, size, workers=WORKERS, overwrite_x=True)
-    return np.asarray(result[:height, :width], dtype=np.float32)
+    return result[:height, :width]
 
 
 def integrate_mirrored(gradient_x: FloatArray, gradient_y: FloatArray, transfer: Transfer | None = None) -> FloatArray:

@@ -323,7 +323,7 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
     facts: dict[str, Any] = {"shape_source": shape_source, "separation": OPAQUE, "heights": "measured"}
     if (unsure := bas_relief_of(white.rig)) is None:
         return replace(surface, facts=facts)
-    deviation_um = bas_relief_um(surface.height_mm, white.inside, float(white.pitch_mm), unsure)
+    deviation_um = bas_relief_um(surface.height_mm, white.inside, white.pitch_mm, unsure)
     directions = np.round(white.rig.light_vectors(), 3).tolist()
     facts |= {"lights": "estimated", "light_directions": directions, "bas_relief": unsure}
     return replace(surface, uncertainty_um=deviation_um, facts=facts)
@@ -366,7 +366,7 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     else:
         found = metric_skin(images.bands, images.grid, skin, p, networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
-    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), np.float32(lost) * ridge_mm) * np.float32(1000.0)
+    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), lost * ridge_mm) * 1000.0
     relief_by = found.facts["relief_by"]
     facts = {
         "shape_source": "nir" if len(images.bands) > 1 else "white",
@@ -449,7 +449,7 @@ def near_slopes(
         normals, albedo = by_rows(photographs, lit, without_clipped=True)
         slopes = gradients_from_normals(normals, inside, MAX_SLOPE)
         if turn < rounds - 1:
-            surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
+            surface = integrated(slopes, photographs, height) + photographs.plane_mm
     return slopes, albedo, view.in_rig(normals)
 
 

@@ -131,9 +131,9 @@ class FingerBand:
         return self.capture.rig.camera.px_per_mm
 
     @property
-    def pitch_mm(self) -> np.float32:
+    def pitch_mm(self) -> float:
         """Side of a pixel on the finger plane."""
-        return np.float32(self.capture.rig.camera.pitch_mm)
+        return self.capture.rig.camera.pitch_mm
 
 
 @dataclass(slots=True, eq=False)
@@ -250,7 +250,7 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     if band.pixels.dtype != np.uint8 or min(stored.shape[:2]) < 64:
         return False
     image, k = pick_channel(stored, "grey"), np.arange(4, 8)  # the upper half of a block's frequencies
-    waves = np.float32(0.5) * np.cos(np.pi / 16 * k[:, None] * (2 * np.arange(8) + 1)).astype(np.float32)
+    waves = 0.5 * np.cos(np.pi / 16 * k[:, None] * (2 * np.arange(8) + 1)).astype(np.float32)
     total = np.zeros_like(image)
     for across in waves:
         rows = cv2.filter2D(image, cv2.CV_32F, across[None], anchor=(0, 0))
@@ -445,7 +445,7 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[
     binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
     names = ("red", "green", "blue") if has_colour(band) else ("grey",)
     images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
-    inside = np.asarray(bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99)
+    inside = bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99
     rows, columns = (n // (every * binning) for n in capture.shape)
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
@@ -469,7 +469,7 @@ def _doubt_of_relief(
     on a smaller part, which gloss may hide."""
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
-    inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
+    inside = bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
     area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
     patch = doubt_of_patch(area_mm2, part)

@@ -160,9 +160,9 @@ def _coarse_surface(
     view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
-        g = pseudo_normals(stack, rig, height_mm + np.float32(_PLANE_MM), inside, view=view)
-        z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + np.float32(1e-9))
-        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * np.float32(every * camera.pitch_mm)
+        g = pseudo_normals(stack, rig, height_mm + _PLANE_MM, inside, view=view)
+        z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
+        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * (every * camera.pitch_mm)
         height_mm = np.nan_to_num(height).astype(np.float32)
-    points = view.points(height_mm + np.float32(_PLANE_MM))
+    points = view.points(height_mm + _PLANE_MM)
     return height_mm, view.turned(light_vectors_at(rig, *points))

@@ -106,7 +106,7 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
         lights, inside = white.rig.light_vectors(), white.inside
 
         def solve(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-            return distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
+            return distant_normals(np.maximum(images, 0.0), lights, inside[rows], p.normals)
 
         return by_rows(white, solve)
     images = _grey_images(white)
@@ -135,7 +135,7 @@ def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.flo
 def _grey_images(photographs: FingerBand) -> FloatArray:
     """(L, h, w) linear grey images."""
     encoding, window = photographs.capture.encoding, photographs.finger.window
-    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
+    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), 0.0)
 
 
 @step("light")

@@ -59,7 +59,7 @@ def mirror_shape_of(
         shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
-        from_light = np.where(inside, detail_mm, np.float32(0))
+        from_light = np.where(inside, detail_mm, 0)
         finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
@@ -125,7 +125,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
-    inside: BoolArray = np.asarray(bin_mean(views.front.astype(np.float32), factor) > 0.999)
+    inside: BoolArray = bin_mean(views.front.astype(np.float32), factor) > 0.999
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
     if len(grey) < 3 or not bool((depth > RIM_MM).any()):
         return None
@@ -135,9 +135,9 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     rows, columns = (slice(0, side * block) for side in inside.shape)
     x, y, z = shape.points(rows, columns, block)
     inside &= np.isfinite(z)
-    surface = np.where(inside, z, np.float32(np.nanmin(z)))
+    surface = np.where(inside, z, np.nanmin(z))
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)
-    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
+    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), pitch * factor))
     rig = _with_images(
         capture.rig.select(capture.bands["white"].lights),
         tuple(glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
@@ -151,7 +151,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     upward = np.maximum(normals[..., 2], level)
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
     sigma = 0.5 / (pitch * factor)
-    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
+    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
     smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
     step = max(1, round(APART_MM / (pitch * factor)))
     chosen = np.zeros_like(inside)

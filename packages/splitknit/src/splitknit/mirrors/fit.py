@@ -259,7 +259,7 @@ def _robust_weights(residual: Array, ends: NDArray[np.intp], *, sure: bool) -> A
 
 def _tukey(residual: Array, limit: float) -> Array:
     """Tukey's biweight: one at zero, nothing from `limit` on."""
-    return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
+    return np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2
 
 
 TIP_TRUST = 0.1  # weight of a view from beyond the tip: it sees the largest sections only
@@ -461,7 +461,7 @@ def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
 def _is_right(body: Body, part: Touching) -> BoolArray:
     """(n,) which planes touch along the right edge of their view, not along its left one."""
     normal, direction = (body.to_frame(of, place=False) for of in (part.normal, part.direction))
-    return np.asarray(normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0])
+    return normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0]
 
 
 def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:

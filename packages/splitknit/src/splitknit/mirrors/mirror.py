@@ -203,7 +203,7 @@ class MirrorShape:
     def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y, z (h, w), mm, of the surface seen by a window's pixels, in blocks of `binning`; NaN beside it."""
         x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
-        return x, y, np.where(inside, z, np.float32(np.nan))
+        return x, y, np.where(inside, z, np.nan)
 
     def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
         """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which are known."""

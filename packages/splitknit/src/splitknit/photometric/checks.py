@@ -235,7 +235,7 @@ def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) 
     relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
     usable = light < ceilings[:, None]
     peak = np.max(relative, axis=0, where=usable, initial=1e-20)
-    return np.asarray((relative > np.float32(_SHADOW) * peak) & usable)
+    return np.asarray((relative > _SHADOW * peak) & usable)
 
 
 class _Compared:
@@ -253,7 +253,7 @@ class _Compared:
         light = self.images[kept][:, self.inside]
         vectors = self.lights[kept].astype(np.float32)
         lit = _lit(light, vectors, self.ceilings[kept])
-        light = np.where(lit, light, np.float32(0.0))
+        light = np.where(lit, light, 0.0)
         weights = lit.astype(np.float32)
         self.factors = factorise(moment_matrix(vectors, weights))
         self.g = back_substitute(self.factors, moment_vector(light, vectors, weights))
@@ -268,7 +268,7 @@ class _Compared:
             plane = np.zeros(self.inside.shape, dtype=np.uint8)
             plane[self.inside] = one
             self.steady &= cv2.erode(plane, _SQUARE) == cv2.dilate(plane, _SQUARE)
-        self.apart = np.where(self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), np.float32(0.0))
+        self.apart = np.where(self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), 0.0)
         return self
 
     def turned(self, k: int) -> float:
@@ -327,10 +327,10 @@ class _Compared:
         known = (cv2.erode(valid, _SQUARE, borderValue=0) > 0) & self.steady
 
         def local(values: FloatArray) -> FloatArray:
-            return np.asarray(cv2.stackBlur(values * valid, (_LOCAL_PX, _LOCAL_PX)), dtype=np.float32)
+            return np.asarray(cv2.stackBlur(values * valid, (_LOCAL_PX, _LOCAL_PX)))
 
-        ratio = np.where(valid > 0, local(image) / np.maximum(local(predicted), np.float32(1e-9)), np.float32(1.0))
-        return image, np.asarray(predicted * np.clip(ratio, 0.2, 5.0), dtype=np.float32), known
+        ratio = np.where(valid > 0, local(image) / np.maximum(local(predicted), 1e-9), 1.0)
+        return image, predicted * np.clip(ratio, 0.2, 5.0), known
 
     def _derivatives(self, k: int) -> tuple[float, float]:
         """Pixels of shift and blur in a photograph's difference to its prediction, times the fraction that they

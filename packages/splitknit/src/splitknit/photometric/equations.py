@@ -95,7 +95,7 @@ def back_substitute(factors: FloatArray, vector: FloatArray) -> FloatArray:
 def conditioning(moments: FloatArray) -> FloatArray:
     """Smallest pivot over the trace, (n,): near zero where the weighted lights lie in one plane."""
     pivots = 1 / factorise(moments)[:3].max(axis=0)
-    return np.asarray(pivots / np.maximum(moments[0] + moments[3] + moments[5], np.float32(1e-30)), dtype=np.float32)
+    return np.asarray(pivots / np.maximum(moments[0] + moments[3] + moments[5], 1e-30))
 
 
 def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> FloatArray:
@@ -106,14 +106,14 @@ def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) ->
 def shading(g: FloatArray, lights: FloatArray) -> FloatArray:
     """l_k . g, (L, ...), from g (3, ...) and lights (L, 3) or (L, 3, ...): negative where the light is behind."""
     x, y, z = np.moveaxis(lights[..., None] if lights.ndim == 2 else lights, 1, 0)
-    return np.asarray(x * g[0] + y * g[1] + z * g[2], dtype=np.float32)
+    return np.asarray(x * g[0] + y * g[1] + z * g[2])
 
 
 def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit normals (3, n) and albedo (n,); a pixel without any light faces the camera and has albedo zero."""
     albedo = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     dark = albedo <= 0
-    normals = np.asarray(g / np.where(dark, np.float32(1.0), albedo), dtype=np.float32)
+    normals = g / np.where(dark, 1.0, albedo)
     normals[2][dark] = 1.0
     return normals, albedo
 

@@ -403,7 +403,7 @@ def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
     within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
     sigma = 0.12 * max(cover.shape)
-    mean = np.maximum(gaussian_mean(cover, sigma), np.float32(1e-6))
+    mean = np.maximum(gaussian_mean(cover, sigma), 1e-6)
     coarse = sum(float(((gaussian_mean(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
     own = sum(float((part[within] ** 2).sum()) for part in (p, q))
     return float(np.sqrt(coarse / max(own, 1e-12)))
@@ -440,7 +440,7 @@ def _explaining(lights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _residual(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
     left, own = _unexplained(gram, lights), np.maximum(np.diag(gram), 1e-300)
-    return float(np.sqrt(left.sum() / own.sum())), np.asarray(np.sqrt(left / own))
+    return float(np.sqrt(left.sum() / own.sum())), np.sqrt(left / own)
 
 
 def _brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -490,7 +490,7 @@ def _best_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArr
         random = np.random.default_rng(0)
         starts += [random.permutation(count) for _ in range(_SEEDS)]
     order = max((_climbed(explaining, gram, start) for start in starts), key=lambda found: found[1])[0]
-    return np.asarray(np.argsort(order))
+    return np.argsort(order)
 
 
 def _climbed(
@@ -519,11 +519,11 @@ def _smooth_slopes(
     """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
     window = bounding_box(inside)
     part, cover = normals[window], inside[window].astype(np.float32)
-    nz = np.maximum(part[..., 2], np.float32(1e-3))
+    nz = np.maximum(part[..., 2], 1e-3)
     slopes = [-part[..., axis] / nz for axis in (0, 1)]
-    steep = np.maximum(np.hypot(*slopes) / np.float32(_STEEPEST), np.float32(1.0))
+    steep = np.maximum(np.hypot(*slopes) / _STEEPEST, 1.0)
     sigma = max(1.0, blur * max(cover.shape))
-    mean = np.maximum(gaussian_mean(cover, sigma), np.float32(1e-3))
-    p, q = (gaussian_mean(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
+    mean = np.maximum(gaussian_mean(cover, sigma), 1e-3)
+    p, q = (gaussian_mean(slope / steep * cover, sigma) / mean for slope in slopes)
     believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
-    return np.asarray(p, np.float32), np.asarray(q, np.float32), np.asarray(believed, dtype=np.float32)
+    return p, q, np.asarray(believed)

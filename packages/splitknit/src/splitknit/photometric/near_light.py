@@ -30,7 +30,7 @@ class _NearScene:
     def cut(self, chunk: slice) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n pixels."""
         here = self.mask[chunk]
-        z = np.where(here, self.surface[chunk], np.float32(0.0))
+        z = np.where(here, self.surface[chunk], 0.0)
         x, y, z = self.view.points(z, chunk)
         lights = self.view.turned(light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here)
         return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])

@@ -108,7 +108,8 @@ def separate_polarised_folders(
     require(0 < count == len(series[1]), f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; {cure}")
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
-    hashes, sums, first = {}, [np.zeros(1, np.float32)] * 2, None
+    hashes, first = {}, None
+    sums: list[FloatArray] = [np.zeros(1, np.float32)] * 2
     with atomic_folder(out) as target:
         for k in range(count):
             progress("separating", k / count)

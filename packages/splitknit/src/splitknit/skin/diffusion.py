@@ -86,7 +86,7 @@ class Diffusion:
 
     def __call__(self, omega_per_mm: Any) -> NDArray[np.float64]:
         """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
-        return np.asarray(np.interp(np.asarray(omega_per_mm, dtype=np.float64), self._omega, self._transfer))
+        return np.asarray(np.interp(omega_per_mm, self._omega, self._transfer))
 
 
 def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:

@@ -183,7 +183,7 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
     covered = mask[: ceil(height * binning), : ceil(width * binning)].astype(np.float32)
     if binning > 1:
         covered = block_means(covered, (height, width), binning)
-    inside: BoolArray = np.asarray(covered > np.float32(0.999), dtype=np.bool_)
+    inside: BoolArray = covered > 0.999
     full = capture.shape
     cut = (
         rows.start == 0 and bool(inside[0].any()),
