@@ -149,7 +149,7 @@ def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], Floa
             return gaussian_mean(image, sigma_px)
         small = cv2.resize(image, (-(-size[0] // factor), -(-size[1] // factor)), interpolation=cv2.INTER_AREA)
         mean = gaussian_mean(small, float(np.sqrt((sigma_px / factor) ** 2 - 0.25)))  # interpolation blurs the rest
-        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR))
 
     weight = np.maximum(blurred(mask), 1e-3)
     none = 0.0

@@ -92,7 +92,7 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     outline = np.pad(mask, 1).astype(np.uint8)
     far = cv2.distanceTransform(outline, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * pitch > 1.0
     facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
-    return np.asarray(facing if facing.sum() * pitch**2 > 20.0 else far)
+    return facing if facing.sum() * pitch**2 > 20.0 else far
 
 
 def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
@@ -100,7 +100,7 @@ def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
     fine = smoothed(image, inside, _FINE_MM / pitch)
     band = np.where(inside, fine - smoothed(image, inside, _SLOW_MM / pitch), 0)
     limit = 6.0 * float(np.median(np.abs(band[inside]))) + 1e-12
-    return np.asarray(np.clip(band, -limit, limit), dtype=np.float32)
+    return np.asarray(np.clip(band, -limit, limit))
 
 
 def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:

@@ -96,7 +96,7 @@ def _skin_evidence(
     evidence = np.zeros(seed.shape, dtype=np.float32)
     usable = False
     if outside.sum() < 50:
-        return seed.astype(np.float32) * np.float32(2.0), True
+        return seed.astype(np.float32) * 2.0, True
     for signal in _signals(image):
         background, noise = _fit_background(signal, outside, samples)
         rise = signal - background

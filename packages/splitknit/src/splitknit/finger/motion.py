@@ -191,7 +191,7 @@ def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64
 
 def _products(rows: FloatArray) -> NDArray[np.float64]:
     """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
-    return np.asarray(np.einsum("in,jn->ij", rows, rows), dtype=np.float64)
+    return np.asarray(np.einsum("in,jn->ij", rows, rows))
 
 
 def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -116,13 +116,13 @@ def _lines(length_px: float) -> list[NDArray[np.uint8]]:
 
 def _finer(image: FloatArray, px: float) -> FloatArray:
     large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
-    return blur(np.asarray(large, dtype=np.float32), _SMOOTH_MM * px * _FINER)
+    return blur(np.asarray(large), _SMOOTH_MM * px * _FINER)
 
 
 def _relative(image: FloatArray, core: BoolArray, px: float) -> FloatArray:
     wide = blur(image, _LEVEL_MM * px)
-    least = np.float32(0.05 * max(quantile(wide[core][::4]), 1e-12))
-    return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
+    least = 0.05 * max(quantile(wide[core][::4]), 1e-12)
+    return image / np.maximum(wide, least)
 
 
 _SATURATION = 0.98
@@ -176,6 +176,11 @@ def capture_quality(
     found, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
     if finger:
         found["dark_specks"], found["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
+    led_relative = None
+    if lights is not None:  # a light counts with its z, as facing the camera
+        ratio = medians / np.maximum(lights[:, 2], 1e-6)
+        middle = float(np.median(ratio))
+        led_relative = [float(value / middle) if middle > 0 else 0.0 for value in ratio]
     return {
         **found,
         "sharpness": sharpness,
@@ -184,7 +189,7 @@ def capture_quality(
         "brightness_per_image": [float(v) for v in medians],
         "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
         **outline_figures(mask, px_per_mm),
-        "led_relative": None if lights is None else _led_relative(medians, lights),
+        "led_relative": led_relative,
     }
 
 
@@ -278,13 +283,6 @@ def _ridge_contrast(
 
 
 _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
-
-
-def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
-    """Measured over promised brightness of every image, median one; a light counts with its z, as facing the camera."""
-    ratio = medians / np.maximum(lights[:, 2], 1e-6)
-    middle = float(np.median(ratio))
-    return [float(value / middle) if middle > 0 else 0.0 for value in ratio]
 
 
 # Which of the finger's pixels carry enough light for photometric stereo.

@@ -67,7 +67,7 @@ class Flow:
         a, b = column - j, row - i
         above = (1 - a) * self.nodes_mm[..., i, j] + a * self.nodes_mm[..., i, j + 1]
         below = (1 - a) * self.nodes_mm[..., i + 1, j] + a * self.nodes_mm[..., i + 1, j + 1]
-        return np.asarray((1 - b) * above + b * below)
+        return (1 - b) * above + b * below
 
     def affine(self, shot: int, px_per_mm: float) -> Array:
         """(2, 3) matrix from columns and rows of the reference to those of a shot, which only shifted and turned."""
@@ -114,7 +114,7 @@ SAMPLES = 16_000
 """Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
-STEPS = np.float32(32.0)
+STEPS = 32.0
 """Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
 FLOPS = 200_000
 """Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
@@ -142,7 +142,7 @@ class Level:
         """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
         count = self.columns.size
         values = np.empty((len(self.images), 3, count), dtype=np.float32)
-        size = np.float32(self.px_per_mm)
+        size = self.px_per_mm
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
             columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
@@ -162,9 +162,9 @@ def details_of(
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
-    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]
+    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in stack]
     inside = cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
-    level = blur(np.asarray(np.mean(small, axis=0), dtype=np.float32), 1.0 * px)
+    level = blur(np.mean(small, axis=0), 1.0 * px)
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
     every = max(1, rows.size // SAMPLES)
@@ -181,13 +181,13 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
         cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
         for right in (1, 0)
     ]
-    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
+    return np.asarray(cv2.merge([image, *slopes]))
 
 
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
     typical = 1.4826 * float(np.median(error)) + 1e-12
-    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)), dtype=np.float32)
+    return level.weight / np.maximum(1.0, error / np.float32(1.5 * typical))
 
 
 def gram(columns: FloatArray) -> Array:
@@ -225,7 +225,7 @@ def shown_by_surfaces(lights: FloatArray) -> FloatArray:
 def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
     """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N)."""
     along = (axes * images[:, None]).sum(axis=0)
-    return np.asarray(images - (axes * along).sum(axis=1), dtype=np.float32)
+    return images - (axes * along).sum(axis=1)
 
 
 # All shots at once, the surface eliminated.
@@ -278,7 +278,7 @@ def register_shots(
 
 def without_glare(colours: FloatArray) -> FloatArray:
     """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
-    return np.asarray(colours[0] - colours[2], dtype=np.float32)
+    return colours[0] - colours[2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -318,7 +318,7 @@ class _Problem:
         images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
         residual = beyond_surface(images, self.axes)
         error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
-        return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
+        return np.sqrt(error / np.maximum(power, 1e-30))
 
     def _step(self, sampled: FloatArray, basis: Array, free: list[int]) -> Array:
         """(F, M) change of the parameters of the free shots: the normal equations."""

@@ -134,7 +134,7 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     """(M,) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
     power = float((expected * expected * level.weight).sum(dtype=np.float64))
     gain = float((expected * sampled[0] * level.weight).sum(dtype=np.float64)) / max(power, 1e-30)
-    residual = sampled[0] - np.float32(gain) * expected
+    residual = sampled[0] - gain * expected
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
     normal = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
@@ -148,7 +148,7 @@ def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> N
         (a * b * weight).sum(axis=1, dtype=np.float64)
         for a, b in ((images, expected), (images, images), (expected, expected))
     )
-    return np.asarray(both / np.sqrt(np.maximum(power * other, 1e-30)))
+    return both / np.sqrt(np.maximum(power * other, 1e-30))
 
 
 HELPS = 0.95
@@ -228,13 +228,13 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
 def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> NDArray[np.float64]:
     """(L, 2) directions of lights in the plane of the images, x right and y up; of length one."""
     towards = capture.rig.select(leds).light_vectors()[:, :2]
-    return np.asarray(towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9))
+    return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
 
 
 def _apart_from_lights(shifts: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L, 2) shifts of images less what they have in common along their lights: shading seems to shift ridges so."""
     centred = towards - towards.mean(axis=0)
-    return np.asarray(shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards)
+    return shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards
 
 
 _MEASURED = 3

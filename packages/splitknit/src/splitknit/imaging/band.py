@@ -215,7 +215,7 @@ def _lit_light(  # noqa: PLR0917
             lights.append(light)
         let_go(band.crossed.pixels)
         level = np.float32(_clip_levels(band, encoding)[k])
-        return np.where(clipped, np.maximum(lights[0], level), np.float32(0.5) * (lights[0] + lights[1]))
+        return np.where(clipped, np.maximum(lights[0], level), 0.5 * (lights[0] + lights[1]))
     exposure, black = float(band.exposure[k]), float(band.black_level[k])
     light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
     if ambient is not None:

@@ -145,7 +145,7 @@ def _exposure(white: Band, encoding: str, shots: list[int], mixing: NDArray[np.f
     own = np.stack([light[c, c] for c in range(3)]) * shortest
     levels = saturation_levels(part, encoding) * shortest
     mixed = np.moveaxis(np.tensordot(mixing.astype(np.float32), own, axes=1), 0, 2)
-    mixed += np.float32(_BLACK)
+    mixed += _BLACK
     for c in range(3):
         mixed[own[c] >= levels[c], c] = 1.0
     return _stored(mixed, encoding)

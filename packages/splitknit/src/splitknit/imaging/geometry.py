@@ -103,7 +103,7 @@ def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray
         return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT))
 
     # about the mean, so that float32 keeps what matters
-    middle = values[mask].mean() if bool(mask.any()) else np.float32(0.0)
+    middle = values[mask].mean() if bool(mask.any()) else 0.0
     inside = mask.astype(np.float32)
     total = blurred(np.where(mask, values - middle, 0.0).astype(np.float32))
     fraction = np.maximum(blurred(inside), 1e-6)
@@ -114,7 +114,7 @@ def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
     factor = int(sigma / 4.0)
     if factor < 2:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)))
     size = (image.shape[1], image.shape[0])
     reduced = (-(-size[0] // factor), -(-size[1] // factor))
     small = cv2.resize(image, reduced, interpolation=cv2.INTER_AREA)

@@ -117,12 +117,12 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     >>> float(specular[0, 0, 0].round(3)), float(diffuse[0, 0, 0])
     (0.2, 0.3)
     """
-    return np.maximum(parallel - crossed, np.float32(0.0)), crossed
+    return np.maximum(parallel - crossed, 0.0), crossed
 
 
 def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np.bool_]) -> tuple[str, ...]:
     """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
-    series = [np.maximum(stack[:, mask], np.float32(1e-6)) for stack in (parallel, crossed)]
+    series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
         return (NOT_SPECULAR,)
     shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
@@ -147,17 +147,17 @@ def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: fl
     >>> specular_picture(np.random.default_rng(0).random((7, 40, 40)), np.ones((40, 40), bool), 5.0).shape
     (40, 40)
     """
-    light = np.asarray(specular.mean(axis=0), dtype=np.float32)
+    light = specular.mean(axis=0)
     weight = mask.astype(np.float32)
 
     def smooth(values: FloatArray) -> FloatArray:
-        return np.asarray(wide_blur(values * weight, sigma_px) / around, dtype=np.float32)
+        return wide_blur(values * weight, sigma_px) / around
 
-    around = np.asarray(np.maximum(wide_blur(weight, sigma_px), np.float32(1e-3)), dtype=np.float32)
+    around = np.maximum(wide_blur(weight, sigma_px), 1e-3)
     detail = light - smooth(light)
     contrast = np.sqrt(smooth(detail * detail))
-    least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
-    return np.where(mask, detail / np.maximum(contrast, least), np.float32(np.nan))
+    least = 1e-3 * max(float(contrast[mask].max(initial=0.0)), 1e-9)
+    return np.where(mask, detail / np.maximum(contrast, least), np.nan)
 
 
 def specular_of(capture: Capture, mask: NDArray[np.bool_]) -> FloatArray | None:
@@ -215,7 +215,7 @@ def contrast(capture: Capture, band: Band) -> NDArray[np.float64]:
     films = capture.rig.films
     if films is None:
         return np.ones(len(band.leds))
-    return np.asarray(1.0 - 2.0 * np.array(films.leak)[_lights(films, band)])
+    return 1.0 - 2.0 * np.array(films.leak)[_lights(films, band)]
 
 
 def crossed_place(films: Films, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -95,7 +95,7 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
         rest = values - np.clip(scaled @ g.T, 1e-4, None) ** exponent
         wide = 3.0 * max(float(np.median(np.abs(rest[lit > 0]))), 1e-3)
         weights = lit / (1.0 + (rest / wide) ** 2)
-    return np.asarray(np.log1p((rest / _WIDTH) ** 2) * lit)
+    return np.log1p((rest / _WIDTH) ** 2) * lit
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
@@ -107,4 +107,4 @@ def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
     left = np.diag(power) - np.einsum("kn,nkl->kl", own * each, pulls)
     root = 1.0 / np.sqrt(np.maximum(power, 1e-12))
     inverse_gains = np.abs(np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root)
-    return np.asarray(1.0 / np.maximum(inverse_gains / inverse_gains.max(), 1e-3))
+    return 1.0 / np.maximum(inverse_gains / inverse_gains.max(), 1e-3)

@@ -56,7 +56,7 @@ class View:
             return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape), height_mm
         apex = np.float32(self.apex_mm)
         if not self.along_rays:
-            nearer = np.float32(1.0) - height_mm / apex
+            nearer = 1.0 - height_mm / apex
             return x * nearer, y * nearer, height_mm
         # r over the distance at which the ray meets the plane
         nearer = np.exp(-height_mm / apex) / np.sqrt(1.0 + (x * x + y * y) / (apex * apex))
@@ -68,7 +68,7 @@ class View:
             return z_mm
         x, y = self.on_plane()
         apex = np.float32(self.apex_mm)
-        far = np.sqrt(x * x + y * y + apex * apex) * (np.float32(1.0) - z_mm / apex)
+        far = np.sqrt(x * x + y * y + apex * apex) * (1.0 - z_mm / apex)
         return _f32(apex * np.log(apex / far))
 
     def of_rows(self, chunk: slice) -> View:

@@ -399,7 +399,7 @@ def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
     size = np.bincount(flat, minlength=count)
     total = np.bincount(flat, weights=height.ravel(), minlength=count)
     mean = (total / np.maximum(size, 1)).astype(np.float32)
-    return np.where(mask, height - mean[labels], np.float32(np.nan))
+    return np.where(mask, height - mean[labels], np.nan)
 
 
 def _solve_rectangle(right_side: FloatArray) -> FloatArray:

@@ -171,7 +171,14 @@ def metric_skin(
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
-    facts = {**optics_facts(optics, colour, shape), **estimate.facts}
+    facts = {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "colour": colour,
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+        **estimate.facts,
+    }
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
@@ -218,7 +225,7 @@ def metric_side(
     assert side is not None
     first = metric_skin(images.bands, grid, skin, p, networks)
     red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
-    part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
+    part = RED_PART * blue / np.maximum(red, 1e-6)
     matt = without_white(white, part), without_white(side[0], part)
     height_mm, error_mm, found = _specular_heights(images, matt, first, WHITE[0])
     limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
@@ -300,19 +307,8 @@ def relief_and_shape(
     found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
     of_crossed = variance_restored(first).relief_mm - found.relief_mm
     low, high = BOTH_DEG
-    part = smooth_step((slant_of(smooth, grid.pitch_mm) - np.float32(low)) / np.float32(high - low)) / 2
+    part = smooth_step((slant_of(smooth, grid.pitch_mm) - low) / (high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
-
-
-def optics_facts(optics: Mapping[str, Diffusion], colour: Mapping[str, float], shape: Shape) -> dict[str, Any]:
-    """What was assumed and found of the skin's optics, for the result."""
-    return {
-        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
-        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
-        "scattering_assumed": True,
-        "colour": colour,
-        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
-    }
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -410,15 +410,13 @@ def _doubt_of_lights(
         faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        doubts = [(_unlike_words(one, band.image_names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+        for one in bad[:1]:
+            how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(one.kind, one.kind)
+            turns = f"it turns the surface by {one.effect_deg:.1f} deg (median)"
+            words = f"{band.image_names[one.photograph]} does not fit the other photographs ({how}): {turns}"
+            doubts = [(f"{words}; capture it again.", one.effect_deg > SPOILT_DEG)]
     begin = "" if band.name == "white" else f"{band.name} band: "
     return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
-
-
-def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
-    how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
-    turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
@@ -482,12 +480,13 @@ def _doubt_of_relief(
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
-    band, every = capture.bands["white"], max(1, max(capture.shape) // FRAME_SIDE)
-    if band.crossed is not None and not band.colours:
-        series = replace(band, crossed=None), band.crossed
-        parallel, crossed = (linear_stack(one.sampled(every), capture.encoding) for one in series)
-        return doubts_of_series(parallel, crossed, finger.mask[::every, ::every])
-    return ()
+    white = capture.bands["white"]
+    if white.crossed is None or white.colours:
+        return ()
+    (parallel, _, some), (crossed, *_) = (
+        _sampled(capture, one) for one in (replace(white, crossed=None), white.crossed)
+    )
+    return doubts_of_series(parallel, crossed, finger.mask[some])
 
 
 def _with_promised_light(capture: Capture) -> Capture:

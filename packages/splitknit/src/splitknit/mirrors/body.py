@@ -91,10 +91,10 @@ class Body:
         apex = np.float32(view.apex_mm)
         z = np.zeros(plane_x.shape, dtype=np.float32)
         for _ in range(4):  # less than all the way each time: at steep skin whole steps overshoot
-            nearer = np.float32(1.0) - z / apex
+            nearer = 1.0 - z / apex
             found, _, _ = _looked_up(self, table, plane_x * nearer, plane_y * nearer)
-            z = np.float32(0.3) * z + np.float32(0.7) * found
-        nearer = np.float32(1.0) - z / apex
+            z = 0.3 * z + 0.7 * found
+        nearer = 1.0 - z / apex
         x, y = plane_x * nearer, plane_y * nearer
         return x, y, *_looked_up(self, table, x, y)
 

@@ -56,7 +56,7 @@ def mirror_shape_of(
     shape = z
     if camera.model != "orthographic":  # heights along the rays that the result is made from
         shape = view_of(camera, *window, along_rays=True).along(z)
-        shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
+        shape = shape - unevenness(shape, inside, camera, window)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
         from_light = np.where(inside, detail_mm, 0)
@@ -147,7 +147,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     )
     normals = pseudo_normals(stack, rig, surface, inside, view=view)
     length = np.linalg.norm(normals, axis=2)
-    level = np.float32(1e-3) * np.float32(np.median(length[inside]))
+    level = 1e-3 * np.median(length[inside])
     upward = np.maximum(normals[..., 2], level)
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
     sigma = 0.5 / (pitch * factor)

@@ -154,7 +154,7 @@ def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, A
         u = body.tip_mm - body.length_mm * np.linspace(0.0, 1.0, _STATIONS) ** 2
         sections = body.sections(u)
         reach = sections.support(normal[:, :1], normal[:, 2:])[0] + normal[:, 1:2] * u  # (n, _STATIONS)
-        return np.asarray(u[np.argmax(reach, axis=1)]), normal, point
+        return u[np.argmax(reach, axis=1)], normal, point
     direction = body.to_frame(planes.direction, place=False)
     within = np.maximum(direction[:, 0] ** 2 + direction[:, 2] ** 2, 1e-6)
     u = point[:, 1] + 0.0
@@ -322,7 +322,11 @@ def fit_body(
     if any(mirror.from_tip for mirror in outlines.mirrors.values()):
         return _with_ends(start, outlines, squareness, slopes, rounds)
     estimate, names, ends = start, outlines.names, outlines.ends
-    parameters = _global_names(names, slopes is not None)
+    parameters = [("tip_mm", 1e-3), ("squareness", 1e-4)]
+    if slopes is not None:
+        parameters += [("shear", 1e-4), ("shear_slope", 1e-4)]
+    for name in names:
+        parameters += [(f"turn_rad {name}", 1e-5), (f"lean_rad {name}", 1e-5), (f"shift_mm {name}", 1e-3)]
     count = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = {
@@ -420,16 +424,6 @@ def _with_ends(
         misfit[name] = estimate.residual_in(name, outlines)
         weights[name] = _robust_weights(misfit[name], np.zeros(0, dtype=np.intp), sure=True)
     return Fit(estimate.body, estimate.poses, misfit, weights)
-
-
-def _global_names(names: list[str], with_slopes: bool) -> _Parameters:
-    """Parameters that all sections share, each with the step of its difference quotient."""
-    found = [("tip_mm", 1e-3), ("squareness", 1e-4)]
-    if with_slopes:
-        found += [("shear", 1e-4), ("shear_slope", 1e-4)]
-    for name in names:
-        found += [(f"turn_rad {name}", 1e-5), (f"lean_rad {name}", 1e-5), (f"shift_mm {name}", 1e-3)]
-    return found
 
 
 def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, residual: Array) -> Array:

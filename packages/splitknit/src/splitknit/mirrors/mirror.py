@@ -161,7 +161,7 @@ def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -
     back, middle, half = back[common], middle[common], half[common]
     rise = np.interp(back, back_side, half_side)
     centre = tip_is_outward * np.interp(back, back_side, middle_side - line_side)
-    return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, np.asarray(centre))
+    return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, centre)
 
 
 _TURN_DEG, _CUT_TURN_DEG = 0.2, 0.6

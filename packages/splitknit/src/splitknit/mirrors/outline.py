@@ -171,7 +171,7 @@ def _resampled(
     if camera.model == "perspective" and camera.distortion and any(camera.distortion):
         p, q = (part.ravel() for part in np.meshgrid(along, side, indexing="ij"))
         where = pixels(p, q).reshape(along.size, side.size, 2).astype(np.float32)
-        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR), dtype=np.float32)
+        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
     three = pixels(along[[0, 0, -1]], side[[0, -1, 0]])
     right = (three[1] - three[0]) / (side.size - 1)
     down = (three[2] - three[0]) / (along.size - 1)

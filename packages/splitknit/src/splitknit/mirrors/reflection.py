@@ -99,7 +99,7 @@ class Plane:
         """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
         if camera.model == "orthographic":
             return None
-        return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
+        return -camera.height_mm * self.normal[:2] / self.normal[2]
 
 
 def reflect_vectors(vectors: Array, plane: Plane) -> Array:

@@ -371,7 +371,7 @@ class _Compared:
         def moved(x: float, y: float) -> FloatArray:
             matrix = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
             size, border = predicted.shape[::-1], cv2.BORDER_REPLICATE
-            return np.asarray(cv2.warpAffine(predicted, matrix, size, borderMode=border), dtype=np.float32)
+            return np.asarray(cv2.warpAffine(predicted, matrix, size, borderMode=border))
 
         def best(model: Callable[[float, float], FloatArray]) -> tuple[float, float]:
             tried = [(misfit(model(x, y)), float(np.hypot(x, y)), x, y) for x in reach[::2] for y in reach[::2]]
@@ -386,7 +386,7 @@ class _Compared:
         ways: dict[Fault, tuple[float, float]] = {
             "moved": best(moved),
             "blurred": min((misfit(cv2.GaussianBlur(predicted, (0, 0), one)), one) for one in sigmas),
-            "double": best(lambda x, y: np.float32(0.5) * (predicted + moved(x, y))),
+            "double": best(lambda x, y: 0.5 * (predicted + moved(x, y))),
         }
         kind = min(ways, key=lambda one: ways[one][0])
         left = misfit(predicted)

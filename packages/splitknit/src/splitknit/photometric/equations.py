@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import BoolArray, FloatArray
 
-RIDGE = np.float32(1e-6)
+RIDGE = 1e-6
 """Minimum pivot of M relative to its trace."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -68,15 +68,15 @@ def factorise(moments: NDArray[Any]) -> NDArray[Any]:
     lights determine stays finite.
     """
     xx, xy, xz, yy, yz, zz = moments
-    least = RIDGE * (xx + yy + zz) + np.float32(1e-30)
+    least = RIDGE * (xx + yy + zz) + 1e-30
     result = np.empty_like(moments)
-    np.divide(np.float32(1.0), np.maximum(zz, least), out=result[0])
+    np.divide(1.0, np.maximum(zz, least), out=result[0])
     np.multiply(yz, result[0], out=result[3])
     np.multiply(xz, result[0], out=result[4])
-    np.divide(np.float32(1.0), np.maximum(yy - result[3] * yz, least), out=result[1])
+    np.divide(1.0, np.maximum(yy - result[3] * yz, least), out=result[1])
     rest = xy - result[3] * xz
     np.multiply(rest, result[1], out=result[5])
-    np.divide(np.float32(1.0), np.maximum(xx - result[4] * xz - result[5] * rest, least), out=result[2])
+    np.divide(1.0, np.maximum(xx - result[4] * xz - result[5] * rest, least), out=result[2])
     return result
 
 

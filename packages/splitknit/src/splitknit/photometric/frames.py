@@ -157,7 +157,9 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     images = check_stack(stack, least=3)
     vectors = check_lights(lights, len(images))
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
-    gram = _inner_products(images, inside)
+    light = images[:, inside]
+    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
+    gram = np.einsum("kn,ln->kl", some, some)
     residual, each = _residual(gram, vectors)
     own = under = np.arange(len(vectors))  # the light of every photograph
 
@@ -418,13 +420,6 @@ def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDA
     nearest = np.argmin(away, axis=1)
     fits = len(set(nearest.tolist())) == len(units) and float(away.min(axis=1).max()) < _ON_A_LIGHT * float(apart.min())
     return np.asarray(nearest) if fits else np.arange(len(units))
-
-
-def _inner_products(images: FloatArray, inside: BoolArray) -> NDArray[np.float64]:
-    """(L, L) inner products of the photographs, over some of the mask's pixels."""
-    light = images[:, inside]
-    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
-    return np.asarray(np.einsum("kn,ln->kl", some, some))
 
 
 def _unexplained(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:

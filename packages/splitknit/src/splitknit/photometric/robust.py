@@ -163,4 +163,4 @@ def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, Float
     normals, albedo = surface_by_chunks(
         inside, count, lambda chunk, here: robust_fit(gather(images, chunk, here), vectors)[0]
     )
-    return normals, albedo / np.float32(scale)
+    return normals, albedo / scale

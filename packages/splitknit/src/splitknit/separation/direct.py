@@ -90,6 +90,6 @@ def direct_of_enhanced(
     require(good, f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.")
     direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
-    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
+    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), 1e-12)
     fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
-    return np.asarray(np.maximum(grey, 0.0) * fraction, dtype=np.float32)
+    return np.maximum(grey, 0.0) * fraction

@@ -126,7 +126,7 @@ def separate_polarised_folders(
             sums = [total + pick_channel(part, "grey") for total, part in zip(sums, (parts[0], light[1]), strict=True)]
             for name, part in zip(("specular", "diffuse"), parts, strict=True):
                 write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
-        specular, diffuse = (np.asarray(total / count, dtype=np.float32) for total in sums)
+        specular, diffuse = (total / count for total in sums)
         lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
         require(bool(lit.any()), "nothing is lit; the crossed images are black.")
         picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)

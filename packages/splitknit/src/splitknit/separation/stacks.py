@@ -44,7 +44,7 @@ class Separation:
     @property
     def white(self) -> FloatArray:
         """The image under the whole source: direct plus global light."""
-        return np.asarray(self.direct + self.global_, dtype=np.float32)
+        return self.direct + self.global_
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,7 @@ def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:
 def _thinned(values: NDArray[Any], mask: BoolArray) -> NDArray[Any]:
     """Values inside the mask, thinned to about 200,000 of them."""
     inside = values[mask]
-    return np.asarray(inside[:: max(1, inside.size // 200_000)])
+    return inside[:: max(1, inside.size // 200_000)]
 
 
 def percent(fraction: float) -> str:
@@ -197,7 +197,7 @@ def estimate_patterns(stack: Any, *, mask: Any = None, clip_level: float | None 
     means = np.stack([cv2.filter2D(grey, cv2.CV_32F, around, borderType=cv2.BORDER_REFLECT) for grey in greys])
     low, high = means.min(axis=0), means.max(axis=0)
     middle = (high + low) / 2
-    half = np.maximum((high - low) / 2, np.float32(1e-20))
+    half = np.maximum((high - low) / 2, 1e-20)
     states = np.full(means.shape, 0.5, dtype=np.float32)
     states[means >= middle + _DECIDED * half] = 1.0
     states[means <= middle - _DECIDED * half] = 0.0

@@ -85,7 +85,7 @@ class SkinImages:
             field = coarser(field)
         if self.binning > 1:
             by = self.binning
-            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC))
         covered = field[tuple(slice(part.stop - part.start) for part in self.place)]
         first = [part.start for part in self.place]
         last = [n - k - done for n, k, done in zip(self.size, first, covered.shape, strict=True)]

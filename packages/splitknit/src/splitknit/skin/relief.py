@@ -139,11 +139,6 @@ _CAUTION = 1.5
 """Factor on the noise's power where a window's own power is estimated."""
 
 
-def _window_px(pitch_mm: float) -> int:
-    """Side of a window in pixels: a multiple of the overlap, at least 16."""
-    return max(16, _OVERLAP * round(_WINDOW_MM / pitch_mm / _OVERLAP))
-
-
 def _window_power(image: FloatArray, side: int) -> FloatArray:
     """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise gives."""
     require(min(image.shape) >= side, f"the image must be at least {side} pixels wide and high.")
@@ -252,18 +247,13 @@ def measure(  # noqa: PLR0917
     return Measured(band.channels, g, transfer, levels, trust, region)
 
 
-def _mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
-    """Unit normals (h, w, 3) of a surface that is finite everywhere, zero outside the mask."""
-    slope_x, slope_y = height_gradients(surface_mm, grid.pitch_mm)
-    return normals_from_gradients(slope_x, slope_y) * grid.mask[..., None]
-
-
 def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> tuple[list[Slopes], FloatArray]:
     """Slopes that the measurement has beyond the current surface's, by channel, and (C,) weight of the specular
     reflection in them, one in the first. Predicted are the normals blurred by the skin; the local albedo, and with it
     the darkening of valleys (1 + k h), drops out; the specular part of the brightness is estimated by colour.
     """
-    normals = grid.forward(np.moveaxis(_mean_normals(surface_mm, grid), -1, 0), extend=True)
+    own = normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)) * grid.mask[..., None]
+    normals = grid.forward(np.moveaxis(own, -1, 0), extend=True)
     predicted = [
         np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
         for c in range(len(measured.channels))
@@ -271,7 +261,7 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
     level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in predicted]
     albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
     inner = measured.region > 0
-    middle = np.float32(np.median(albedo[inner]))
+    middle = np.median(albedo[inner])
     require(bool(0.0 < middle < np.inf), NOT_SKIN)
     albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
     glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
@@ -279,7 +269,7 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
     for c, e in enumerate(predicted):
         length = np.sqrt((e * e).sum(axis=-1))
         z = np.maximum(e[..., 2], 0.05 * length + 1e-6)
-        diffuse = np.maximum(albedo, np.float32(0.1) * middle) * np.maximum(z, np.float32(0.1) * measured.brightness[c])
+        diffuse = np.maximum(albedo, 0.1 * middle) * np.maximum(z, 0.1 * measured.brightness[c])
         g = measured.pseudo_normals[c]
         x, y = (-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2))
         slopes.append((_ridge_band(x, grid) * measured.trust, _ridge_band(y, grid) * measured.trust))
@@ -384,7 +374,7 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
 
     noise = [(white(power), white(power)) for power in mix.noise]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
-    side = _window_px(grid.pitch_mm)
+    side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))  # a multiple of the overlap
     if min(grid.shape) < side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))

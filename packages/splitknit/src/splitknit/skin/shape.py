@@ -180,7 +180,10 @@ def residual_of(
             if len(band.channels) > 1:
                 specular = _specular_by_colour(band.stack - predicted, level, light, normals, _some(reached))
             else:
-                specular = _specular_by_lights(band.stack[-1], light, normals, _some(reached))
+                region = _some(reached)  # what no matt surface explains
+                vectors = light.vectors[:, :, region]
+                lit = vectors * light.entering[:, None][:, :, region]
+                specular = fit_glare(band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors))
             specular = replace(specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure))
             exposure_of_white = exposure
         strength = specular.strength * exposure / exposure_of_white
@@ -269,17 +272,10 @@ def _specular_by_colour(
     """
     excess = excess[:, :, region]
     skin = np.array(brightness, dtype=np.float32)
-    n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
+    n, sum_b, sum_bb = len(skin), skin.sum(), (skin * skin).sum()
     tinted = np.einsum("c,cln->ln", skin, excess)
     white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
     return best_lobe(white, MicrofacetGlare(normals[region], light.vectors[:, :, region]))
-
-
-def _specular_by_lights(stack: FloatArray, light: Lighting, normals: FloatArray, region: BoolArray) -> GlareFit:
-    """Lobe of a grey band (L, h, w): what no matt surface explains."""
-    vectors = light.vectors[:, :, region]
-    lit = vectors * light.entering[:, None][:, :, region]
-    return fit_glare(stack[:, region], lit, MicrofacetGlare(normals[region], vectors))
 
 
 def _some(region: BoolArray) -> BoolArray:
