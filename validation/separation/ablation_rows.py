@@ -18,11 +18,13 @@ from splitknit.errors import BadInput, require
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.imaging.band import linear_channels
 from splitknit.methods import metric, photographs, thesis
-from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.model import Capture, FloatArray, Reconstruction, Rig
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
-from splitknit.skin.learned import glare_of
+from splitknit.skin.learned import GLARE, azimuth_waves
+from splitknit.skin.light import Lighting
+from splitknit.skin.relief import ReliefEstimate
 
 FIGURES = (
     "ridge_correlation",
@@ -247,6 +249,15 @@ class Bench:
             len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."
         )
         return result, _on_pixels(drawn[-1], self.finger, capture.shape)
+
+
+def glare_of(estimate: ReliefEstimate, rig: Rig, light: Lighting) -> FloatArray:
+    """(L, h, w) specular reflection in each white image, as the network estimates it."""
+    assert estimate.output is not None
+    assert estimate.level is not None
+    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
+    glare = np.tensordot(azimuth_waves(rig, 3), estimate.output[1:8] * GLARE, 1) * estimate.level * size
+    return np.asarray(np.maximum(glare, 0))
 
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:

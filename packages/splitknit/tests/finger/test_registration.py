@@ -184,7 +184,7 @@ def test_under_near_lights_their_light_at_every_place_is_needed():
     nodes = np.stack(np.meshgrid(np.linspace(x[0, 0], x[0, -1], 9), np.linspace(y[0, 0], y[-1, 0], 11)))
     core = np.nonzero(np.hypot(x / 6.0, y / 8.0) < 1.0)[::-1] / np.float64(PX)
     noise = np.float32(1e-7) * rng.standard_normal(stack.shape).astype(np.float32)
-    given = (near_lights(np.zeros(2)), stack), (near_lights(nodes), stack), (near_lights(nodes), stack + noise)
+    given = (near_lights(np.zeros((2, 1, 1))), stack), (near_lights(nodes), stack), (near_lights(nodes), stack + noise)
     flows = [register_shots(images, lights, mask, PX, reference=3).flow.at(*core) for lights, images in given]
     errors = [np.abs(flow).max() for flow in flows]
     assert errors[1] < 0.005

@@ -204,7 +204,7 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
 
 
 def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
-    """Relief as the network estimates it on the fine grid; :func:`glare_of` has the glare estimated with it. `given`:
+    """Relief as the network estimates it on the fine grid. `given`:
     of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
     """
     return relief_of_output(network(given.fields), given.level[:2] * grid.mask, grid, smooth_mm)
@@ -240,15 +240,6 @@ def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_
             "relief_error_um": 1000 * float(np.sqrt(error)),
         },
     )
-
-
-def glare_of(estimate: ReliefEstimate, rig: Rig, light: Lighting) -> FloatArray:
-    """(L, h, w) specular reflection in each white image, as the network estimates it."""
-    assert estimate.output is not None
-    assert estimate.level is not None
-    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
-    glare = np.tensordot(azimuth_waves(rig, 3), estimate.output[1:8] * GLARE, 1) * estimate.level * size
-    return np.asarray(np.maximum(glare, 0))
 
 
 def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
