@@ -97,11 +97,11 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
         require(fits, f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.")
     true_mask = truth["mask"]
     common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
-    require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
+    require(common.any(), "the reconstruction and the truth have no pixel in common.")
     box = bounding_box(common)
     inside, pitch = common[box], result.pitch_mm
     surface = eroded(inside, EROSION_MM / pitch)
-    require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
+    require(surface.any(), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
     shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
@@ -168,7 +168,7 @@ def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, 
 def _band_figures(
     name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int
 ) -> dict[str, float]:
-    if not bool(where.any()):
+    if not where.any():
         return {}
     e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
     e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))

@@ -6,15 +6,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View
 from splitknit.integration.poisson import poisson
-from splitknit.model import BoolArray, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.skin.light import fresnel_transmission
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 6
 """Lights from which three of each pixel's values are spare."""
@@ -106,7 +103,7 @@ def fitted_places(  # noqa: PLR0917
     weight = np.sqrt(np.clip((nz[chosen] - low) / (high - low), 0.02, 1.0)).astype(np.float64)
     share = weight / (_LEFT * np.sqrt(weight.sum() / _INDEPENDENT))
 
-    def rest(unknowns: Floats) -> Floats:
+    def rest(unknowns: Array) -> Array:
         left, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
         columns = np.column_stack([weight, (1 - n[:, 2]) * weight])
         fall = np.linalg.lstsq(columns, np.log(albedo) * weight, rcond=None)[0][1]
@@ -134,8 +131,8 @@ def fitted_places(  # noqa: PLR0917
 
 
 def _solved(  # noqa: PLR0917
-    stack: FloatArray, rig: Rig, view: View, height_mm: FloatArray, where: BoolArray, unknowns: Floats
-) -> tuple[Floats, Floats, Floats]:
+    stack: FloatArray, rig: Rig, view: View, height_mm: FloatArray, where: BoolArray, unknowns: Array
+) -> tuple[Array, Array, Array]:
     """Light left over (L, n), relative, albedo (n,) and normals (n, 3) at the pixels `where`, under moved lights."""
     raised = float(np.exp(unknowns[0]))
     moved = replace(rig, leds=tuple(_moved(led, raised, unknowns[1], unknowns[2]) for led in rig.leds))

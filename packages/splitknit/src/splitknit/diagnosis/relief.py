@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.finger.regions import depth_inside, dilate, largest_component, quantile
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 LEAST_PX_PER_MM = 6.0
 """Scale below which ridges are not seen: three pixels from one to the next."""
@@ -85,7 +84,7 @@ def doubt_of_patch(area_mm2: float, part: float) -> str:
     return f"{where}: heights there are not the skin's; take off what covers it, such as a plaster or dirt."
 
 
-def unlike_image(stack: FloatArray, lights: NDArray[np.float64], mask: BoolArray, px_per_mm: float) -> int | None:
+def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: float) -> int | None:
     """The image whose ridges are not those that all others show; None where there is none, or too few lights.
 
     Each image's ridge band is predicted from all others by least squares (light is linear in the albedo times the

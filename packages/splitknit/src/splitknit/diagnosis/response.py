@@ -12,12 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.model import BoolArray, FloatArray, PixelArray
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 from splitknit.photometric.equations import shading, solve
-
-Array = NDArray[np.float64]
 
 _LIT, _WELL = 0.3, 0.5
 """Part of a pixel's brightest light from which a light counts in its fit, and from which its gain is judged: below,

@@ -12,12 +12,11 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask
 from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 _BINS = 256
@@ -76,7 +75,7 @@ def clahe(
     return result
 
 
-def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> NDArray[np.float64]:
+def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> Array:
     """Counts (cell rows, cell columns, _BINS) over the finger's pixels."""
     rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
     counts = np.empty((rows, columns, _BINS), dtype=np.float64)
@@ -88,7 +87,7 @@ def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> NDArray[np
     return counts
 
 
-def _borrow(counts: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+def _borrow(counts: Array, least: float) -> Array:
     """Add the neighbours' histograms to cells with fewer than `least` pixels, again until every cell has enough."""
     for _ in range(sum(counts.shape[:2])):
         poor = counts.sum(axis=2) < least
@@ -96,13 +95,13 @@ def _borrow(counts: NDArray[np.float64], least: float) -> NDArray[np.float64]:
             break
         padded = np.pad(counts, ((1, 1), (1, 1), (0, 0)))
         around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), (0, 1)).sum(axis=(-2, -1))
-        if bool((around[poor].sum(axis=1) <= counts[poor].sum(axis=1)).all()):
+        if (around[poor].sum(axis=1) <= counts[poor].sum(axis=1)).all():
             break
         counts = np.where(poor[..., None], around, counts)
     return counts
 
 
-def _mappings(counts: NDArray[np.float64], clip_limit: float) -> FloatArray:
+def _mappings(counts: Array, clip_limit: float) -> FloatArray:
     """Grey-value mappings in [0, 1], one per cell, from clipped histograms."""
     total = np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
     clipped = np.minimum(counts, clip_limit * total / _BINS)

@@ -125,7 +125,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
         tiny = "the given mask is too small: not one block of pixels lies inside it; mark all of it."
-        require(bool(outline.any()), tiny)
+        require(outline.any(), tiny)
     else:
         outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask.method)
     stated = capture.tip_direction_deg is not None

@@ -12,7 +12,6 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.regions import (
@@ -29,7 +28,7 @@ from splitknit.finger.regions import (
     remove_spurs,
 )
 from splitknit.imaging.geometry import wide_blur
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked
 
 
@@ -164,7 +163,7 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     return surface.astype(np.float32), noise
 
 
-def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
+def _below(residual: Array) -> tuple[BoolArray, float]:
     """Those of the background, and the scatter below it: robust or plain deviation, which counts a shadow's edge."""
     negative = -residual[residual <= 0.0]
     if negative.size == 0:
@@ -258,7 +257,7 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
         require(usable, _NO_FINGER, NoFinger)
         grown = fill_holes((evidence > 1.0) | (around.depth > 0.5 * float(around.depth.max())))
         cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)  # it holds the middle of the seed
-        require(bool(cleaned.any()), _NO_FINGER, NoFinger)
+        require(cleaned.any(), _NO_FINGER, NoFinger)
         mask = fill_holes(cleaned)
     around = _Around.of(mask, 1.3 * margin)
     require(2.0 * float(around.depth.max()) >= _MIN_WIDTH_MM * px_per_mm, _NO_FINGER, NoFinger)
@@ -338,7 +337,7 @@ def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     remedy = "check the rig's px_per_mm, or take larger images."
     require(min(rows, columns) >= 16, f"{small}, and 16 each way are needed; {remedy}")
     image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
-    require(bool(np.isfinite(image).all()), "the mean image contains NaN or infinite values.")
+    require(np.isfinite(image).all(), "the mean image contains NaN or infinite values.")
     return image
 
 
@@ -365,7 +364,7 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
             best, clearest = region, separation * purity
-    require(bool(best.any()), _NO_FINGER, NoFinger)
+    require(best.any(), _NO_FINGER, NoFinger)
     return best
 
 
@@ -394,7 +393,7 @@ def _fine_outline(
     skin = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
-    require(bool(cleaned.any()), _NO_FINGER, NoFinger)
+    require(cleaned.any(), _NO_FINGER, NoFinger)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
@@ -424,7 +423,7 @@ def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
         axis = mean * (second.size / (second.size - count))
         along = np.einsum("in,i->n", centred, axis)
         updated = along > float(np.sum(axis * mean)) - 0.5 * float(np.sum(axis * axis))
-        if bool((updated == second).all()):
+        if (updated == second).all():
             break
         second = updated
     distance = float(np.sqrt(np.sum(axis * axis)))
@@ -460,7 +459,7 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     """
     image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(bool(rough.any()), _NO_FINGER, NoFinger)
+    require(rough.any(), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, _OUTLINE_PX_PER_MM, 1200)
     fine = reduce_image(image, scale)
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)

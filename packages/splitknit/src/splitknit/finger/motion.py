@@ -13,13 +13,12 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import Note
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 _BANDS_MM = (0.3, 0.15, 0.08)
@@ -52,8 +51,8 @@ class MotionSettings(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShotMotion:
-    shift_mm: NDArray[np.float64]  # (L, 2): x right, y up
-    reliability: NDArray[np.float64]
+    shift_mm: Array  # (L, 2): x right, y up
+    reliability: Array
     """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 
 
@@ -98,12 +97,12 @@ def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
     fraction = reduce_mask(mask, scale)
-    return fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0
+    return fraction > 0.5 if (fraction > 0.5).any() else fraction > 0.0
 
 
 def _details(
     stack: FloatArray, mask: BoolArray, px_per_mm: float, band_mm: float
-) -> tuple[FloatArray, BoolArray, NDArray[np.float64], float]:
+) -> tuple[FloatArray, BoolArray, Array, float]:
     """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
     scale = min(1.0, 0.8 / band_mm / px_per_mm)
     px = px_per_mm * scale
@@ -130,13 +129,13 @@ def _details(
     return np.stack(details), region, np.array(light) / px, px
 
 
-def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
+def _shifted(image: FloatArray, shift: Array) -> FloatArray:
     """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
     across, down = (_cubic(float(along)) for along in shift)
     return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE))
 
 
-def _cubic(shift: float) -> NDArray[np.float64]:
+def _cubic(shift: float) -> Array:
     """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
     reach = int(np.ceil(abs(shift))) + 1
     away = np.abs(np.arange(-reach, reach + 1) - shift)
@@ -144,9 +143,7 @@ def _cubic(shift: float) -> NDArray[np.float64]:
     return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
-def _register(
-    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray
-) -> tuple[NDArray[np.float64], float]:
+def _register(reference: FloatArray, image: FloatArray, start: Array, region: BoolArray) -> tuple[Array, float]:
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
     places = np.flatnonzero(region)
     places = places[:: max(1, len(places) // _SAMPLES)]
@@ -173,7 +170,7 @@ def _register(
     return shift, float(products[0, 1]) / max(float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30)
 
 
-def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _without_illumination(shifts: Array, light: Array) -> Array:
     """What of the shifts (L, 2) is not a linear function of the light's place (L, 2): least absolute deviations."""
     place = light - light.mean(axis=0)
     place = place / max(float(np.abs(place).max()), 1e-9)
@@ -189,12 +186,12 @@ def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64
     return residual
 
 
-def _products(rows: FloatArray) -> NDArray[np.float64]:
+def _products(rows: FloatArray) -> Array:
     """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
     return np.asarray(np.einsum("in,jn->ij", rows, rows))
 
 
-def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_squares(products: Array) -> Array:
     """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
     normal, target = products[:-1, :-1], products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))

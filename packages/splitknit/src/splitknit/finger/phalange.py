@@ -287,7 +287,7 @@ def _along_lines(
 
 def _width(inside: BoolArray) -> float:
     widths = inside.sum(axis=1)
-    return float(np.percentile(widths[widths > 0], 80)) if bool((widths > 0).any()) else 1.0
+    return float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
 
 
 def _refine(profile: FloatArray, row: int) -> float:

@@ -27,7 +27,7 @@ from splitknit.finger.regions import (
     reduction,
 )
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
@@ -149,9 +149,9 @@ def capture_quality(
     px_per_mm: float,
     *,
     finger: bool = True,
-    lights: NDArray[np.float64] | None = None,
+    lights: Array | None = None,
     ambient: FloatArray | None = None,
-    saturation: float | NDArray[np.float64] = _SATURATION,
+    saturation: float | Array = _SATURATION,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -296,7 +296,7 @@ _PINHOLE_MM2 = 1.0
 
 
 def photometric_mask(
-    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] = _SATURATION
+    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | Array = _SATURATION
 ) -> BoolArray:
     """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without pinholes, at full
     resolution. The thesis's threshold (3.3.1.5, refined mask) follows the finger's own brightness here, and three
@@ -317,7 +317,7 @@ def photometric_mask(
     # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is not a surface
     good = largest_component(good & inside)
     dark = f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the exposure."
-    require(bool(erode(good, 2.0).any()), dark)
+    require(erode(good, 2.0).any(), dark)
     result = np.zeros(finger.shape, dtype=np.bool_)
     result[box] = good
     return result

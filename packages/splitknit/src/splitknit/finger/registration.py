@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from splitknit.finger.regions import blur, dilate, erode
 from splitknit.imaging.geometry import sampled_at
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
-Array = NDArray[np.float64]
 Basis = Callable[[Array, Array], Array]
 """From places x and y (N,) in mm to the shift (N, 2, M) of every parameter there."""
 NODE_MM = 0.5
@@ -67,7 +66,7 @@ class Flow:
         a, b = column - j, row - i
         above = (1 - a) * self.nodes_mm[..., i, j] + a * self.nodes_mm[..., i, j + 1]
         below = (1 - a) * self.nodes_mm[..., i + 1, j] + a * self.nodes_mm[..., i + 1, j + 1]
-        return (1 - b) * above + b * below
+        return np.asarray((1 - b) * above + b * below)
 
     def affine(self, shot: int, px_per_mm: float) -> Array:
         """(2, 3) matrix from columns and rows of the reference to those of a shot, which only shifted and turned."""
@@ -187,7 +186,7 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
     typical = 1.4826 * float(np.median(error)) + 1e-12
-    return level.weight / np.maximum(1.0, error / np.float32(1.5 * typical))
+    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)))
 
 
 def gram(columns: FloatArray) -> Array:
@@ -225,7 +224,7 @@ def shown_by_surfaces(lights: FloatArray) -> FloatArray:
 def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
     """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N)."""
     along = (axes * images[:, None]).sum(axis=0)
-    return images - (axes * along).sum(axis=1)
+    return np.asarray(images - (axes * along).sum(axis=1))
 
 
 # All shots at once, the surface eliminated.
@@ -236,15 +235,15 @@ class Registration:
     """Where the skin of the reference shot lies in every shot."""
 
     flow: Flow
-    before: NDArray[np.float64]
+    before: Array
     """(L,) details of each image that no matt surface explains, as they are, over its details (rms)."""
-    after: NDArray[np.float64]
+    after: Array
     """(L,) the same with the motion undone."""
 
 
 def register_shots(
     stack: FloatArray,
-    lights: NDArray[np.float64],
+    lights: Array,
     mask: BoolArray,
     px_per_mm: float,
     *,
@@ -278,7 +277,7 @@ def register_shots(
 
 def without_glare(colours: FloatArray) -> FloatArray:
     """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
-    return colours[0] - colours[2]
+    return np.asarray(colours[0] - colours[2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,12 +312,12 @@ class _Problem:
         nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
         return Flow(nodes)
 
-    def unexplained(self, flow: Flow) -> NDArray[np.float64]:
+    def unexplained(self, flow: Flow) -> Array:
         """(L,) rms of what no surface explains over the rms of each image's details."""
         images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
         residual = beyond_surface(images, self.axes)
         error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
-        return np.sqrt(error / np.maximum(power, 1e-30))
+        return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
 
     def _step(self, sampled: FloatArray, basis: Array, free: list[int]) -> Array:
         """(F, M) change of the parameters of the free shots: the normal equations."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
-from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
+from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surface
 
 MM_PER_INCH = 25.4
 
@@ -29,7 +29,7 @@ def relief_print(
     ridge_mm: FloatArray,
     mask: BoolArray,
     px_per_mm: float,
-    input_from_upright: NDArray[np.float64],
+    input_from_upright: Array,
     upright_size: tuple[int, int],
     *,
     ppi: float = 500.0,
@@ -72,14 +72,14 @@ def relief_print(
     return _ink(centred, deviation, typical, weight) if typical > 0 else np.full(size, 255, dtype=np.uint8)
 
 
-def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
+def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> Array:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
     across, down = (upright_size[1] - 1) / 2, (upright_size[0] - 1) / 2
     right, bottom = step * (size[1] - 1) / 2, step * (size[0] - 1) / 2
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
-def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: NDArray[np.floating]) -> NDArray[np.uint8]:
+def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: FloatArray) -> NDArray[np.uint8]:
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is inked."""
     score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
     dark = 0.5 + 0.5 * np.tanh(_CONTRAST * score)
@@ -126,7 +126,7 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     if values.ndim != 2 or values.shape != weight.shape:
         raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
     inside = weight > 0.5
-    require(bool(inside.any()), "nothing of the finger lies on the print.")
+    require(inside.any(), "nothing of the finger lies on the print.")
     sigma = _WINDOW_MM * ppi / MM_PER_INCH
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))

@@ -34,7 +34,6 @@ from splitknit.finger.registration import (
     SETTLED_PX,
     SURROUND_MM,
     WORKING_PX_PER_MM,
-    Array,
     Basis,
     Flow,
     Level,
@@ -51,7 +50,7 @@ from splitknit.finger.registration import (
 from splitknit.imaging.band import Window, has_colour, linear_channels, linear_stack
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import plane_points
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +59,7 @@ class _RegisteredBand:
 
     stack: FloatArray
     """(K, H, W) grey, linear."""
-    lights: NDArray[np.float64]
+    lights: Array
     """(K, 3, h, w)"""
     flow: Flow
     shots: NDArray[np.intp]
@@ -70,10 +69,10 @@ class _RegisteredBand:
 def _register_band(
     first: _RegisteredBand,
     stack: FloatArray,
-    lights: NDArray[np.float64],
+    lights: Array,
     mask: BoolArray,
     px_per_mm: float,
-) -> tuple[Flow, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Flow, Array, Array]:
     """Flow of another band's `stack` (L, H, W), each image a shot, onto the registered band `first`, and the
     correlation (L,) of details with the expected ones with the motion undone, and as they are. `lights`: as those of
     `first`.
@@ -143,12 +142,12 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
 
 
-def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:
+def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> Array:
     both, power, other = (
         (a * b * weight).sum(axis=1, dtype=np.float64)
         for a, b in ((images, expected), (images, images), (expected, expected))
     )
-    return both / np.sqrt(np.maximum(power * other, 1e-30))
+    return np.asarray(both / np.sqrt(np.maximum(power * other, 1e-30)))
 
 
 HELPS = 0.95
@@ -225,16 +224,16 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
     return replace(capture, bands=bands), (SOME_MOVED.format(len(out)),)
 
 
-def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> NDArray[np.float64]:
+def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> Array:
     """(L, 2) directions of lights in the plane of the images, x right and y up; of length one."""
     towards = capture.rig.select(leds).light_vectors()[:, :2]
-    return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    return np.asarray(towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9))
 
 
-def _apart_from_lights(shifts: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.float64]:
+def _apart_from_lights(shifts: Array, towards: Array) -> Array:
     """(L, 2) shifts of images less what they have in common along their lights: shading seems to shift ridges so."""
     centred = towards - towards.mean(axis=0)
-    return shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards
+    return np.asarray(shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards)
 
 
 _MEASURED = 3
@@ -373,11 +372,11 @@ def _check(registered: _Registered, settings: FingerSettings) -> None:
     require(registered.after <= MOST_LEFT, apart)
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
+def _motion_facts(flow: Flow, mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
     """Mean shift (x right, y up) and turn of every shot, for a report."""
     rows, columns = np.nonzero(mask)
     stride = max(1, len(rows) // 4000)
@@ -395,7 +394,7 @@ def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict
     }
 
 
-def _plain(values: NDArray[np.float64]) -> list[float]:
+def _plain(values: Array) -> list[float]:
     return [round(float(v), 5) for v in values]
 
 
@@ -434,7 +433,7 @@ def around(capture: Capture, finger: Finger) -> Window:
     return rows, columns
 
 
-def _lights_over(capture: Capture, band: Band, window: Window) -> NDArray[np.float64]:
+def _lights_over(capture: Capture, band: Band, window: Window) -> Array:
     """(L, 3, h, w) light vectors on the finger plane, on nodes about 0.6 mm apart evenly over a window."""
     camera = capture.rig.camera
     rows, columns = (

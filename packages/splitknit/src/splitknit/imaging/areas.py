@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.view import pixels_of
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
 
 def enlarged_box(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import lens_shading
-from splitknit.model import Band, FloatArray, PixelArray, coarse_grid
+from splitknit.model import Array, Band, FloatArray, PixelArray, coarse_grid
 from splitknit.steps import let_go
 
 # Linear light of one stored image.
@@ -39,12 +39,12 @@ def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     return table
 
 
-def _srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
+def _srgb_light(code: FloatArray) -> FloatArray:
     """Stored sRGB values in [0, 1] as linear light in [0, 1] (IEC 61966-2-1)."""
     return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
-def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
+def srgb_code(light: FloatArray) -> FloatArray:
     """Linear light in [0, 1] as sRGB stores it (IEC 61966-2-1), in [0, 1]."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -270,9 +270,7 @@ def flat_at(
     return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _colours_apart(
-    light: FloatArray, colours: Sequence[str], crosstalk: NDArray[np.float64] | None, clips_at: float
-) -> FloatArray:
+def _colours_apart(light: FloatArray, colours: Sequence[str], crosstalk: Array | None, clips_at: float) -> FloatArray:
     """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue. Light that
     clips in a channel is kept as stored, so that it still counts as clipped.
     """
@@ -293,7 +291,7 @@ def _first_lights(band: Band) -> list[int]:
     return [sum(counts[:k]) for k in range(len(counts))]
 
 
-def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+def saturation_levels(band: Band, encoding: str) -> Array:
     """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
     count = np.diff([*_first_lights(band), len(band.lights)])
     levels = _clip_levels(band, encoding)
@@ -302,7 +300,7 @@ def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
     return np.repeat(levels, count)
 
 
-def _clip_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+def _clip_levels(band: Band, encoding: str) -> Array:
     """The same for each exposure."""
     table = decode_table(band.pixels.dtype, encoding)
     black = np.interp(band.black_level, np.arange(table.size), table)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 
 def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
@@ -70,7 +70,7 @@ def _difference(height: FloatArray, axis: int) -> FloatArray:
     return np.moveaxis((total / np.maximum(count, 1.0)).astype(np.float32), 0, axis)
 
 
-def warp(image: FloatArray, source_from_target: NDArray[np.float64], size: tuple[int, int]) -> FloatArray:
+def warp(image: FloatArray, source_from_target: Array, size: tuple[int, int]) -> FloatArray:
     """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic, zero from outside; `source_from_target`
     (3 x 3) takes (column, row, 1) of the target to the source.
     """
@@ -80,7 +80,7 @@ def warp(image: FloatArray, source_from_target: NDArray[np.float64], size: tuple
     return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags))
 
 
-def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:
+def rotation_about(centre: tuple[float, float], angle_rad: float) -> Array:
     """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -103,7 +103,7 @@ def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray
         return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT))
 
     # about the mean, so that float32 keeps what matters
-    middle = values[mask].mean() if bool(mask.any()) else 0.0
+    middle = values[mask].mean() if mask.any() else 0.0
     inside = mask.astype(np.float32)
     total = blurred(np.where(mask, values - middle, 0.0).astype(np.float32))
     fraction = np.maximum(blurred(inside), 1e-6)

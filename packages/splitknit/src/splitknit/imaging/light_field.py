@@ -6,11 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
-from splitknit.model import BoolArray, FloatArray, Led, Rig, Shade
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
@@ -122,7 +121,7 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape)
 
 
-def few_lights(vectors: NDArray[np.float64]) -> list[str]:
+def few_lights(vectors: Array) -> list[str]:
     """A warning where three or four lights leave little to check, with the error that noise then causes: by the
     covariance s^2 (L'L)^-1 of normal times albedo, for a surface that faces the camera. `vectors`: (L, 3), mean length
     one.

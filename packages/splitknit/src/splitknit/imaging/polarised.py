@@ -13,7 +13,7 @@ from splitknit.errors import require
 from splitknit.imaging.band import CHUNK_ROWS, GREY_WEIGHTS, linear_stack
 from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.imaging.light_field import lights_in_front
-from splitknit.model import Band, Capture, Films, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, Films, FloatArray
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
@@ -120,7 +120,7 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     return np.maximum(parallel - crossed, 0.0), crossed
 
 
-def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np.bool_]) -> tuple[str, ...]:
+def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray) -> tuple[str, ...]:
     """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
     series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
@@ -135,7 +135,7 @@ def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np
     return (f"{lit}: list both series in the same order of lights.",)
 
 
-def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
+def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """One specular image of all lights, of even brightness and contrast: the most legible picture of a finger.
 
     Returns (H, W) float32, standard deviations from the local mean, NaN outside the mask. Bright is skin that is turned
@@ -160,7 +160,7 @@ def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: fl
     return np.where(mask, detail / np.maximum(contrast, least), np.nan)
 
 
-def specular_of(capture: Capture, mask: NDArray[np.bool_]) -> FloatArray | None:
+def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
     """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None without films."""
     white = capture.bands["white"]
     if white.crossed is None:
@@ -208,7 +208,7 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
     return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}
 
 
-def contrast(capture: Capture, band: Band) -> NDArray[np.float64]:
+def contrast(capture: Capture, band: Band) -> Array:
     """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects: the films leave `leak`
     of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed one, P - C = (1 - 2 leak) M. Ideal films: 1.
     """
@@ -218,7 +218,7 @@ def contrast(capture: Capture, band: Band) -> NDArray[np.float64]:
     return 1.0 - 2.0 * np.array(films.leak)[_lights(films, band)]
 
 
-def crossed_place(films: Films, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
     x, y = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     s, (dx, dy) = films.scale, films.shift_px

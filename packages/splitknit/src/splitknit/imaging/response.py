@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.band import _srgb_light, srgb_code
+from splitknit.model import Array, FloatArray
 
-Array = NDArray[np.float64]
 _EXPONENTS = np.array([0.30, 0.36, 0.45, 0.55, 0.67, 0.82, 1.0, 1.22])
 """Exponents that are tried: sRGB code is about the power 1 / 2.2 of light."""
 _SRGB, _LINEAR = 2, 6
@@ -35,7 +34,7 @@ FEWEST = 5
 _FEWEST_VALUES, _MOST_PIXELS = 1000, 1500
 
 
-def shading_is_srgb(codes: NDArray[np.floating], vectors: Array, *, known: bool) -> bool | None:
+def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool | None:
     """Whether stored values are sRGB, by their shading; None where that decides nothing.
 
     The model of values (L, n) in [0, 1] is (a_k v_k . g)^e: g by least squares at each pixel, over the vectors (L, 3)
@@ -107,4 +106,4 @@ def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
     left = np.diag(power) - np.einsum("kn,nkl->kl", own * each, pulls)
     root = 1.0 / np.sqrt(np.maximum(power, 1e-12))
     inverse_gains = np.abs(np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root)
-    return 1.0 / np.maximum(inverse_gains / inverse_gains.max(), 1e-3)
+    return np.asarray(1.0 / np.maximum(inverse_gains / inverse_gains.max(), 1e-3))

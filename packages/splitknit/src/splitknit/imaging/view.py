@@ -18,13 +18,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Camera, FloatArray
-
-Points = NDArray[np.float64]
-Axis = NDArray[np.float64]
+from splitknit.model import Array, Camera, FloatArray
 
 LATTICE_PX = 16
 """Distortion is computed at every so many pixels and interpolated by cubic splines."""
@@ -34,9 +30,9 @@ LATTICE_PX = 16
 class View:
     """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
 
-    x_mm: Axis
+    x_mm: Array
     """(W,) or (H, W)."""
-    y_mm: Axis
+    y_mm: Array
     """(H,) or (H, W)."""
     apex_mm: float | None = None
     """Height of the camera's centre, through which all rays pass; None for parallel rays."""
@@ -154,7 +150,7 @@ def view_of(
     return View(x, y, camera.height_mm, along_rays)
 
 
-def _lattice(axis: Axis) -> Axis:
+def _lattice(axis: Array) -> Array:
     first, last = float(axis[0]), float(axis[-1])
     count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
     return np.linspace(first, max(last, first + 3.0), count)
@@ -164,7 +160,7 @@ def _f32(values: Any) -> FloatArray:
     return np.asarray(values)
 
 
-def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
+def _pixel_axes_mm(camera: Camera, rows: Array | None = None, columns: Array | None = None) -> tuple[Array, Array]:
     """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
     height, width = camera.image_size
     column = np.arange(width, dtype=np.float64) if columns is None else columns
@@ -173,7 +169,7 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
     return x, ((height - 1) / 2 - row) * camera.pitch_mm
 
 
-def plane_points(camera: Camera, pixels: Any) -> Points:
+def plane_points(camera: Camera, pixels: Any) -> Array:
     """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's centre is (0, 0))
     look at."""
     places = np.asarray(pixels, dtype=np.float64)
@@ -189,7 +185,7 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
     return rays * (camera.height_mm, -camera.height_mm)
 
 
-def pixels_of(camera: Camera, points_mm: Any) -> Points:
+def pixels_of(camera: Camera, points_mm: Any) -> Array:
     """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
     Raises BadInput for points at or beyond a perspective camera's height.
     """
@@ -198,7 +194,7 @@ def pixels_of(camera: Camera, points_mm: Any) -> Points:
     if camera.model == "orthographic":
         column = points[:, 0] * camera.px_per_mm + (columns - 1) / 2
         return np.stack([column, (rows - 1) / 2 - points[:, 1] * camera.px_per_mm], axis=1)
-    require(bool((points[:, 2] < camera.height_mm).all()), "points_mm must lie below the camera.")
+    require((points[:, 2] < camera.height_mm).all(), "points_mm must lie below the camera.")
     assert camera.matrix is not None
     seen = np.stack([points[:, 0], -points[:, 1], camera.height_mm - points[:, 2]], axis=1)
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
@@ -232,7 +228,7 @@ def lens_shading(  # noqa: PLR0917
     return shading_at(shading, squared).astype(np.float32)
 
 
-def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArray[np.float64]:
+def shading_at(shading: Sequence[float], squared: Array) -> Array:
     """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.model.Camera`."""
     brightness = np.ones_like(squared)
     for k, coefficient in enumerate(shading):

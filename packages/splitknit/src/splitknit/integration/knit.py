@@ -8,14 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import enlarged, height_gradients, nearest_known, normals_from_gradients
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.frankot_chellappa import check_fields
 from splitknit.integration.poisson import poisson
-from splitknit.model import BoolArray, Camera, FloatArray
+from splitknit.model import Array, BoolArray, Camera, FloatArray
 from splitknit.settings import Checked
 
 
@@ -41,9 +40,7 @@ def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:
     return np.where(inside, ridge + shape, np.nan).astype(np.float32)
 
 
-def crossover(
-    visible_mm: Any, shape_mm: Any, response: Callable[[NDArray[np.float64]], Any], mask: Any = None
-) -> FloatArray:
+def crossover(visible_mm: Any, shape_mm: Any, response: Callable[[Array], Any], mask: Any = None) -> FloatArray:
     """Fine detail from one surface and the rest from the other, each frequency once: H visible + (1 - H) shape.
 
     Computed as shape + H (visible - shape), so that only the difference of the two, which is small and smooth at the

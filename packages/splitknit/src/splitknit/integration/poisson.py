@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 _LOG = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ _LOG = logging.getLogger(__name__)
 # Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
 # j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
 
-Floats = TypeVar("Floats", FloatArray, NDArray[np.float64])
+Floats = TypeVar("Floats", FloatArray, Array)
 
 
 def _difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -262,7 +262,7 @@ class _DirectSolver:
         height[self.pixels] = self._balance(self.factor.solve(balanced))
         return height.reshape(right_side.shape)
 
-    def _balance(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _balance(self, values: Array) -> Array:
         mean = np.bincount(self.part, weights=values, minlength=self.size.size) / self.size
         return values - mean[self.part]
 
@@ -369,7 +369,7 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     """
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
     trust = None if weights is None else _check_weights(weights, inside)
-    if trust is None and bool(inside.all()):
+    if trust is None and inside.all():
         right, down = _predicted_differences(slope_x, slope_y, None)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = bounding_box(inside)
@@ -384,7 +384,7 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
     trust = np.where(mask, array, 0.0).astype(np.float32)
     require(
-        bool(np.isfinite(trust).all()) and float(trust.min()) >= 0 and float(trust.max()) <= 1,
+        np.isfinite(trust).all() and float(trust.min()) >= 0 and float(trust.max()) <= 1,
         "weights must lie between 0 and 1 inside the mask.",
     )
     return np.maximum(trust, _WEIGHT_FLOOR)
@@ -471,7 +471,7 @@ class _Edges:
     target_right: FloatArray
     target_down: FloatArray
 
-    def residual(self, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+    def residual(self, height: NDArray[Any]) -> tuple[Array, float]:
         """Half the negative gradient of the energy, and the energy: the weighted sum of squared residuals of edges.
 
         Differences of neighbouring heights are exact in single precision, differences of their Laplacian are not.
@@ -489,7 +489,7 @@ class _Edges:
         return _EXCESS * energy + _ROUNDING * power
 
 
-def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[Array, float]:
     """Correction of the height, until its rms error and the excess of the energy are small; the smallest eigenvalue.
 
     Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few

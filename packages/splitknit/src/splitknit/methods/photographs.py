@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places, sure_of_places
@@ -24,7 +23,7 @@ from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, 
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import place
 from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import (
     PhotographFault,
     faulty_photographs,
@@ -260,7 +259,7 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     return grids[0] < _JPEG_GRID * grids[1]
 
 
-def _sampled(capture: Capture, band: Band) -> tuple[FloatArray, NDArray[np.float64], tuple[slice, slice]]:
+def _sampled(capture: Capture, band: Band) -> tuple[FloatArray, Array, tuple[slice, slice]]:
     """Grey linear light (L, h, w) at some of a band's pixels, its lights (L, 3), and which pixels these are."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     lights = capture.rig.select(band.lights).light_vectors()

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splitknit.diagnosis.response import (
-    Array,
     blue_over_red,
     clipped_part,
     colour_spread,
@@ -23,7 +22,7 @@ from splitknit.imaging.band import has_colour, linear_channels
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.photometric.uncalibrated import bas_relief_of
 

@@ -14,13 +14,10 @@ from functools import cache, lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from splitknit.imaging.view import view_of
-from splitknit.model import BoolArray, Camera, FloatArray
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray
 
 OVAL_NODES = 400
 MAX_SQUARE = 0.45  # beyond, the oval is no longer convex

@@ -9,7 +9,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
@@ -24,7 +23,7 @@ from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
-from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
 DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
@@ -64,7 +63,7 @@ def mirror_shape_of(
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
     kept[window] &= known
-    require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
+    require(kept.any(), "the mirrors show another part of the finger than the front view; check the rig file.")
     facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": _drawing(seen)}
     return shape, kept, facts
 
@@ -95,7 +94,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def require_mirrors(rig: Rig) -> None:
     """Raise BadInput if the rig has no mirrors."""
     fault = "the rig has no mirrors, so that the shape cannot come from them"
-    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
+    require(rig.mirrors, f"{fault}: add them to rig.json, or take `shape` nir or white.")
 
 
 def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
@@ -127,7 +126,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     factor = max(1, round(SLOPES_MM / pitch))
     inside: BoolArray = bin_mean(views.front.astype(np.float32), factor) > 0.999
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
-    if len(grey) < 3 or not bool((depth > RIM_MM).any()):
+    if len(grey) < 3 or not (depth > RIM_MM).any():
         return None
     stack = bin_mean(grey, factor)
     view = view_of(camera, binning=views.binning * factor)
@@ -161,9 +160,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
 
 
-def _with_images(
-    rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64], view: View
-) -> Rig:
+def _with_images(rig: Rig, glasses: Sequence[Glass], points_mm: Array, normals: Array, view: View) -> Rig:
     """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where it reaches the
     skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
     """

@@ -18,9 +18,7 @@ from splitknit.errors import require
 from splitknit.mirrors.body import MAX_SQUARE, Body, Slopes, basis, slopes_across
 from splitknit.mirrors.reflection import Plane, Touching
 from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, SQUARENESS_SD
-from splitknit.model import BoolArray
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray
 
 _STATIONS = 80  # places along the body at which a plane seen from the tip is tried
 _MAX_STEP = {"tip_mm": 1.0, "turn_rad": 0.04, "lean_rad": 0.04, "shift_mm": 2.0}

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.mirrors.reflection import Touching, touching
 from splitknit.mirrors.settings import ROW_MM
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
 _EVERY = 2  # rows that are averaged to one point of an outline in the fit
 STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05  # rms below which an outline is a mirror's edge: pads bulge, ends are round
@@ -75,7 +72,7 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
     `axis`: (2,) direction on the finger plane from row to row, towards the fingertip; `trust_ends`: keep what looks
     like the straight end of a cut finger. Raises BadInput if the mask is empty.
     """
-    require(bool(mask.any()), "a view of the finger is empty.")
+    require(mask.any(), "a view of the finger is empty.")
     axis = axis / float(np.hypot(*axis))
     across = np.array([axis[1], -axis[0]])
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -87,7 +84,7 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
     along = np.arange(p.min(), p.max() + ROW_MM, ROW_MM)
     side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
     part = np.pad(mask, 3)[low[1] + 3 : high[1] + 4, low[0] + 3 : high[0] + 4].astype(np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR_PX))
+    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR_PX), dtype=part.dtype)
     field = _resampled(smooth, low, camera, binning, (along, side, axis, across))
     left, right = _edges(field, side)
     found = OutlineRows(axis, along, left, right)

@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View, pixels_of
-from splitknit.model import Camera, FloatArray, Led, Mirror, Shade
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, Camera, FloatArray, Led, Mirror, Shade
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +96,7 @@ class Plane:
         """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
         if camera.model == "orthographic":
             return None
-        return -camera.height_mm * self.normal[:2] / self.normal[2]
+        return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
 
 
 def reflect_vectors(vectors: Array, plane: Plane) -> Array:

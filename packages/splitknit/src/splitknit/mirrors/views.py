@@ -8,18 +8,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
 _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
-Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
 
 
@@ -49,7 +47,7 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
     """
-    require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
+    require(rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
     size = (image.shape[0] // factor, image.shape[1] // factor)
     small = block_means(image[: size[0] * factor, : size[1] * factor], size, factor) if factor > 1 else image
@@ -111,7 +109,7 @@ def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning:
     """Front view and what mirrors show."""
     found = {name: view for name, view in seen.items() if view is not None}
     fault = "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture,"
-    require(bool(found), f"{fault} or take the shape from light (`shape` nir or white).")
+    require(found, f"{fault} or take the shape from light (`shape` nir or white).")
     return Views(front, found, binning)
 
 

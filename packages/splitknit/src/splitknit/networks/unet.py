@@ -295,7 +295,7 @@ def _checked(images: Any, card: Card) -> FloatArray:
     fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
     stride = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
     require(min(height, width) >= card.stride, f"{fault}: {stride}")
-    require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
+    require(np.isfinite(stack).all(), "images contain NaN or infinite values.")
     return stack
 
 

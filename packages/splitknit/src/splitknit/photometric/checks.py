@@ -13,10 +13,9 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, check_mask, check_stack
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import (
     PAIRS,
     back_substitute,
@@ -77,7 +76,7 @@ class PhotographFault:
     """By how much the photograph turns the normals, median."""
 
 
-def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> NDArray[np.float64]:
+def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
     """Brightness (L,) of each photograph's light over what `lights` promise, one in the geometric mean.
 
     Minimises sum |I_k / a_k - l_k . g|^2 over the surface's g at every pixel and the gains a: with the surface
@@ -135,7 +134,7 @@ def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
     return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
 
 
-def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray) -> NDArray[np.float64]:
+def _gains(light: FloatArray, lights: Array, ceilings: FloatArray) -> Array:
     own = light.astype(np.float64)
     gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
@@ -221,16 +220,14 @@ def faulty_photographs(
     return tuple(faults)
 
 
-def _checked(
-    stack: Any, lights: Any, mask: Any, ceilings: Any
-) -> tuple[FloatArray, NDArray[np.float64], BoolArray, FloatArray]:
+def _checked(stack: Any, lights: Any, mask: Any, ceilings: Any) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
     images = check_stack(stack, least=3)
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
     return images, check_lights(lights, len(images)), inside, levels
 
 
-def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) -> BoolArray:
+def _lit(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> BoolArray:
     """(L, n) where a light reaches a pixel, and its value is not clipped."""
     relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
     usable = light < ceilings[:, None]
@@ -241,9 +238,7 @@ def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) 
 class _Compared:
     """Photographs, and what the others predict of each."""
 
-    def __init__(
-        self, images: FloatArray, lights: NDArray[np.float64], inside: BoolArray, ceilings: FloatArray
-    ) -> None:
+    def __init__(self, images: FloatArray, lights: Array, inside: BoolArray, ceilings: FloatArray) -> None:
         self.images, self.lights, self.inside, self.ceilings = images, lights, inside, ceilings
         self.kept: list[int] = []
 

@@ -21,7 +21,7 @@ RIDGE = 1e-6
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def linear_map(matrix: NDArray[np.floating], images: FloatArray) -> FloatArray:
+def linear_map(matrix: FloatArray, images: FloatArray) -> FloatArray:
     """`matrix` (3, L) times `images` (L, n), summed light by light."""
     result = np.empty((matrix.shape[0], images.shape[1]), dtype=np.float32)
     term = np.empty(images.shape[1], dtype=np.float32)

@@ -19,14 +19,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack, refusing, require
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
 
-Array = NDArray[np.float64]
 FEWEST = 6
 _SIDE = 220
 """Longest side of the reduced images."""
@@ -120,7 +118,7 @@ def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tupl
         near = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()) < _RIVAL_DEG
         rival = "other lights explain the photographs as well; give a list of their directions as `lights`."
         require(near or other.cost > _RIVAL + best.cost, rival)
-    require(bool((unit[:, 2] > 0).all()), _UNDETERMINED)
+    require((unit[:, 2] > 0).all(), _UNDETERMINED)
     return unit, deviation
 
 
@@ -234,4 +232,4 @@ def _directions(lights: Array, matrix: Array, surface: Array, places: Array) -> 
     found = lights @ np.linalg.inv(matrix) * np.sign(normals[:, 2].mean())
     outwards = float(np.sum(normals[:, :2] * places)) * np.sign(normals[:, 2].mean())
     found[:, :2] *= 1.0 if outwards > 0 else -1.0
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

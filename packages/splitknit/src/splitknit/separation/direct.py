@@ -92,4 +92,4 @@ def direct_of_enhanced(
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), 1e-12)
     fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
-    return np.maximum(grey, 0.0) * fraction
+    return np.asarray(np.maximum(grey, 0.0) * fraction)

@@ -128,7 +128,7 @@ def separate_polarised_folders(
                 write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
         specular, diffuse = (total / count for total in sums)
         lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
-        require(bool(lit.any()), "nothing is lit; the crossed images are black.")
+        require(lit.any(), "nothing is lit; the crossed images are black.")
         picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)
         write_image(target / POLARISED_MARKER, picture_bytes(picture))
         share = float(np.median(specular[lit] / (specular + diffuse)[lit]))
@@ -157,7 +157,7 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     grey = total if total.ndim == 2 else total.mean(axis=-1)
     known = np.isfinite(grey)
     lit = known & (np.where(known, grey, 0.0) > _LIT * float(np.quantile(grey[known], 0.999)))
-    require(bool(lit.any()), "nothing is lit; the images are black.")
+    require(lit.any(), "nothing is lit; the images are black.")
     direct, global_ = parts.direct[lit], parts.global_[lit]
     negative = float((global_ < 0).mean())
     dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"

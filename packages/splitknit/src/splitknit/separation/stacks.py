@@ -92,7 +92,7 @@ def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LE
     light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
     for k, image in enumerate(images):
         light[k] = image[..., None] if grey else image
-        require(bool(np.isfinite(light[k]).all()), f"image {k} contains NaN or infinite values.")
+        require(np.isfinite(light[k]).all(), f"image {k} contains NaN or infinite values.")
     where = check_mask(mask, first[:2])
     _check_exposure(light, where, clip_level)
     return LightStack(light, where, grey)
@@ -105,7 +105,7 @@ def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None
     k = int(np.argmin(peaks))
     fault = f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}"
     cure = "its pattern lights nothing, capture it again or leave it out."
-    require(bool(peaks[k] > _BLACK_IMAGE * usual), f"{fault}; {cure}")
+    require(peaks[k] > _BLACK_IMAGE * usual, f"{fault}; {cure}")
     brightest = light.max(axis=(0, -1))
     if clip_level is None or float(brightest.max()) > 1.0001:
         return
@@ -214,7 +214,7 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
     lit, dark = (states >= 1 - EDGE), (states <= EDGE)
     for found, word in ((lit, "lit"), (dark, "dark")):
         never = images.mask & ~found.any(axis=0)
-        if bool(never.any()):
+        if never.any():
             row, column = np.argwhere(never)[0]
             fraction = float(never.sum()) / float(images.mask.sum())
             raise BadInput(

@@ -15,8 +15,8 @@ from importlib import resources
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 
 CHANNELS = ("red", "green", "blue", "nir")
@@ -81,10 +81,10 @@ class Diffusion:
     absorption_per_mm: float
     albedo: float
     """Part of the light that comes out again, for diffuse light that entered."""
-    _omega: NDArray[np.float64]
-    _transfer: NDArray[np.float64]
+    _omega: Array
+    _transfer: Array
 
-    def __call__(self, omega_per_mm: Any) -> NDArray[np.float64]:
+    def __call__(self, omega_per_mm: Any) -> Array:
         """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
         return np.asarray(np.interp(omega_per_mm, self._omega, self._transfer))
 
@@ -110,7 +110,7 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
 
 
 @lru_cache(maxsize=1)
-def _table() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _table() -> tuple[Array, Array, Array]:
     with (resources.files("splitknit.skin") / "diffusion_table.npz").open("rb") as file, np.load(file) as data:
         return (
             data["albedo"].astype(np.float64),

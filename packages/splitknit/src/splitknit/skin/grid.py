@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import largest_component
 from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import View
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
@@ -30,8 +30,8 @@ class Grid:
     """A window of the image at some pitch, and which of its sides cut the finger."""
 
     mask: BoolArray  # (h, w)
-    x_mm: NDArray[np.float64]  # (w,) or (h, w) on the finger plane
-    y_mm: NDArray[np.float64]  # (h,) or (h, w)
+    x_mm: Array  # (w,) or (h, w) on the finger plane
+    y_mm: Array  # (h,) or (h, w)
     pitch_mm: float
     cut: tuple[bool, bool, bool, bool]  # whether the finger goes on beyond the top, bottom, left and right side
     apex_mm: float | None = None
@@ -87,11 +87,11 @@ class Grid:
         field = np.fft.irfft2(spectrum, self._size)
         return np.ascontiguousarray(field[..., m : m + rows, m : m + columns], dtype=np.float32)
 
-    def radial(self, omega: NDArray[np.float64], gain: NDArray[np.float64]) -> FloatArray:
+    def radial(self, omega: Array, gain: Array) -> FloatArray:
         """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
         return np.interp(self.omega[2], omega, gain).astype(np.float32)
 
-    def sampled(self, gain: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> FloatArray:
+    def sampled(self, gain: Callable[[Array], Array]) -> FloatArray:
         """A smooth radial gain, a function of rad/mm, on the frequencies of :meth:`forward`."""
         omega = np.linspace(0, float(self.omega[2].max()), 1024)
         return self.radial(omega, gain(omega))

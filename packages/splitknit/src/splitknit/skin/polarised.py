@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at, lights_in_front
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
@@ -100,7 +100,7 @@ class Specular:
     lift_mm: float = 0.0
     """By how much the finger lies higher than the start."""
 
-    def changed(self, by: NDArray[np.float64]) -> Specular:
+    def changed(self, by: Array) -> Specular:
         """With the logarithms of the first four and, where given, the lift in mm changed, within their bounds."""
         factors = np.exp(by[:4])
         values = *(factors * (self.strength, self.roughness, self.path_px, self.blur_px)), self.lift_mm + by[4:].sum()
@@ -583,10 +583,10 @@ STRIPES = 12
 """Chunks of rows that give them, about."""
 
 
-def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
+def _change(turn: _Turn, prior: _Prior) -> Array:
     """Of the logarithms of strength, roughness, path and blur, and, where lights to the side show them, of the lift in
     mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit them best."""
-    sums: dict[int, NDArray[np.float64]] = {}
+    sums: dict[int, Array] = {}
 
     def work(rows: slice) -> None:
         height = rows.stop - rows.start
@@ -606,7 +606,7 @@ def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
     return np.clip(np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0]), -most, most)
 
 
-def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _system(turn: _Turn, prior: _Prior, change: Array, used: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Tensor (3, h, w) of the slopes (xx, xy, yy) and force (2, h, w) on them, the four numbers changed and the
     scattered part eliminated at each pixel; `used` (L, h, w) becomes the weights."""
     tensor, force = (np.empty((n, *turn.mask.shape), dtype=np.float32) for n in (3, 2))
@@ -656,7 +656,7 @@ def _gram(
 
 def _without(gram: FloatArray, i: int) -> FloatArray:
     """Normal equations (n, n, rows, w) with an unknown eliminated."""
-    return gram - gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], 1e-12))
+    return np.asarray(gram - gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], 1e-12)))
 
 
 # Heights at the corners of the pixels.
@@ -689,7 +689,7 @@ class _Solver:
         def product(x: FloatArray) -> FloatArray:
             along, up = _slopes(self._inverse(x), self._pitch)
             turned = damped[0] * along + damped[1] * up, damped[1] * along + damped[2] * up
-            return self._forward(_transposed(*turned, self._pitch)) + (self._slow + rest) * x
+            return np.asarray(self._forward(_transposed(*turned, self._pitch)) + (self._slow + rest) * x)
 
         residual = self._forward(_transposed(force[0], force[1], self._pitch))
         residual -= self._slow * self._forward(nodes - self.start)

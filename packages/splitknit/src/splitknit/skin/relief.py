@@ -25,16 +25,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.light import Lighting, slant_of, trust_of
 
-Float64Array = NDArray[np.float64]
 
-
-def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Float64Array:
+def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
     """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n frequencies.
 
     signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation, Interpolation, and
@@ -57,7 +55,7 @@ def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, n
 
 def cross_spectra(
     slopes: list[Slopes], region: FloatArray, pitch_mm: float, bands: int = 28
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+) -> tuple[Array, Array, Array]:
     """Radially averaged cross-spectra between the slope fields (dz/dx, dz/dy), y up, of C channels.
 
     `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a logarithmic scale from a
@@ -92,9 +90,7 @@ def cross_spectra(
     return centres, along, across
 
 
-def fit_spectra(
-    along: Float64Array, across: Float64Array, transfer: Any, glare: Any
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple[Array, Array, Array]:
     """Powers (n,) of relief and glare (correlated with it or not) per mode, not negative, and (C,) of the noise, from
     measured :func:`cross_spectra`.
 
@@ -220,7 +216,7 @@ class Unmixing:
     """How the channels' slopes are summed."""
 
     weights: list[FloatArray]  # one for each channel, on the grid's frequencies
-    noise: NDArray[np.float64]  # (C,) power of the noise in each channel's slopes
+    noise: Array  # (C,) power of the noise in each channel's slopes
 
 
 def measure(  # noqa: PLR0917
@@ -262,7 +258,7 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
     albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
     inner = measured.region > 0
     middle = np.median(albedo[inner])
-    require(bool(0.0 < middle < np.inf), NOT_SKIN)
+    require(0.0 < middle < np.inf, NOT_SKIN)
     albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
     glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
     slopes: list[Slopes] = []
@@ -316,7 +312,7 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     return Unmixing([grid.radial(omega, w) for w in weights], noise)
 
 
-def _plausible(omega: NDArray[np.float64], signal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plausible(omega: Array, signal: Array) -> Array:
     """The relief's power `signal` with that above the ridges' own frequency limited to the fall of a ridge's harmonics.
     Where skin passes next to nothing, errors in the glare's colour look like relief. Slopes of flat ridges with narrow,
     steep valleys fall off about as one over the frequency; nothing rougher is believed.

@@ -112,7 +112,7 @@ def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
-    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm))
+    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=height.dtype)
     return fine_lighting(images.white.rig, low, smooth, images.factor, images.fine)
 
 
