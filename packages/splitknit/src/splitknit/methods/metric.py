@@ -171,14 +171,7 @@ def metric_skin(
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
-    facts = {
-        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
-        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
-        "scattering_assumed": True,
-        "colour": colour,
-        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
-        **estimate.facts,
-    }
+    facts = {**optics_facts(optics, colour, shape), **estimate.facts}
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
@@ -309,6 +302,17 @@ def relief_and_shape(
     low, high = BOTH_DEG
     part = smooth_step((slant_of(smooth, grid.pitch_mm) - low) / (high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
+
+
+def optics_facts(optics: Mapping[str, Diffusion], colour: Mapping[str, float], shape: Shape) -> dict[str, Any]:
+    """What was assumed and found of the skin's optics, for the result."""
+    return {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "colour": colour,
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+    }
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
