@@ -95,13 +95,13 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
         require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
         fits = truth[name].shape == result.mask.shape
         require(fits, f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.")
-    true_mask = np.asarray(truth["mask"], dtype=np.bool_)
+    true_mask = truth["mask"]
     common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
-    require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
+    require(common.any(), "the reconstruction and the truth have no pixel in common.")
     box = bounding_box(common)
     inside, pitch = common[box], result.pitch_mm
     surface = eroded(inside, EROSION_MM / pitch)
-    require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
+    require(surface.any(), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
     shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
@@ -109,7 +109,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     height_error = _centred(height - true_height, surface)
     shape_error = _centred(shape - true_shape, surface)
 
-    slopes = height_gradients(np.where(inside, true_shape, np.float32(np.nan)), pitch)
+    slopes = height_gradients(np.where(inside, true_shape, np.nan), pitch)
     band = surface & (np.rad2deg(np.arctan(np.hypot(*slopes))) < MAX_SLANT_DEG)
     band_of = high_passed(inside, BAND_SIGMA_MM / pitch)
     true_band, ridge_band = map(band_of, (true_height - true_shape, relief))
@@ -128,7 +128,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures("height_band", band_of(height), band_of(true_height), band, window)
     maps = {
-        "height_error_mm": np.where(inside, height_error, np.float32(np.nan)),
+        "height_error_mm": np.where(inside, height_error, np.nan),
         "ridge_error_um": np.where(inside, 1000.0 * (ridge_band - true_band), np.nan).astype(np.float32),
         "surface": surface,
         "band": band,
@@ -149,26 +149,26 @@ def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], Floa
             return gaussian_mean(image, sigma_px)
         small = cv2.resize(image, (-(-size[0] // factor), -(-size[1] // factor)), interpolation=cv2.INTER_AREA)
         mean = gaussian_mean(small, float(np.sqrt((sigma_px / factor) ** 2 - 0.25)))  # interpolation blurs the rest
-        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR))
 
-    weight = np.maximum(blurred(mask), np.float32(1e-3))
-    none = np.float32(0.0)
+    weight = np.maximum(blurred(mask), 1e-3)
+    none = 0.0
     return lambda values: np.where(mask, values - blurred(np.where(mask, values, none)) / weight, none)
 
 
 def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
     """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
-    fraction = np.maximum(_mean(where.astype(np.float32), window_px), np.float32(1e-6))
-    a, b = np.where(where, first, np.float32(0.0)), np.where(where, second, np.float32(0.0))
+    fraction = np.maximum(_mean(where.astype(np.float32), window_px), 1e-6)
+    a, b = np.where(where, first, 0.0), np.where(where, second, 0.0)
     product = _mean(a * b, window_px) / fraction
     power = (_mean(a * a, window_px) / fraction) * (_mean(b * b, window_px) / fraction)
-    return np.asarray(product / np.sqrt(np.maximum(power, np.float32(1e-30))), dtype=np.float32)
+    return product / np.sqrt(np.maximum(power, 1e-30))
 
 
 def _band_figures(
     name: str, estimate: FloatArray, truth: FloatArray, where: BoolArray, window: int
 ) -> dict[str, float]:
-    if not bool(where.any()):
+    if not where.any():
         return {}
     e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
     e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
@@ -187,7 +187,7 @@ def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
     """Pixels of `mask` (H, W) further than a distance from its edge; the image's border is one."""
     padded = np.pad(mask, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return np.asarray(distance > distance_px)
+    return distance > distance_px
 
 
 def _clean(values: NDArray[Any], mask: BoolArray) -> FloatArray:
@@ -203,8 +203,7 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def _mean(image: FloatArray, window: int) -> FloatArray:
-    averaged = cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(averaged, dtype=np.float32)
+    return np.asarray(cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT))
 
 
 def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -108,7 +108,7 @@ class BadExposure(BadInput):
     """A sound image is black, blank or overexposed."""
 
 
-def require(condition: bool, message: str, kind: type[BadInput] = BadInput) -> None:
+def require(condition: Any, message: str, kind: type[BadInput] = BadInput) -> None:
     """Raise :class:`BadInput`, or a `kind` of it, with `message` unless `condition` holds."""
     if not condition:
         raise kind(message)

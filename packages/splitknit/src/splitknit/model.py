@@ -21,7 +21,7 @@ from splitknit.errors import require
 from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
 Array = NDArray[np.float64]
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 Progress = Callable[[str, float], None]

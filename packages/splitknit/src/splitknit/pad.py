@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.band import linear_channels
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Reconstruction
 
 BASIS = "the model was fitted to simulated fingers and attacks only; nobody has measured it on real ones."
 PX_PER_MM = 15.0  # at which photographs and results are measured
@@ -92,7 +92,7 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     outline = np.pad(mask, 1).astype(np.uint8)
     far = cv2.distanceTransform(outline, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * pitch > 1.0
     facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
-    return np.asarray(facing if facing.sum() * pitch**2 > 20.0 else far)
+    return facing if facing.sum() * pitch**2 > 20.0 else far
 
 
 def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
@@ -100,7 +100,7 @@ def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
     fine = smoothed(image, inside, _FINE_MM / pitch)
     band = np.where(inside, fine - smoothed(image, inside, _SLOW_MM / pitch), 0)
     limit = 6.0 * float(np.median(np.abs(band[inside]))) + 1e-12
-    return np.asarray(np.clip(band, -limit, limit), dtype=np.float32)
+    return np.asarray(np.clip(band, -limit, limit))
 
 
 def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
@@ -157,7 +157,7 @@ def shipped_model() -> Model:
     return dict(json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes()))
 
 
-def deviations(model: Model, found: Mapping[str, float]) -> NDArray[np.float64]:
+def deviations(model: Model, found: Mapping[str, float]) -> Array:
     """Features' deviations from live skin in its standard deviations; 0 on a side on which nothing is suspicious."""
     away = np.array([found[name] for name in model["names"]]) - model["mean"]
     above, below = np.array(model["weights"]).T
@@ -165,12 +165,12 @@ def deviations(model: Model, found: Mapping[str, float]) -> NDArray[np.float64]:
     return np.asarray(np.where(one_sided, away / model["scale"], 0.0))
 
 
-def suspicious(away: NDArray[np.float64]) -> NDArray[np.float64]:
+def suspicious(away: Array) -> Array:
     """(..., 2) what counts of deviations (...), above and below."""
     return np.clip(np.stack([away, -away], axis=-1), _USUAL, _LARGEST) - _USUAL
 
 
-def distance(model: Model, away: NDArray[np.float64]) -> float:
+def distance(model: Model, away: Array) -> float:
     """Mahalanobis distance to the nearest of live skin and the species of the training, a feature's mean."""
     rest = away - np.array(model["kinds"])
     squared = np.einsum("ki,ij,kj->k", rest, np.array(model["precision"]), rest)

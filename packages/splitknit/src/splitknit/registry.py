@@ -23,8 +23,7 @@ VERBS = {
     ),
     "import": (
         CORE,
-        "turn photographs and light directions into a capture folder (--images), a point cloud into a result folder, "
-        "or prints of other systems into PNG",
+        "turn photographs and light directions into a capture folder (--images), or prints of other systems into PNG",
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
     "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
@@ -47,6 +46,7 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
+_SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
     "enroll --set": "templates are made in one way; leave it out.",
     "identify --set": "templates are made in one way; leave it out.",
@@ -74,6 +74,9 @@ GONE: dict[str, str] = {
     "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
     "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
     "view": "open report.html in the result's folder: it shows the surface in three dimensions.",
+    "import --unit": _SCANNED,
+    "import --up": _SCANNED,
+    "import --pitch": _SCANNED,
     "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
     "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
     "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import warp
 
@@ -114,8 +113,3 @@ def test_a_disc_is_reported_as_having_no_axis():
     assert not flat.reliable
     assert "no axis" in flat.note
     assert flat.yaw_rad == 0.0
-
-
-def test_bad_input():
-    with pytest.raises(BadInput, match="empty"):
-        find_upright(np.zeros((50, 50), dtype=bool))

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.finger.quality import capture_quality, quality_warnings
 
 
@@ -68,10 +67,3 @@ def test_coverage(scene):
     short = np.zeros_like(scene.mask)
     short[-200:, 200:500] = True
     assert any("push it further in" in t for t in quality_warnings(capture_quality(scene.stack, short, 24.0)))
-
-
-def test_bad_input(scene):
-    with pytest.raises(BadInput, match="lights must have the shape"):
-        capture_quality(scene.stack, scene.mask, 24.0, lights=np.ones((3, 3)))
-    with pytest.raises(BadInput, match="ambient image"):
-        capture_quality(scene.stack, scene.mask, 24.0, ambient=np.zeros((4, 4), np.float32))

@@ -21,12 +21,22 @@ MIRRORS = {"left": LEFT, "right": RIGHT}
 RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 
-def bright(image: FloatArray, _: float) -> BoolArray:
-    """The largest bright piece: stands for the finger's mask."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats((image.sum(axis=2) > 0.9).astype(np.uint8))
-    if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 400:
-        raise BadInput("no finger was found.")
-    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+@pytest.fixture(autouse=True)
+def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest bright piece stands for the finger; its outline is looked for in a piece of the image."""
+
+    def region(image: FloatArray, _: float) -> BoolArray:
+        _, labels, stats, _ = cv2.connectedComponentsWithStats((image.sum(axis=2) > 0.9).astype(np.uint8))
+        if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 400:
+            raise BadInput("no finger was found.")
+        return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+    def outline(image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
+        assert rough.any() and image.shape[0] < 1000
+        return region(image, px_per_mm)
+
+    monkeypatch.setattr("splitknit.mirrors.views.finger_region", region)
+    monkeypatch.setattr("splitknit.mirrors.views.finger_outline", outline)
 
 
 def picture(*fingers: tuple[int, int]) -> FloatArray:
@@ -43,16 +53,11 @@ def picture(*fingers: tuple[int, int]) -> FloatArray:
     return image
 
 
-def as_before(image: FloatArray, _: BoolArray, px_per_mm: float) -> BoolArray:
-    """The outline of a picture that is small already."""
-    return bright(image, px_per_mm)
-
-
 FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
 def test_front_and_mirrors_are_distinguished() -> None:
-    views = views_in(picture(FRONT, *BESIDE), RIG, 1, bright, as_before)
+    views = views_in(picture(FRONT, *BESIDE), RIG, 1)
     assert set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -62,7 +67,7 @@ def test_front_and_mirrors_are_distinguished() -> None:
 
 
 def test_a_mirror_without_a_finger_is_left_out() -> None:
-    assert set(views_in(picture(FRONT, BESIDE[1]), RIG, 1, bright, as_before).mirrors) == {"right"}
+    assert set(views_in(picture(FRONT, BESIDE[1]), RIG, 1).mirrors) == {"right"}
 
 
 @pytest.mark.parametrize(
@@ -76,12 +81,12 @@ def test_a_mirror_without_a_finger_is_left_out() -> None:
 )
 def test_what_is_refused(image: Callable[[], FloatArray], words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        views_in(image(), RIG, 1, bright, as_before)
+        views_in(image(), RIG, 1)
 
 
 def test_no_mirrors_no_views() -> None:
     with pytest.raises(BadInput, match="the rig has no mirrors"):
-        views_in(picture(FRONT), replace(RIG, mirrors=()), 1, bright, as_before)
+        views_in(picture(FRONT), replace(RIG, mirrors=()), 1)
 
 
 def test_the_front_is_left_alone() -> None:
@@ -92,13 +97,6 @@ def test_the_front_is_left_alone() -> None:
     assert view_binning(44.0) == 2 and view_binning(8.0) == 1
 
 
-def outlined(image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
-    """Stands for the finger's outline: its mask in a piece of the image that the rough one, far smaller, covers."""
-    assert rough.any() and rough.size < 0.1 * image[..., 0].size
-    assert image.shape[0] < 1000
-    return bright(image, px_per_mm)
-
-
 def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
     """The picture at four times the scale, one row and two columns larger: no whole number of the search's blocks."""
     image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))
@@ -107,7 +105,7 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
 
 def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
     image, camera = large(FRONT, *BESIDE)
-    views = views_in(image, replace(RIG, camera=camera), 1, bright, outlined)
+    views = views_in(image, replace(RIG, camera=camera), 1)
     assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -131,4 +129,4 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
 def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
     image, camera = large(*fingers)
     with pytest.raises(BadInput, match=words):
-        views_in(image, replace(RIG, camera=camera), 1, bright, outlined)
+        views_in(image, replace(RIG, camera=camera), 1)

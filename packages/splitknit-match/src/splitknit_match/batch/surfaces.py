@@ -105,7 +105,7 @@ def _placed(values: FloatArray, mask: BoolArray) -> FloatArray:
     return whole
 
 
-def _bits(values: NDArray[np.float32]) -> NDArray[np.int32]:
+def _bits(values: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.ascontiguousarray(values, dtype=np.float32).view(np.int32)
 
 
@@ -113,5 +113,5 @@ def _floats(words: NDArray[np.int32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(words, dtype=np.int32).view(np.float32)
 
 
-def _differences(values: NDArray[np.float32]) -> NDArray[np.int32]:
+def _differences(values: FloatArray) -> NDArray[np.int32]:
     return np.diff(_bits(values), prepend=np.zeros(1, dtype=np.int32))

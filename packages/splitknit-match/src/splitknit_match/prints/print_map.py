@@ -266,8 +266,8 @@ def _dense_inverse(
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
-    columns, rows = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
-    return columns, rows
+    at_column, at_row = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    return at_column, at_row
 
 
 def _gaps(print_of_grid: Array) -> Array:

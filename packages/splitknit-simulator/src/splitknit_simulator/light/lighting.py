@@ -67,7 +67,8 @@ def cut_out(surface: SimulatedSurface, *, shadows: bool = False) -> Patch:
     x, y = _places(surface, window)
     view, nv, px_per_mm = None, nz, surface.camera.px_per_mm
     smooth = surface.shape_normals[window]
-    seen, tilt = smooth[..., 2], (np.float32(0.0), np.float32(0.0))
+    seen: Any = smooth[..., 2]
+    tilt: Any = (np.float32(0.0), np.float32(0.0))
     if surface.camera.model == "perspective":
         up = surface.camera.height_mm - z
         inverse = 1.0 / np.sqrt(x * x + y * y + up * up)

@@ -217,7 +217,7 @@ class _Scene:
         gains = Relief(surface, self.patch, medium).gains(led)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
         entering, gloss = light_on(self.patch, led, medium.roughness, LED_RADIUS_MM)
-        self.glare = np.asarray(gloss * np.float32(medium.glare), dtype=np.float32)
+        self.glare: FloatArray = np.asarray(gloss * np.float32(medium.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
         self.x, self.y = (self._beyond(c, k) for k, c in enumerate(_projected(self.patch, led)))
         self.inner = self.diffusion.inner

@@ -6,15 +6,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View
 from splitknit.integration.poisson import poisson
-from splitknit.model import BoolArray, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.skin.light import fresnel_transmission
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 6
 """Lights from which three of each pixel's values are spare."""
@@ -98,7 +95,7 @@ def fitted_places(  # noqa: PLR0917
         slopes = [np.zeros(mask.shape, dtype=np.float32) for _ in range(2)]
         for axis, slope in enumerate(slopes):
             slope[inside] = -normals[:, axis] / nz[inside]
-        height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * np.float32(pitch_mm)
+        height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * pitch_mm
     low, high = _STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
     if chosen.sum() < 2 * _INDEPENDENT:
@@ -106,7 +103,7 @@ def fitted_places(  # noqa: PLR0917
     weight = np.sqrt(np.clip((nz[chosen] - low) / (high - low), 0.02, 1.0)).astype(np.float64)
     share = weight / (_LEFT * np.sqrt(weight.sum() / _INDEPENDENT))
 
-    def rest(unknowns: Floats) -> Floats:
+    def rest(unknowns: Array) -> Array:
         left, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
         columns = np.column_stack([weight, (1 - n[:, 2]) * weight])
         fall = np.linalg.lstsq(columns, np.log(albedo) * weight, rcond=None)[0][1]
@@ -134,12 +131,12 @@ def fitted_places(  # noqa: PLR0917
 
 
 def _solved(  # noqa: PLR0917
-    stack: FloatArray, rig: Rig, view: View, height_mm: FloatArray, where: BoolArray, unknowns: Floats
-) -> tuple[Floats, Floats, Floats]:
+    stack: FloatArray, rig: Rig, view: View, height_mm: FloatArray, where: BoolArray, unknowns: Array
+) -> tuple[Array, Array, Array]:
     """Light left over (L, n), relative, albedo (n,) and normals (n, 3) at the pixels `where`, under moved lights."""
     raised = float(np.exp(unknowns[0]))
     moved = replace(rig, leds=tuple(_moved(led, raised, unknowns[1], unknowns[2]) for led in rig.leds))
-    surface = (height_mm * np.float32(raised) + np.float32(_PLANE_MM)).astype(np.float32)  # slopes go with the height
+    surface = (height_mm * raised + _PLANE_MM).astype(np.float32)  # slopes go with the height
     vectors = view.turned(light_vectors_at(moved, *view.points(surface)))[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
     length = np.sqrt((vectors * vectors).sum(axis=1))

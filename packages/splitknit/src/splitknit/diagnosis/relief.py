@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.finger.regions import depth_inside, dilate, largest_component, quantile
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 LEAST_PX_PER_MM = 6.0
 """Scale below which ridges are not seen: three pixels from one to the next."""
@@ -53,7 +52,7 @@ def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[fl
     px_per_mm
         Scale of the stack; below `LEAST_PX_PER_MM` no patch is found.
     """
-    deep_mm = depth_inside(mask) / np.float32(px_per_mm)
+    deep_mm = depth_inside(mask) / px_per_mm
     light = smoothed(stack.mean(axis=0), mask, _LEVEL_MM * px_per_mm)
     judged = mask & (deep_mm > _RIM_MM)
     if px_per_mm < LEAST_PX_PER_MM or not judged.any():
@@ -62,11 +61,11 @@ def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[fl
     energy = np.zeros(mask.shape, dtype=np.float32)
     for image in stack:
         level = smoothed(image, mask, _LEVEL_MM * px_per_mm)
-        floor = np.float32(0.05 * max(quantile(level[judged]), 1e-12))
+        floor = 0.05 * max(quantile(level[judged]), 1e-12)
         relative = (smoothed(image, mask, _FINE_MM * px_per_mm) - level) / np.maximum(level, floor)
         down, across = np.gradient(relative)
         energy += down * down + across * across
-    most = np.float32(_CAP * quantile(energy[judged], _RIDGED))
+    most = _CAP * quantile(energy[judged], _RIDGED)
     contrast = smoothed(np.minimum(energy, most), deep_mm > _EDGE_MM, _WINDOW_MM * px_per_mm)
     bare = largest_component(judged & (contrast < _BARE**2 * quantile(contrast[judged], _RIDGED)))
     if bare.sum() < _LEAST_MM2 * px_per_mm**2:
@@ -85,7 +84,7 @@ def doubt_of_patch(area_mm2: float, part: float) -> str:
     return f"{where}: heights there are not the skin's; take off what covers it, such as a plaster or dirt."
 
 
-def unlike_image(stack: FloatArray, lights: NDArray[np.float64], mask: BoolArray, px_per_mm: float) -> int | None:
+def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: float) -> int | None:
     """The image whose ridges are not those that all others show; None where there is none, or too few lights.
 
     Each image's ridge band is predicted from all others by least squares (light is linear in the albedo times the
@@ -104,7 +103,7 @@ def unlike_image(stack: FloatArray, lights: NDArray[np.float64], mask: BoolArray
         Scale of the stack; below `LEAST_PX_PER_MM` nothing is judged.
     """
     light = stack.mean(axis=0)
-    deep_mm = depth_inside(mask) / np.float32(px_per_mm)
+    deep_mm = depth_inside(mask) / px_per_mm
     judged = mask & (deep_mm > _RIM_MM)
     if len(stack) < _FEWEST or px_per_mm < LEAST_PX_PER_MM or not judged.any():
         return None

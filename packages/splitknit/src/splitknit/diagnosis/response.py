@@ -10,15 +10,11 @@ p; values that are not in proportion to the light also flatten or steepen the wh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 from splitknit.photometric.equations import shading, solve
-
-Array = NDArray[np.float64]
 
 _LIT, _WELL = 0.3, 0.5
 """Part of a pixel's brightest light from which a light counts in its fit, and from which its gain is judged: below,
@@ -31,11 +27,14 @@ differ by 10 %. Standard deviation of brightness as it is stated, at best, in th
 _EXPONENTS = np.geomspace(0.55, 1.8, 9)
 _FLANKS, _SOME = 0.6, 700
 """Quantile of the pixels, by how much they change with the light, from which they show the tone; how many will do."""
+_DRIFT, _ALONE, _DRIFT_ERRORS = 0.03, 0.6, 3.0
+"""Change of a light's brightness from which it has drifted; the part of all gains that it explains alone, and its own
+standard errors, at least: gloss, shadows and scattering move the gains of several images a little."""
 _AWAY = 0.9
 """Part of the half width of a finger, from its axis, on which its height is fitted."""
 
 
-def image_gains(stack: Any, vectors: Any) -> Array:
+def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
     """Logarithm (C, L) of each image's gain, in each colour, over what least squares predicts of it; mean 0 by colour.
 
     Parameters
@@ -54,10 +53,9 @@ def image_gains(stack: Any, vectors: Any) -> Array:
     ----------
     Y. Queau et al., "LED-based photometric stereo", JMIV 60 (2018), eq. 2.5, for the pixel's equations.
     """
-    lights = np.asarray(vectors, dtype=np.float32)
-    gains = np.full((len(stack), len(lights)), np.nan)
-    for own, light in zip(gains, np.asarray(stack, dtype=np.float32), strict=True):
-        predicted, lit = _fitted(light, lights)
+    gains = np.full((len(stack), len(vectors)), np.nan)
+    for own, light in zip(gains, stack, strict=True):
+        predicted, lit = _fitted(light, vectors)
         judged = lit & (predicted > _WELL * predicted.max(axis=0)) & (light > 0)
         for k in np.flatnonzero(judged.sum(axis=1) >= _FEWEST):
             own[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
@@ -66,7 +64,7 @@ def image_gains(stack: Any, vectors: Any) -> Array:
 
 def _fitted(light: FloatArray, vectors: FloatArray) -> tuple[FloatArray, BoolArray]:
     """What least squares predicts of light (L, n), and where it counts."""
-    lit = np.asarray(light > _LIT * light.max(axis=0), dtype=np.bool_)
+    lit = light > _LIT * light.max(axis=0)
     return shading(solve(light, vectors, lit.astype(np.float32)), vectors), lit
 
 
@@ -106,19 +104,34 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
     return 1.0 + slope, slope / float(np.sqrt((rest / freedom + _STATED**2) / square))
 
 
-def shading_exponent(stack: Any, vectors: Any) -> float:
+def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
+    """The light (L,) whose brightness alone explains the `gains` of :func:`image_gains`, and its relative brightness.
+
+    Beside the patterns of `directions` (L, 3) that a tilt of the surface makes; None where no single light has changed.
+    """
+    basis = np.linalg.qr(np.column_stack([np.ones(len(gains)), directions[:, :2]]))[0]
+    beside = np.eye(len(gains)) - basis @ basis.T
+    rest, own = beside @ gains, np.diag(beside)
+    explained = rest**2 / own
+    k = int(np.argmax(explained))
+    change, total = float(rest[k] / own[k]), float(rest @ rest)
+    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / own[k])
+    sure = explained[k] > _ALONE * total and abs(change) > _DRIFT_ERRORS * error
+    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > _DRIFT else None
+
+
+def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
     """The exponent p, value = light^p, at which shading fits matt surfaces best, under equal lights.
 
     Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours that scatter
     little in the skin. Light that is added to all images does not show: it looks like a surface that faces the camera.
     """
-    lights = np.asarray(vectors, dtype=np.float32)
     best = []
-    for light in np.maximum(np.asarray(stack, dtype=np.float32), np.float32(1e-4)):
+    for light in np.maximum(stack, 1e-4):
         varied = light.std(axis=0) / light.mean(axis=0)
         some = np.flatnonzero(varied > np.quantile(varied, _FLANKS))
         some = some[:: max(1, len(some) // _SOME)]
-        left = [_left(light[:, some] ** np.float32(1 / p), lights[..., some]) * p for p in _EXPONENTS]
+        left = [_left(light[:, some] ** np.float32(1 / p), vectors[..., some]) * p for p in _EXPONENTS]
         k = int(np.clip(np.argmin(left), 1, len(left) - 2))
         a, b, _ = np.polyfit(np.log(_EXPONENTS[k - 1 : k + 2]), left[k - 1 : k + 2], 2)
         best.append(float(np.clip(-b / (2 * a), *np.log(_EXPONENTS[[0, -1]]))) if a > 0 else 0.0)
@@ -130,7 +143,7 @@ def _left(light: FloatArray, vectors: FloatArray) -> float:
     gains = np.nan_to_num(image_gains(light[None], vectors)[0])
     even = light / np.exp(gains).astype(np.float32)[:, None]
     predicted, lit = _fitted(even, vectors)
-    rest = (even - predicted) * lit / np.maximum(predicted.mean(axis=0), np.float32(1e-6))
+    rest = (even - predicted) * lit / np.maximum(predicted.mean(axis=0), 1e-6)
     return float(np.median(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3, 1))))
 
 
@@ -153,20 +166,19 @@ def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: flo
     return float(np.median(ratios)) if len(ratios) >= 10 else float("nan")
 
 
-def blue_over_red(stack: Any) -> float:
+def blue_over_red(stack: FloatArray) -> float:
     """Median of blue over red light of n pixels, of the light (3, L, n) of all lights together."""
-    light = np.asarray(stack, dtype=np.float32).sum(axis=1)
+    light = stack.sum(axis=1)
     return float(np.median(light[2]) / max(float(np.median(light[0])), 1e-12))
 
 
-def clipped_part(pixels: Any) -> tuple[float, int, int]:
+def clipped_part(pixels: PixelArray) -> tuple[float, int, int]:
     """Largest part of n pixels at the highest stored value of its colour, in an image; the image, and the colour.
 
     `pixels`: (L, n, C) as stored. The highest value is that of all images of a colour: clipped images may have been
     darkened later.
     """
-    values = np.asarray(pixels)
-    top = values.max(axis=(0, 1))
-    part = (values >= top - top // 100).mean(axis=1)
+    top = pixels.max(axis=(0, 1))
+    part = (pixels >= top - top // 100).mean(axis=1)
     image, colour = np.unravel_index(int(np.argmax(part)), part.shape)
     return float(part.max()), int(image), int(colour)

@@ -12,12 +12,11 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask
 from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 _BINS = 256
@@ -60,10 +59,10 @@ def clahe(
     box = bounding_box(mask)
     inside = mask[box]
     white = float(np.percentile(image[box][inside], _WHITE))
-    grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
+    grey = np.clip(image[box] / max(white, 1e-12), 0.0, 1.0)
     if settings.grey == "srgb":
-        grey = np.asarray(srgb_code(grey), dtype=np.float32)
-    level = grey * np.float32(_BINS - 1)
+        grey = srgb_code(grey)
+    level = grey * (_BINS - 1)
     side = max(_LEAST_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
     cell = side, side
     if settings.tiles:
@@ -72,15 +71,15 @@ def clahe(
     counts = _histograms(level, inside, cell)
     mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
     result = np.zeros(image.shape, dtype=np.float32)
-    result[box] = np.where(inside, _apply(level, mappings, cell), np.float32(0.0))
+    result[box] = np.where(inside, _apply(level, mappings, cell), 0.0)
     return result
 
 
-def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> NDArray[np.float64]:
+def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> Array:
     """Counts (cell rows, cell columns, _BINS) over the finger's pixels."""
     rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
     counts = np.empty((rows, columns, _BINS), dtype=np.float64)
-    nearest = (level + np.float32(0.5)).astype(np.intp)
+    nearest = (level + 0.5).astype(np.intp)
     for i in range(rows):
         for j in range(columns):
             part = np.s_[i * cell[0] : (i + 1) * cell[0], j * cell[1] : (j + 1) * cell[1]]
@@ -88,7 +87,7 @@ def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> NDArray[np
     return counts
 
 
-def _borrow(counts: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+def _borrow(counts: Array, least: float) -> Array:
     """Add the neighbours' histograms to cells with fewer than `least` pixels, again until every cell has enough."""
     for _ in range(sum(counts.shape[:2])):
         poor = counts.sum(axis=2) < least
@@ -96,13 +95,13 @@ def _borrow(counts: NDArray[np.float64], least: float) -> NDArray[np.float64]:
             break
         padded = np.pad(counts, ((1, 1), (1, 1), (0, 0)))
         around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), (0, 1)).sum(axis=(-2, -1))
-        if bool((around[poor].sum(axis=1) <= counts[poor].sum(axis=1)).all()):
+        if (around[poor].sum(axis=1) <= counts[poor].sum(axis=1)).all():
             break
         counts = np.where(poor[..., None], around, counts)
     return counts
 
 
-def _mappings(counts: NDArray[np.float64], clip_limit: float) -> FloatArray:
+def _mappings(counts: Array, clip_limit: float) -> FloatArray:
     """Grey-value mappings in [0, 1], one per cell, from clipped histograms."""
     total = np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
     clipped = np.minimum(counts, clip_limit * total / _BINS)
@@ -136,6 +135,6 @@ def _apply(level: FloatArray, mappings: FloatArray, cell: _Cell) -> FloatArray:
 def _between(block: int, first: int, last: int, cell: int, cells: int) -> tuple[int, int, FloatArray]:
     """The two cells around a stretch and the weight of the second for each of its pixels."""
     before = block - 1
-    position = (np.arange(first, last, dtype=np.float32) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
-    weight = np.clip(position - np.float32(before), 0.0, 1.0).astype(np.float32)
+    position = (np.arange(first, last, dtype=np.float32) + 0.5) / cell - 0.5
+    weight = np.clip(position - before, 0.0, 1.0).astype(np.float32)
     return max(before, 0), min(max(before + 1, 0), cells - 1), weight

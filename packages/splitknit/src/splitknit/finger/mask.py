@@ -12,7 +12,6 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.regions import (
@@ -29,7 +28,7 @@ from splitknit.finger.regions import (
     remove_spurs,
 )
 from splitknit.imaging.geometry import wide_blur
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked
 
 
@@ -62,22 +61,22 @@ def _chromaticity(image: FloatArray) -> FloatArray:
     """
     least = _least(image)
     average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
-    msf = np.maximum(image - least[..., None] + np.float32(average), np.float32(1e-12))
-    return np.asarray(msf / _brightness(msf)[..., None], dtype=np.float32)
+    msf = np.maximum(image - least[..., None] + average, 1e-12)
+    return msf / _brightness(msf)[..., None]
 
 
 def _brightness(image: FloatArray) -> FloatArray:
-    return image if image.ndim == 2 else np.asarray(image[..., 0] + image[..., 1] + image[..., 2])
+    return image if image.ndim == 2 else image[..., 0] + image[..., 1] + image[..., 2]
 
 
 def _least(image: FloatArray) -> FloatArray:
-    return np.asarray(np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2]))
+    return np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2])
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
     """Brightness, and the sum of I - I_min, which ignores neutral light: reflection, white dust, leaked infra-red."""
     brightness = _brightness(image)
-    return [brightness] if image.ndim == 2 else [brightness, brightness - np.float32(3.0) * _least(image)]
+    return [brightness] if image.ndim == 2 else [brightness, brightness - 3.0 * _least(image)]
 
 
 def _skin_evidence(
@@ -96,20 +95,20 @@ def _skin_evidence(
     evidence = np.zeros(seed.shape, dtype=np.float32)
     usable = False
     if outside.sum() < 50:
-        return seed.astype(np.float32) * np.float32(2.0), True
+        return seed.astype(np.float32) * 2.0, True
     for signal in _signals(image):
         background, noise = _fit_background(signal, outside, samples)
         rise = signal - background
         if local:
-            dim = np.minimum(rise, np.float32(3.0 * noise))  # dust, which is bright, hardly counts
+            dim = np.minimum(rise, 3.0 * noise)  # dust, which is bright, hardly counts
             offset, cover = _local_mean(dim, outside, 2.0 * margin)
-            rise = rise - np.where(cover > 1e-3, offset, np.float32(0.0))
+            rise = rise - np.where(cover > 1e-3, offset, 0.0)
         level = float(np.median(rise[inside]))
         if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
         near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)  # a shaded part is darker
-        own = np.minimum(np.where(cover > 1e-2, near, np.float32(level)), np.float32(level))
+        own = np.minimum(np.where(cover > 1e-2, near, level), level)
         threshold = np.maximum(_EDGE_FRACTION * own, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
@@ -119,8 +118,8 @@ def _local_mean(values: FloatArray, where: BoolArray, sigma: float) -> tuple[Flo
     """Mean of values near every pixel over those of a region, and how much of it is near."""
     weight = where.astype(np.float32)
     cover = wide_blur(weight, sigma)
-    mean = wide_blur(values * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.asarray(mean, dtype=np.float32), cover
+    mean = wide_blur(values * weight, sigma) / np.maximum(cover, 1e-3)
+    return mean, cover
 
 
 def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
@@ -164,7 +163,7 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     return surface.astype(np.float32), noise
 
 
-def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
+def _below(residual: Array) -> tuple[BoolArray, float]:
     """Those of the background, and the scatter below it: robust or plain deviation, which counts a shadow's edge."""
     negative = -residual[residual <= 0.0]
     if negative.size == 0:
@@ -258,7 +257,7 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
         require(usable, _NO_FINGER, NoFinger)
         grown = fill_holes((evidence > 1.0) | (around.depth > 0.5 * float(around.depth.max())))
         cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)  # it holds the middle of the seed
-        require(bool(cleaned.any()), _NO_FINGER, NoFinger)
+        require(cleaned.any(), _NO_FINGER, NoFinger)
         mask = fill_holes(cleaned)
     around = _Around.of(mask, 1.3 * margin)
     require(2.0 * float(around.depth.max()) >= _MIN_WIDTH_MM * px_per_mm, _NO_FINGER, NoFinger)
@@ -266,7 +265,7 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
     return mask
 
 
-def _colour_filter(image: FloatArray) -> NDArray[np.float32] | None:
+def _colour_filter(image: FloatArray) -> FloatArray | None:
     """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before any other. They are
     orthogonal to its colour, the median along the image's border (skin along most of it is none), towards the direction
     in which the rest of the image is strongest.
@@ -288,7 +287,7 @@ def _colour_filter(image: FloatArray) -> NDArray[np.float32] | None:
     return np.asarray(sign * weights, dtype=np.float32)
 
 
-def _filtered(image: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
+def _filtered(image: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("hwc,c->hw", image, weights), dtype=np.float32)
 
 
@@ -330,7 +329,7 @@ class NoFinger(BadInput):
 def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
-    image = np.asarray(mean_image)
+    image = mean_image
     flat = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
     require(flat, f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
     rows, columns = image.shape[:2]
@@ -338,7 +337,7 @@ def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     remedy = "check the rig's px_per_mm, or take larger images."
     require(min(rows, columns) >= 16, f"{small}, and 16 each way are needed; {remedy}")
     image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
-    require(bool(np.isfinite(image).all()), "the mean image contains NaN or infinite values.")
+    require(np.isfinite(image).all(), "the mean image contains NaN or infinite values.")
     return image
 
 
@@ -353,7 +352,7 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
     """
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
-    root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
+    root = np.sqrt(np.clip(brightness / ceiling, 0.0, 1.0)).astype(np.float32)
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
         candidates.append(blur(_chromaticity(image), sigma))
@@ -365,7 +364,7 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
             best, clearest = region, separation * purity
-    require(bool(best.any()), _NO_FINGER, NoFinger)
+    require(best.any(), _NO_FINGER, NoFinger)
     return best
 
 
@@ -394,7 +393,7 @@ def _fine_outline(
     skin = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
-    require(bool(cleaned.any()), _NO_FINGER, NoFinger)
+    require(cleaned.any(), _NO_FINGER, NoFinger)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
@@ -405,7 +404,7 @@ def _fine_outline(
 # Two-class k-means that gives the same answer every time.
 
 
-def _two_means(features: NDArray[np.float32]) -> tuple[BoolArray, float]:
+def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
     """Membership (N,) of the second of two clusters of features (N, D), by Lloyd's algorithm (IEEE Trans. IT 28(2),
     1982) from a split at the middle of the direction of greatest variance; and the distance of the two means over the
     pooled standard deviation along it.
@@ -424,7 +423,7 @@ def _two_means(features: NDArray[np.float32]) -> tuple[BoolArray, float]:
         axis = mean * (second.size / (second.size - count))
         along = np.einsum("in,i->n", centred, axis)
         updated = along > float(np.sum(axis * mean)) - 0.5 * float(np.sum(axis * axis))
-        if bool((updated == second).all()):
+        if (updated == second).all():
             break
         second = updated
     distance = float(np.sqrt(np.sum(axis * axis)))
@@ -450,8 +449,7 @@ def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
     mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
     check_borders(mask)
-    full = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.asarray(full, dtype=np.bool_)
+    return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
 
 
 def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
@@ -461,7 +459,7 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     """
     image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(bool(rough.any()), _NO_FINGER, NoFinger)
+    require(rough.any(), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, _OUTLINE_PX_PER_MM, 1200)
     fine = reduce_image(image, scale)
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
@@ -485,4 +483,4 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     mask = _seed(image if weights is None else _filtered(image, weights), BLUR_MM * px_per_mm, wide)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
-    return [np.asarray(labels == 1 + k) for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]
+    return [labels == 1 + k for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]

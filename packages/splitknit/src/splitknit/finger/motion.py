@@ -13,13 +13,12 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_mask, check_stack
+from splitknit.errors import Note
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 _BANDS_MM = (0.3, 0.15, 0.08)
@@ -52,8 +51,8 @@ class MotionSettings(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShotMotion:
-    shift_mm: NDArray[np.float64]  # (L, 2): x right, y up
-    reliability: NDArray[np.float64]
+    shift_mm: Array  # (L, 2): x right, y up
+    reliability: Array
     """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 
 
@@ -64,8 +63,6 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     All is zero below five shots, and a drift that follows the lights around is underestimated. Source: Lucas, B. and
     Kanade, T., "An iterative image registration technique", IJCAI 1981.
     """
-    stack = check_stack(stack)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     box = bounding_box(mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
     if count < 5:
@@ -78,10 +75,10 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     for band in _BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
-        total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
+        total = aligned.sum(axis=0)
         found = np.zeros_like(shifts)
         for k in range(count):
-            reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
+            reference = np.subtract(total, aligned[k]) / (count - 1)
             found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
         shifts = _without_illumination(found / px, light)
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
@@ -100,12 +97,12 @@ def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
     fraction = reduce_mask(mask, scale)
-    return np.asarray(fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0)
+    return fraction > 0.5 if (fraction > 0.5).any() else fraction > 0.0
 
 
 def _details(
     stack: FloatArray, mask: BoolArray, px_per_mm: float, band_mm: float
-) -> tuple[FloatArray, BoolArray, NDArray[np.float64], float]:
+) -> tuple[FloatArray, BoolArray, Array, float]:
     """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
     scale = min(1.0, 0.8 / band_mm / px_per_mm)
     px = px_per_mm * scale
@@ -122,24 +119,23 @@ def _details(
     details, light = [], []
     for image in stack:
         small = reduce_image(image, scale)[box]
-        on_finger = np.maximum(small[inside], np.float32(0.0))
+        on_finger = np.maximum(small[inside], 0.0)
         power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
         light.append(tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows)))
         floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
-        local = np.maximum(blur(small, 1.2 * px), np.float32(floor))
+        local = np.maximum(blur(small, 1.2 * px), floor)
         relative: FloatArray = np.divide(small, local, dtype=np.float32)
         details.append(np.subtract(blur(relative, band_mm * px), blur(relative, reach * px)))
     return np.stack(details), region, np.array(light) / px, px
 
 
-def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
+def _shifted(image: FloatArray, shift: Array) -> FloatArray:
     """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
     across, down = (_cubic(float(along)) for along in shift)
-    moved = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, dtype=np.float32)
+    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE))
 
 
-def _cubic(shift: float) -> NDArray[np.float64]:
+def _cubic(shift: float) -> Array:
     """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
     reach = int(np.ceil(abs(shift))) + 1
     away = np.abs(np.arange(-reach, reach + 1) - shift)
@@ -147,9 +143,7 @@ def _cubic(shift: float) -> NDArray[np.float64]:
     return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
-def _register(
-    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray
-) -> tuple[NDArray[np.float64], float]:
+def _register(reference: FloatArray, image: FloatArray, start: Array, region: BoolArray) -> tuple[Array, float]:
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
     places = np.flatnonzero(region)
     places = places[:: max(1, len(places) // _SAMPLES)]
@@ -167,7 +161,7 @@ def _register(
             x, y, gain = solution.astype(np.float32)
             residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
             spread = max(1.4826 * quantile(residual[some]), 1e-12)
-            root = 1.0 / np.sqrt(np.maximum(np.float32(1.0), residual / np.float32(1.5 * spread)))
+            root = 1.0 / np.sqrt(np.maximum(1.0, residual / (1.5 * spread)))
         step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
         shift = shift + step
         if float(np.abs(step).max()) < 0.01:
@@ -176,7 +170,7 @@ def _register(
     return shift, float(products[0, 1]) / max(float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30)
 
 
-def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _without_illumination(shifts: Array, light: Array) -> Array:
     """What of the shifts (L, 2) is not a linear function of the light's place (L, 2): least absolute deviations."""
     place = light - light.mean(axis=0)
     place = place / max(float(np.abs(place).max()), 1e-9)
@@ -192,14 +186,14 @@ def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64
     return residual
 
 
-def _products(rows: FloatArray) -> NDArray[np.float64]:
+def _products(rows: FloatArray) -> Array:
     """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
-    return np.asarray(np.einsum("in,jn->ij", rows, rows), dtype=np.float64)
+    return np.asarray(np.einsum("in,jn->ij", rows, rows))
 
 
-def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_squares(products: Array) -> Array:
     """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
     normal, target = products[:-1, :-1], products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
-    return np.asarray(np.linalg.solve(normal, target / scale) / scale)
+    return np.linalg.solve(normal, target / scale) / scale

@@ -12,10 +12,9 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask
 from splitknit.finger.regions import reduce_mask
 from splitknit.imaging.geometry import rotation_about, warp
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 _LONGEST_SIDE = 512
 """Longer side of the reduced mask, pixels."""
@@ -47,7 +46,7 @@ class Upright:
 
     yaw_rad: float
     """Direction of the tip in the input, counter-clockwise from up (towards row 0)."""
-    input_from_upright: NDArray[np.float64]
+    input_from_upright: Array
     """(3, 3) on (column, row, 1): where an upright pixel lies in the input."""
     size: tuple[int, int]
     """Rows, columns of the upright frame."""
@@ -63,7 +62,7 @@ class Upright:
     """Remarks on the result; empty if there are none."""
 
     @property
-    def upright_from_input(self) -> NDArray[np.float64]:
+    def upright_from_input(self) -> Array:
         """(3, 3) on (column, row, 1): where an input pixel lies in the upright frame."""
         return np.asarray(np.linalg.inv(self.input_from_upright))
 
@@ -80,8 +79,6 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     counter-clockwise; None: found by the outline; `all_rows`: a plain line through the middles of all rows, as the
     thesis has it. Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
-    array = np.asarray(mask)
-    mask = check_mask(array, (array.shape[0], array.shape[1]))
     expected, clear = (np.deg2rad(tip_direction_deg), True) if tip_direction_deg is not None else _found(mask)
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
@@ -153,7 +150,7 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
     return [(float(angle), differs / width**2) for angle, differs, _ in found]
 
 
-def _difference(across: NDArray[np.float64], down: NDArray[np.float64], inside: NDArray[np.bool_]) -> tuple[int, float]:
+def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, float]:
     """In how many pixels the mask `inside` (N,) differs from an upright finger at best, and the finger's width."""
     first, last = float(down[inside].min()), float(down[inside].max())
     strip = np.floor(down[inside] - first).astype(np.intp)
@@ -202,7 +199,7 @@ def _start(small: FloatArray, expected: float) -> float:
     return _direction(axis)
 
 
-def _direction(axis: NDArray[np.float64]) -> float:
+def _direction(axis: Array) -> float:
     """Angle, counter-clockwise from up, of a direction given as (column, row)."""
     return float(np.arctan2(-axis[0], -axis[1]))
 
@@ -240,7 +237,7 @@ def _tilt(small: FloatArray, visible: FloatArray, angle: float, *, all_rows: boo
     return float(np.arctan(slope)), True
 
 
-def _robust_slope(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> float:
+def _robust_slope(rows: Array, columns: Array) -> float:
     """Columns per row of the line through the midpoints, by iterated Tukey weights."""
     x = rows - rows.mean()
     weights = np.ones_like(x)
@@ -253,7 +250,7 @@ def _robust_slope(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> fl
         residual = columns - intercept - slope * x
         spread = max(1.4826 * float(np.median(np.abs(residual))), 0.05)
         updated = np.maximum(0.0, 1.0 - (residual / (4.685 * spread)) ** 2) ** 2
-        if updated.sum() < 3.0 or bool(np.allclose(updated, weights, atol=1e-4)):
+        if updated.sum() < 3.0 or np.allclose(updated, weights, atol=1e-4):
             break
         weights = updated
     return slope

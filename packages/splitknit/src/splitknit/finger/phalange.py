@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_image, check_mask
+from splitknit.errors import Note
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import smoothed, warp
@@ -79,10 +78,8 @@ def find_crease(
     `equalised`: the thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds
     nor the width of the blur; three and 0.5 mm here..
     """
-    grey = check_image(mean_grey, name="the mean grey image")
-    mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
-    small, inside = _upright_copy(grey, mask, upright, scale)
+    small, inside = _upright_copy(mean_grey, mask, upright, scale)
     seek = _darkest_rows if equalised else _transverse_valleys
     valleys = seek(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm
@@ -114,7 +111,7 @@ def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: fl
     shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
     grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
     transform = shrink @ upright.input_from_upright @ grow
-    return warp(small, transform, size), np.asarray(warp(fraction, transform, size) > 0.9, dtype=np.bool_)
+    return warp(small, transform, size), warp(fraction, transform, size) > 0.9
 
 
 def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:
@@ -238,9 +235,9 @@ def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[F
     sigma = max(_SMOOTHING_MM * px_per_mm, 0.3)
     light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
-    smooth = np.asarray(light / np.maximum(cover, np.float32(1e-3)), dtype=np.float32)
+    smooth = light / np.maximum(cover, 1e-3)
     typical = float(np.median(smooth[inside])) if inside.any() else 1.0
-    level = np.log(np.maximum(smooth, np.float32(max(0.02 * typical, 1e-12))))
+    level = np.log(np.maximum(smooth, max(0.02 * typical, 1e-12)))
     step = max(1, round(_SIDE_MM * px_per_mm))
     above, has_above = _moved_down(level, inside, step)
     below, has_below = _moved_down(level, inside, -step)
@@ -249,12 +246,12 @@ def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[F
     slope_above, slope_below = above - farther_above, farther_below - below
     agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
     lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
-    slope = np.where(agree, lesser, np.float32(0.0))
+    slope = np.where(agree, lesser, 0.0)
     plain = np.minimum(above, below) - level
-    response = np.minimum(np.minimum(above + slope, below - slope) - level, np.float32(3.0) * np.maximum(plain, 0.0))
+    response = np.minimum(np.minimum(above + slope, below - slope) - level, 3.0 * np.maximum(plain, 0.0))
     response = np.where(plain > 0.0, response, np.minimum(plain, 0.0))
     known = inside & has_above & has_below
-    return np.where(known, response, np.float32(0.0)).astype(np.float32), known
+    return np.where(known, response, 0.0).astype(np.float32), known
 
 
 def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatArray, BoolArray]:
@@ -274,7 +271,7 @@ def _along_lines(
     shown = np.flatnonzero(inside.any(axis=0))
     centre = float(shown.mean()) if len(shown) else 0.5 * inside.shape[1]
     x = np.arange(width, dtype=np.float32)
-    shift = (-(x - np.float32(centre)) * np.float32(np.tan(tilt))).astype(np.float32)
+    shift = (-(x - centre) * np.float32(np.tan(tilt))).astype(np.float32)
     rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
     columns = np.broadcast_to(x, rows.shape).astype(np.float32)
     values = cv2.remap(response, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
@@ -290,10 +287,10 @@ def _along_lines(
 
 def _width(inside: BoolArray) -> float:
     widths = inside.sum(axis=1)
-    return float(np.percentile(widths[widths > 0], 80)) if bool((widths > 0).any()) else 1.0
+    return float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
 
 
-def _refine(profile: NDArray[np.float32], row: int) -> float:
+def _refine(profile: FloatArray, row: int) -> float:
     """Peak to a fraction of a row, by a parabola through three values."""
     if row == 0 or row == len(profile) - 1:
         return float(row)

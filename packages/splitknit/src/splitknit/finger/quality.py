@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_image, check_mask, check_stack, require
+from splitknit.errors import Note, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import (
     blur,
@@ -27,7 +27,7 @@ from splitknit.finger.regions import (
     reduction,
 )
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
@@ -89,10 +89,10 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
     box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
-    return box, np.asarray(depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max())))
+    return box, depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max()))
 
 
-def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
+def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
     filled = np.full_like(image, np.inf)
     closed = np.empty_like(image)
@@ -114,15 +114,15 @@ def _lines(length_px: float) -> list[NDArray[np.uint8]]:
     return lines
 
 
-def _finer(image: NDArray[np.float32], px: float) -> NDArray[np.float32]:
+def _finer(image: FloatArray, px: float) -> FloatArray:
     large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
-    return blur(np.asarray(large, dtype=np.float32), _SMOOTH_MM * px * _FINER)
+    return blur(np.asarray(large), _SMOOTH_MM * px * _FINER)
 
 
-def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray[np.float32]:
+def _relative(image: FloatArray, core: BoolArray, px: float) -> FloatArray:
     wide = blur(image, _LEVEL_MM * px)
-    least = np.float32(0.05 * max(quantile(wide[core][::4]), 1e-12))
-    return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
+    least = 0.05 * max(quantile(wide[core][::4]), 1e-12)
+    return image / np.maximum(wide, least)
 
 
 _SATURATION = 0.98
@@ -149,9 +149,9 @@ def capture_quality(
     px_per_mm: float,
     *,
     finger: bool = True,
-    lights: NDArray[np.float64] | None = None,
+    lights: Array | None = None,
     ambient: FloatArray | None = None,
-    saturation: float | NDArray[np.float64] | None = None,
+    saturation: float | Array = _SATURATION,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -165,35 +165,31 @@ def capture_quality(
     length is the relative irradiance the rig promises (``Rig.light_vectors``); `ambient`: (H, W) linear image with all
     LEDs off; `saturation`: value at which all images saturate, or (L,) at which each does.
     """
-    stack = check_stack(stack)
-    shape = (stack.shape[1], stack.shape[2])
-    mask = check_mask(mask, shape)
     stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
     some = np.s_[::stride, ::stride]
     some = some if mask[some].any() else np.s_[::1, ::1]
     light = [image[some][mask[some]] for image in stack]
     medians = np.array([quantile(image) for image in light])
     brightness = quantile(np.mean(light, axis=0))
-    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
-    pairs = zip(stack, ceilings, strict=True)
+    pairs = zip(stack, np.broadcast_to(saturation, (len(stack),)), strict=True)
     saturated = [float((image[mask] >= limit).mean()) if float(image.max()) >= limit else 0.0 for image, limit in pairs]
     found, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
     if finger:
         found["dark_specks"], found["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
-    ambient_share = None
-    if ambient is not None:
-        dark = check_image(ambient, name="the ambient image")
-        require(dark.shape == shape, f"the ambient image must have the shape {shape}, but it has {dark.shape}.")
-        ambient_share = quantile(dark[mask]) / max(brightness, 1e-12)
+    led_relative = None
+    if lights is not None:  # a light counts with its z, as facing the camera
+        ratio = medians / np.maximum(lights[:, 2], 1e-6)
+        middle = float(np.median(ratio))
+        led_relative = [float(value / middle) if middle > 0 else 0.0 for value in ratio]
     return {
         **found,
         "sharpness": sharpness,
         "saturated_per_image": saturated,
         "brightness": brightness,
         "brightness_per_image": [float(v) for v in medians],
-        "ambient_share": ambient_share,
+        "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
         **outline_figures(mask, px_per_mm),
-        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
+        "led_relative": led_relative,
     }
 
 
@@ -275,7 +271,7 @@ def _ridge_contrast(
             continue
         fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
         fine, wide = fine[core], wide[core]
-        level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
+        level = np.maximum(wide, 0.05 * max(quantile(wide[::8]), 1e-12))
         contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
     found = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
     if not core.any():
@@ -289,14 +285,6 @@ def _ridge_contrast(
 _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
 
 
-def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
-    """Measured over promised brightness of every image, median one; a light counts with its z, as facing the camera."""
-    require(lights.shape == (len(medians), 3), f"lights must have the shape ({len(medians)}, 3), not {lights.shape}.")
-    ratio = medians / np.maximum(lights[:, 2], 1e-6)
-    middle = float(np.median(ratio))
-    return [float(value / middle) if middle > 0 else 0.0 for value in ratio]
-
-
 # Which of the finger's pixels carry enough light for photometric stereo.
 
 _DARK_FRACTION = 0.03
@@ -308,22 +296,20 @@ _PINHOLE_MM2 = 1.0
 
 
 def photometric_mask(
-    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] | None = None
+    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | Array = _SATURATION
 ) -> BoolArray:
     """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without pinholes, at full
     resolution. The thesis's threshold (3.3.1.5, refined mask) follows the finger's own brightness here, and three
     lights must pass it. `saturation`: at which each image of `stack` (L, H, W) saturates, or (L,). Raises BadInput if
     nothing is left.
     """
-    stack = check_stack(stack)
-    finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")
     box = bounding_box(finger)
     inside = finger[box]
     least = min(_MIN_LIGHTS, len(stack))
-    ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
+    ceilings = np.broadcast_to(saturation, (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
-    floor = np.float32(_DARK_FRACTION * float(np.median(sample)))
+    floor = _DARK_FRACTION * float(np.median(sample))
     count = np.zeros(inside.shape, dtype=np.uint8)
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
@@ -331,7 +317,7 @@ def photometric_mask(
     # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is not a surface
     good = largest_component(good & inside)
     dark = f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the exposure."
-    require(bool(erode(good, 2.0).any()), dark)
+    require(erode(good, 2.0).any(), dark)
     result = np.zeros(finger.shape, dtype=np.bool_)
     result[box] = good
     return result

@@ -15,12 +15,12 @@ def reduction(shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float
     return float(min(1.0, working_px_per_mm / px_per_mm, longest / max(shape)))
 
 
-def reduce_image(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+def reduce_image(image: FloatArray, scale: float) -> FloatArray:
     """Area-averaged copy of an image (H, W) or (H, W, C), float32, sides times `scale`."""
     if scale >= 1.0:
         return np.ascontiguousarray(image, dtype=np.float32)
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
@@ -29,15 +29,15 @@ def reduce_mask(mask: BoolArray, scale: float) -> FloatArray:
         return mask.astype(np.float32)
     size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))
     fraction = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(fraction, dtype=np.float32) / np.float32(255.0)
+    return np.asarray(fraction, dtype=np.float32) / 255.0
 
 
-def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def blur(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian blur, `sigma` in pixels, borders mirrored."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)))
 
 
-def quantile(values: NDArray[np.float32], fraction: float = 0.5) -> float:
+def quantile(values: FloatArray, fraction: float = 0.5) -> float:
     """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`, which means two."""
     place = int(fraction * values.size)
     return float(np.partition(values, place, axis=None)[place])
@@ -49,7 +49,7 @@ def dilate(mask: BoolArray, radius: float) -> BoolArray:
         return mask
     if radius <= _SMALL_PX:
         return cv2.dilate(mask.view(np.uint8), _disc(radius)).view(np.bool_)
-    return np.asarray(distance_outside(mask, radius) <= radius, dtype=np.bool_)
+    return distance_outside(mask, radius) <= radius
 
 
 def erode(mask: BoolArray, radius: float) -> BoolArray:
@@ -58,7 +58,7 @@ def erode(mask: BoolArray, radius: float) -> BoolArray:
         return mask
     if radius <= _SMALL_PX:
         return cv2.erode(mask.view(np.uint8), _disc(radius)).view(np.bool_)
-    return np.asarray(depth_inside(mask) > radius, dtype=np.bool_)
+    return depth_inside(mask) > radius
 
 
 _SMALL_PX = 2.0
@@ -92,7 +92,7 @@ def distance_outside(mask: BoolArray, reach: float) -> FloatArray:
 
 def _distance_to(mask: BoolArray) -> FloatArray:
     source = np.logical_not(mask).view(np.uint8)
-    return np.asarray(cv2.distanceTransform(source, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), dtype=np.float32)
+    return np.asarray(cv2.distanceTransform(source, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
 
 
 def largest_component(mask: BoolArray) -> BoolArray:
@@ -137,14 +137,14 @@ def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
     radius = fraction * float(depth.max())
     if radius < 1.0:
         return largest_component(mask)
-    core = largest_component(np.asarray(depth > radius))
+    core = largest_component(depth > radius)
     if not core.any():
         return largest_component(mask)
     opened = dilate(core, radius)
-    return largest_component(np.asarray(mask & dilate(opened, 1.0 + 0.15 * radius), dtype=np.bool_))
+    return largest_component(mask & dilate(opened, 1.0 + 0.15 * radius))
 
 
 def remove_specks(mask: BoolArray, radius: float) -> BoolArray:
     """Opening of `mask` with a disc of `radius` pixels, largest part kept."""
     core = erode(mask, radius)
-    return largest_component(np.asarray(mask & dilate(core, radius), dtype=np.bool_)) if core.any() else mask
+    return largest_component(mask & dilate(core, radius)) if core.any() else mask

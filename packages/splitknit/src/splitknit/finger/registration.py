@@ -16,12 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import blur, dilate, erode
 from splitknit.imaging.geometry import sampled_at
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
-Array = NDArray[np.float64]
 Basis = Callable[[Array, Array], Array]
 """From places x and y (N,) in mm to the shift (N, 2, M) of every parameter there."""
 NODE_MM = 0.5
@@ -115,7 +113,7 @@ SAMPLES = 16_000
 """Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
-STEPS = np.float32(32.0)
+STEPS = 32.0
 """Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
 FLOPS = 200_000
 """Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
@@ -143,7 +141,7 @@ class Level:
         """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
         count = self.columns.size
         values = np.empty((len(self.images), 3, count), dtype=np.float32)
-        size = np.float32(self.px_per_mm)
+        size = self.px_per_mm
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
             columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
@@ -163,9 +161,9 @@ def details_of(
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
-    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32) for image in stack]
+    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in stack]
     inside = cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
-    level = blur(np.asarray(np.mean(small, axis=0), dtype=np.float32), 1.0 * px)
+    level = blur(np.mean(small, axis=0), 1.0 * px)
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
     every = max(1, rows.size // SAMPLES)
@@ -182,13 +180,13 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
         cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
         for right in (1, 0)
     ]
-    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
+    return np.asarray(cv2.merge([image, *slopes]))
 
 
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
     typical = 1.4826 * float(np.median(error)) + 1e-12
-    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)), dtype=np.float32)
+    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)))
 
 
 def gram(columns: FloatArray) -> Array:
@@ -203,23 +201,14 @@ def gram(columns: FloatArray) -> Array:
 # What surfaces may show under lights that differ from place to place.
 
 
-def check_light_vectors(lights: Array, count: int) -> None:
-    """Refuse light vectors that are neither (L, 3) nor (L, 3, h, w)."""
-    fits = lights.shape[:2] == (count, 3) and lights.ndim in (2, 4)
-    require(fits, f"lights must have the shape ({count}, 3) or ({count}, 3, h, w), but they have {lights.shape}.")
-
-
 def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: float) -> FloatArray:
-    """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
-    if lights.ndim == 2:
-        return lights[..., None].astype(np.float32)
+    """(L, 3, N) light vectors at the pixels of a level of images of `shape`."""
     height, width = lights.shape[2:]  # of nodes that lie evenly over the image, ends included
     x, y = level.places()
     columns = (x * (width - 1) / max((shape[1] - 1) / px_per_mm, 1e-9)).astype(np.float32)
     rows = (y * (height - 1) / max((shape[0] - 1) / px_per_mm, 1e-9)).astype(np.float32)
     flat = np.ascontiguousarray(lights, dtype=np.float32).reshape(-1, height, width)
-    found = np.stack([sampled_at(part, columns, rows) for part in flat])
-    return np.asarray(found.reshape(-1, 3, x.size), dtype=np.float32)
+    return np.stack([sampled_at(part, columns, rows) for part in flat]).reshape(-1, 3, x.size)
 
 
 def shown_by_surfaces(lights: FloatArray) -> FloatArray:
@@ -233,9 +222,9 @@ def shown_by_surfaces(lights: FloatArray) -> FloatArray:
 
 
 def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
-    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N) or (L, 3, 1)."""
+    """What no matt surface shows of `images` (L, N): without their parts along `axes` (L, 3, N)."""
     along = (axes * images[:, None]).sum(axis=0)
-    return np.asarray(images - (axes * along).sum(axis=1), dtype=np.float32)
+    return np.asarray(images - (axes * along).sum(axis=1))
 
 
 # All shots at once, the surface eliminated.
@@ -246,15 +235,15 @@ class Registration:
     """Where the skin of the reference shot lies in every shot."""
 
     flow: Flow
-    before: NDArray[np.float64]
+    before: Array
     """(L,) details of each image that no matt surface explains, as they are, over its details (rms)."""
-    after: NDArray[np.float64]
+    after: Array
     """(L,) the same with the motion undone."""
 
 
 def register_shots(
     stack: FloatArray,
-    lights: NDArray[np.float64],
+    lights: Array,
     mask: BoolArray,
     px_per_mm: float,
     *,
@@ -263,23 +252,16 @@ def register_shots(
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
-    Raises BadInput with fewer than five images, or where shapes do not fit. Source: Golub, G. and Pereyra, V., "The
+    Source: Golub, G. and Pereyra, V., "The
     differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
     Anal. 10(2), 1973 (the surface is eliminated from the least squares). `stack`: (L, H, W) float32 linear, at least
-    five images, best without glare (:func:`without_glare`); `lights`: (L, 3) towards the light, its length the relative
-    strength, or, under near LEDs, (L, 3, h, w) on nodes that lie evenly over the image, first and last pixel included;
+    five images, best without glare (:func:`without_glare`); `lights`: (L, 3, h, w) towards the light, its length the
+    relative strength, on nodes that lie evenly over the image, first and last pixel included;
     `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought; `shots`: (L,) shot of
     every image, where several lights share one; None = every image is a shot.
     """
-    stack = check_stack(stack, least=5)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
-    count = len(stack)
-    lights = np.asarray(lights, dtype=np.float64)
-    check_light_vectors(lights, count)
-    shots = np.arange(count) if shots is None else np.asarray(shots)
-    require(shots.shape == (count,), f"shots must have the shape ({count},), but they have {shots.shape}.")
+    shots = np.arange(len(stack)) if shots is None else shots
     number = int(shots.max()) + 1
-    require(0 <= reference < number, f"the reference must be one of {number} shots, but it is {reference}.")
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
@@ -295,7 +277,7 @@ def register_shots(
 
 def without_glare(colours: FloatArray) -> FloatArray:
     """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
-    return np.asarray(colours[0] - colours[2], dtype=np.float32)
+    return np.asarray(colours[0] - colours[2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,7 +286,7 @@ class _Problem:
 
     level: Level
     axes: FloatArray
-    """(L, 3, N) or (L, 3, 1): orthonormal brightnesses that span what a matt surface may show."""
+    """(L, 3, N) orthonormal brightnesses that span what a matt surface may show."""
     shots: NDArray[np.intp]
     """(L,)"""
     reference: int
@@ -330,7 +312,7 @@ class _Problem:
         nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
         return Flow(nodes)
 
-    def unexplained(self, flow: Flow) -> NDArray[np.float64]:
+    def unexplained(self, flow: Flow) -> Array:
         """(L,) rms of what no surface explains over the rms of each image's details."""
         images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
         residual = beyond_surface(images, self.axes)

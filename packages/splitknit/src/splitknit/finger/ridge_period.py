@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.plausible import RIDGE_PERIOD
 
 PEOPLE = 0.08
@@ -57,17 +56,17 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
     12.0
     """
     mask = check_mask(mask, (normals.shape[0], normals.shape[1]))
-    steep = np.maximum(normals[..., 2], np.float32(0.2))
+    steep = np.maximum(normals[..., 2], 0.2)
     slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
-    fields = np.dstack([np.where(mask[..., None], slopes, np.float32(0.0)), mask.astype(np.float32)])
-    best: tuple[float, NDArray[np.float64], float] = (0.0, np.zeros(0), 0.0)
+    fields = np.dstack([np.where(mask[..., None], slopes, 0.0), mask.astype(np.float32)])
+    best: tuple[float, Array, float] = (0.0, np.zeros(0), 0.0)
     for level in range(_LEVELS):
         factor = 2**level
         size = (mask.shape[1] // factor, mask.shape[0] // factor)
         if min(size) < _BLOCK:
             break
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
-        periods, blocks = _periods(np.asarray(small, dtype=np.float32), step)
+        periods, blocks = _periods(np.asarray(small), step)
         area = float(len(periods) * factor**2)
         if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
             best = area, periods * factor, len(periods) / blocks
@@ -96,7 +95,7 @@ def scale_of_ridges(
     return px_per_mm, f"scale from the ridges: {measured} {scale} {100 * known:.0f} %.{also}"
 
 
-def _periods(fields: FloatArray, step: int) -> tuple[NDArray[np.float64], int]:
+def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the number of blocks."""
     window = np.outer(np.hanning(_BLOCK), np.hanning(_BLOCK)).astype(np.float32)
     v, u = np.meshgrid(np.fft.fftfreq(_BLOCK), np.fft.rfftfreq(_BLOCK), indexing="ij")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
-from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
+from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surface
 
 MM_PER_INCH = 25.4
 
@@ -29,7 +29,7 @@ def relief_print(
     ridge_mm: FloatArray,
     mask: BoolArray,
     px_per_mm: float,
-    input_from_upright: NDArray[np.float64],
+    input_from_upright: Array,
     upright_size: tuple[int, int],
     *,
     ppi: float = 500.0,
@@ -54,11 +54,11 @@ def relief_print(
 
     rows, columns = bounding_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
-    relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
+    relief = np.where(mask[rows, columns], ridge_mm[rows, columns], 0.0)
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
     weight = gaussian_mean(inside, sigma)
-    relief = gaussian_mean(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
+    relief = gaussian_mean(relief, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
@@ -72,27 +72,27 @@ def relief_print(
     return _ink(centred, deviation, typical, weight) if typical > 0 else np.full(size, 255, dtype=np.uint8)
 
 
-def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
+def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> Array:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
     across, down = (upright_size[1] - 1) / 2, (upright_size[0] - 1) / 2
     right, bottom = step * (size[1] - 1) / 2, step * (size[0] - 1) / 2
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
-def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: NDArray[np.floating]) -> NDArray[np.uint8]:
+def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: FloatArray) -> NDArray[np.uint8]:
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is inked."""
-    score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    dark = 0.5 + 0.5 * np.tanh(np.float32(_CONTRAST) * score)
-    return np.asarray(np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8))
+    score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
+    dark = 0.5 + 0.5 * np.tanh(_CONTRAST * score)
+    return np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8)
 
 
 def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
-    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), np.float32(1e-3))
+    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), 1e-3)
     centred: FloatArray = values
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
         centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
-    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, np.float32(0.0)))
+    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, 0.0))
 
 
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
@@ -126,14 +126,14 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     if values.ndim != 2 or values.shape != weight.shape:
         raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
     inside = weight > 0.5
-    require(bool(inside.any()), "nothing of the finger lies on the print.")
+    require(inside.any(), "nothing of the finger lies on the print.")
     sigma = _WINDOW_MM * ppi / MM_PER_INCH
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
     flat = "the print has no ridges: its relief is flat; check focus and light of the capture."
     require(typical > 1e-6 * scale, flat)
-    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), np.float32(1e-3))
+    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
-    shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
+    shown = np.clip((near / typical - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
     return _ink(centred, deviation, typical, shown)

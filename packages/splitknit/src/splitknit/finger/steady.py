@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, check_mask, check_stack, require
+from splitknit.errors import Note, require
 from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
 from splitknit.finger.motion import CORRECT_MM, MIN_RELIABILITY, MOST_LEFT, WARN_MM
 from splitknit.finger.regions import dilate, erode
@@ -34,11 +34,9 @@ from splitknit.finger.registration import (
     SETTLED_PX,
     SURROUND_MM,
     WORKING_PX_PER_MM,
-    Array,
     Basis,
     Flow,
     Level,
-    check_light_vectors,
     details_of,
     gram,
     lights_on,
@@ -52,7 +50,7 @@ from splitknit.finger.registration import (
 from splitknit.imaging.band import Window, has_colour, linear_channels, linear_stack
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import plane_points
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +59,8 @@ class _RegisteredBand:
 
     stack: FloatArray
     """(K, H, W) grey, linear."""
-    lights: NDArray[np.float64]
-    """(K, 3) or (K, 3, h, w)"""
+    lights: Array
+    """(K, 3, h, w)"""
     flow: Flow
     shots: NDArray[np.intp]
     """(K,) shot of every image."""
@@ -71,20 +69,14 @@ class _RegisteredBand:
 def _register_band(
     first: _RegisteredBand,
     stack: FloatArray,
-    lights: NDArray[np.float64],
+    lights: Array,
     mask: BoolArray,
     px_per_mm: float,
-) -> tuple[Flow, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Flow, Array, Array]:
     """Flow of another band's `stack` (L, H, W), each image a shot, onto the registered band `first`, and the
     correlation (L,) of details with the expected ones with the motion undone, and as they are. `lights`: as those of
-    `first`. BadInput if images differ in size, or lights and images in number.
+    `first`.
     """
-    stack = check_stack(stack)
-    mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
-    require(first.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
-    lights = np.asarray(lights, dtype=np.float64)
-    check_light_vectors(lights, len(stack))
-    check_light_vectors(first.lights, len(first.stack))
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
@@ -141,7 +133,7 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     """(M,) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
     power = float((expected * expected * level.weight).sum(dtype=np.float64))
     gain = float((expected * sampled[0] * level.weight).sum(dtype=np.float64)) / max(power, 1e-30)
-    residual = sampled[0] - np.float32(gain) * expected
+    residual = sampled[0] - gain * expected
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
     normal = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
@@ -150,7 +142,7 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
 
 
-def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:
+def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> Array:
     both, power, other = (
         (a * b * weight).sum(axis=1, dtype=np.float64)
         for a, b in ((images, expected), (images, images), (expected, expected))
@@ -232,13 +224,13 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
     return replace(capture, bands=bands), (SOME_MOVED.format(len(out)),)
 
 
-def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> NDArray[np.float64]:
+def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> Array:
     """(L, 2) directions of lights in the plane of the images, x right and y up; of length one."""
     towards = capture.rig.select(leds).light_vectors()[:, :2]
     return np.asarray(towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9))
 
 
-def _apart_from_lights(shifts: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.float64]:
+def _apart_from_lights(shifts: Array, towards: Array) -> Array:
     """(L, 2) shifts of images less what they have in common along their lights: shading seems to shift ridges so."""
     centred = towards - towards.mean(axis=0)
     return np.asarray(shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards)
@@ -380,11 +372,11 @@ def _check(registered: _Registered, settings: FingerSettings) -> None:
     require(registered.after <= MOST_LEFT, apart)
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict[str, Any]:
+def _motion_facts(flow: Flow, mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
     """Mean shift (x right, y up) and turn of every shot, for a report."""
     rows, columns = np.nonzero(mask)
     stride = max(1, len(rows) // 4000)
@@ -402,7 +394,7 @@ def _motion_facts(flow: Flow, mask: NDArray[np.bool_], px_per_mm: float) -> dict
     }
 
 
-def _plain(values: NDArray[np.float64]) -> list[float]:
+def _plain(values: Array) -> list[float]:
     return [round(float(v), 5) for v in values]
 
 
@@ -441,7 +433,7 @@ def around(capture: Capture, finger: Finger) -> Window:
     return rows, columns
 
 
-def _lights_over(capture: Capture, band: Band, window: Window) -> NDArray[np.float64]:
+def _lights_over(capture: Capture, band: Band, window: Window) -> Array:
     """(L, 3, h, w) light vectors on the finger plane, on nodes about 0.6 mm apart evenly over a window."""
     camera = capture.rig.camera
     rows, columns = (

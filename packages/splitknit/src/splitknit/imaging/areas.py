@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.view import pixels_of
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
 
 def enlarged_box(
@@ -64,7 +62,7 @@ def shrunk(mask: BoolArray, radius: float) -> BoolArray:
 def mirror_outline(mirror: Mirror, camera: Camera, binning: int = 1) -> Array:
     """(n, 2) column and row of a mirror's nominal outline in an image of blocks of `binning` pixels a side."""
     full = pixels_of(camera, np.asarray(mirror.corners_mm, dtype=np.float64))
-    return np.asarray((full - 0.5 * (binning - 1)) / binning)
+    return (full - 0.5 * (binning - 1)) / binning
 
 
 def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import lens_shading
-from splitknit.model import Band, FloatArray, PixelArray, coarse_grid
+from splitknit.model import Array, Band, FloatArray, PixelArray, coarse_grid
 from splitknit.steps import let_go
 
 # Linear light of one stored image.
@@ -34,21 +34,19 @@ def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     require(encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
     full_scale = int(np.iinfo(dtype).max)
     values = np.arange(full_scale + 1, dtype=np.float64) / full_scale
-    if encoding == "srgb":
-        values = np.asarray(_srgb_light(values), dtype=np.float64)
-    table = values.astype(np.float32)
+    table = (_srgb_light(values) if encoding == "srgb" else values).astype(np.float32)
     table.setflags(write=False)
     return table
 
 
-def _srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
+def _srgb_light(code: FloatArray) -> FloatArray:
     """Stored sRGB values in [0, 1] as linear light in [0, 1] (IEC 61966-2-1)."""
-    return np.asarray(np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4))
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
-def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
+def srgb_code(light: FloatArray) -> FloatArray:
     """Linear light in [0, 1] as sRGB stores it (IEC 61966-2-1), in [0, 1]."""
-    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def linear_image(
@@ -72,7 +70,7 @@ def linear_image(
             decoded = block_means(decoded, (part.stop - part.start, width), binning)
         light[part] = decoded.reshape(light[part].shape)
     light -= np.float32(np.interp(black_level, np.arange(table.size), table))
-    light *= np.float32(1.0 / exposure)
+    light *= 1.0 / exposure
     return light
 
 
@@ -82,7 +80,7 @@ def block_means(image: NDArray[Any], shape: tuple[int, int], side: float) -> Flo
         means = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
     else:
         means = cv2.resize(image, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA)
-    return np.asarray(means, dtype=np.float32)[: shape[0], : shape[1]]
+    return np.asarray(means[: shape[0], : shape[1]])
 
 
 def _decoded(stored: NDArray[Any], table: FloatArray, encoding: str) -> FloatArray:
@@ -92,20 +90,20 @@ def _decoded(stored: NDArray[Any], table: FloatArray, encoding: str) -> FloatArr
         light *= table[1]
         return light
     if stored.dtype == np.uint8:
-        return np.asarray(cv2.LUT(stored.view(np.uint8), table), dtype=np.float32).reshape(stored.shape)
+        return np.asarray(cv2.LUT(stored.view(np.uint8), table).reshape(stored.shape))
     return np.asarray(table[stored])
 
 
 def pick_channel(light: FloatArray, channel: str) -> FloatArray:
     """One channel (h, w) of linear light (h, w, C)."""
     if light.shape[-1] == 1:
-        return np.asarray(light[..., 0])
+        return light[..., 0]
     if channel == "grey":
-        return np.asarray(cv2.transform(light, GREY_WEIGHTS[None]), dtype=np.float32).reshape(light.shape[:2])
-    return np.asarray(light[..., CHANNELS[channel]])
+        return np.asarray(cv2.transform(light, GREY_WEIGHTS[None]).reshape(light.shape[:2]))
+    return light[..., CHANNELS[channel]]
 
 
-def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+def bin_mean(image: FloatArray, factor: float) -> FloatArray:
     """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
     if factor == 1:
         return image
@@ -113,7 +111,7 @@ def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
     trimmed = image[..., : ceil(height * factor), : ceil(width * factor)]
     flat = trimmed.reshape(-1, *trimmed.shape[-2:])
     small = [block_means(plane, (height, width), factor) for plane in flat]
-    return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)
+    return np.stack(small).reshape(*image.shape[:-2], height, width)
 
 
 Window = tuple[slice, slice]
@@ -169,7 +167,7 @@ def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArr
     """
     if band.colours:
         grey = linear_stack(band, encoding, "grey", binning=binning)
-        return np.asarray(grey.mean(axis=0)[..., None], dtype=np.float32), grey
+        return grey.mean(axis=0)[..., None], grey
     count = band.pixels.shape[0]
     height, width = (n // binning for n in band.pixels.shape[1:3])
     total = np.zeros((height, width, band.pixels.shape[3]), dtype=np.float32)
@@ -188,7 +186,7 @@ def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArr
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(0, height, CHUNK_ROWS)))
-    total /= np.float32(count)
+    total /= count
     return total, grey
 
 
@@ -217,7 +215,7 @@ def _lit_light(  # noqa: PLR0917
             lights.append(light)
         let_go(band.crossed.pixels)
         level = np.float32(_clip_levels(band, encoding)[k])
-        return np.where(clipped, np.maximum(lights[0], level), np.float32(0.5) * (lights[0] + lights[1]))
+        return np.where(clipped, np.maximum(lights[0], level), 0.5 * (lights[0] + lights[1]))
     exposure, black = float(band.exposure[k]), float(band.black_level[k])
     light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
     if ambient is not None:
@@ -272,9 +270,7 @@ def flat_at(
     return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _colours_apart(
-    light: FloatArray, colours: Sequence[str], crosstalk: NDArray[np.float64] | None, clips_at: float
-) -> FloatArray:
+def _colours_apart(light: FloatArray, colours: Sequence[str], crosstalk: Array | None, clips_at: float) -> FloatArray:
     """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue. Light that
     clips in a channel is kept as stored, so that it still counts as clipped.
     """
@@ -283,10 +279,10 @@ def _colours_apart(
         return np.moveaxis(light, 2, 0)
     if crosstalk is None:
         return np.ascontiguousarray(np.moveaxis(light[..., present], 2, 0))
-    inverse = np.linalg.inv(np.asarray(crosstalk, dtype=np.float64))[present]
+    inverse = np.linalg.inv(crosstalk)[present]
     apart = np.moveaxis(cv2.transform(light, inverse).reshape(*light.shape[:2], len(present)), 2, 0)
     stored = np.moveaxis(light[..., present], 2, 0)
-    return np.where(stored >= np.float32(clips_at), stored, apart).astype(np.float32)
+    return np.where(stored >= clips_at, stored, apart).astype(np.float32)
 
 
 def _first_lights(band: Band) -> list[int]:
@@ -295,7 +291,7 @@ def _first_lights(band: Band) -> list[int]:
     return [sum(counts[:k]) for k in range(len(counts))]
 
 
-def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+def saturation_levels(band: Band, encoding: str) -> Array:
     """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
     count = np.diff([*_first_lights(band), len(band.lights)])
     levels = _clip_levels(band, encoding)
@@ -304,11 +300,11 @@ def saturation_levels(band: Band, encoding: str) -> NDArray[np.float64]:
     return np.repeat(levels, count)
 
 
-def _clip_levels(band: Band, encoding: str) -> NDArray[np.float64]:
+def _clip_levels(band: Band, encoding: str) -> Array:
     """The same for each exposure."""
     table = decode_table(band.pixels.dtype, encoding)
     black = np.interp(band.black_level, np.arange(table.size), table)
-    return np.asarray((0.985 - black) / band.exposure)
+    return (0.985 - black) / band.exposure
 
 
 def grey_as_grey(band: Band) -> Band:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.band import linear_channels, saturation_levels, srgb_code
-from splitknit.model import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.model import COLOURS, Array, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits
 
 _ROUNDS = 200
@@ -50,7 +50,7 @@ def balanced(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> FloatA
     return stack / colour_factors_of(stack, rig, band, mask).astype(np.float32)[:, None, None]
 
 
-def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> NDArray[np.float64]:
+def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> Array:
     """(L,) brightness of the finger in the colour of each image of a `stack` (L, h, w)."""
     lights = rig.select(band.lights).light_vectors()
     colour = np.array([rig.leds[group[0]].colour for group in band.lights])
@@ -58,9 +58,7 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
     return _colour_factors(seen[:, :: max(1, seen.shape[1] // _SAMPLE)], lights, colour)
 
 
-def _colour_factors(
-    seen: NDArray[np.float64], lights: NDArray[np.float64], colour: NDArray[np.str_]
-) -> NDArray[np.float64]:
+def _colour_factors(seen: Array, lights: Array, colour: NDArray[np.str_]) -> Array:
     """(L,) brightness of the skin in each light's colour, by least squares of `seen` (L, n) under `lights` (L, 3)."""
     names = np.unique(colour)
     factors = np.ones(len(lights))
@@ -136,7 +134,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     return replace(capture, rig=rig, bands={**capture.bands, "white": band})
 
 
-def _exposure(white: Band, encoding: str, shots: list[int], mixing: NDArray[np.float64]) -> NDArray[np.uint16]:
+def _exposure(white: Band, encoding: str, shots: list[int], mixing: Array) -> NDArray[np.uint16]:
     """(H, W, 3) stored values of one exposure, clipped where one of its channels was."""
     chosen: dict[str, Any] = {name: getattr(white, name)[shots] for name in ("pixels", "exposure", "black_level")}
     part = replace(white, leds=tuple(white.leds[k] for k in shots), files=(), **chosen)
@@ -145,13 +143,13 @@ def _exposure(white: Band, encoding: str, shots: list[int], mixing: NDArray[np.f
     own = np.stack([light[c, c] for c in range(3)]) * shortest
     levels = saturation_levels(part, encoding) * shortest
     mixed = np.moveaxis(np.tensordot(mixing.astype(np.float32), own, axes=1), 0, 2)
-    mixed += np.float32(_BLACK)
+    mixed += _BLACK
     for c in range(3):
         mixed[own[c] >= levels[c], c] = 1.0
     return _stored(mixed, encoding)
 
 
-def _stored(light: NDArray[np.floating], encoding: str) -> NDArray[np.uint16]:
+def _stored(light: FloatArray, encoding: str) -> NDArray[np.uint16]:
     value = np.clip(light, 0.0, 1.0)
     if encoding == "srgb":
         value = srgb_code(value)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 
 def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
@@ -29,20 +29,20 @@ def gradients_from_normals(
     normals: FloatArray, mask: BoolArray | None = None, max_slope: float = 10.0
 ) -> tuple[FloatArray, FloatArray]:
     """dz/dx and dz/dy (y up) of normals (H, W, 3), zero outside `mask`; beyond `max_slope` cut, direction kept."""
-    nz = np.maximum(normals[..., 2], np.float32(1e-6))
+    nz = np.maximum(normals[..., 2], 1e-6)
     gradient_x = -normals[..., 0] / nz
     gradient_y = -normals[..., 1] / nz
     slope = np.hypot(gradient_x, gradient_y)
-    scale = np.minimum(np.float32(1.0), np.float32(max_slope) / np.maximum(slope, np.float32(1e-6)))
+    scale = np.minimum(1.0, max_slope / np.maximum(slope, 1e-6))
     if mask is not None:
-        scale = np.where(mask, scale, np.float32(0.0))
+        scale = np.where(mask, scale, 0.0)
     return (gradient_x * scale).astype(np.float32), (gradient_y * scale).astype(np.float32)
 
 
 def normals_from_gradients(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatArray:
     """Unit normals (H, W, 3) of a surface with these slopes (dimensionless, y up)."""
     normals = np.empty((*gradient_x.shape, 3), dtype=np.float32)
-    length = np.sqrt(gradient_x * gradient_x + gradient_y * gradient_y + np.float32(1.0))
+    length = np.sqrt(gradient_x * gradient_x + gradient_y * gradient_y + 1.0)
     normals[..., 0] = -gradient_x / length
     normals[..., 1] = -gradient_y / length
     normals[..., 2] = 1.0 / length
@@ -53,36 +53,34 @@ def height_gradients(height: FloatArray, pitch: float) -> tuple[FloatArray, Floa
     """Slopes dz/dx and dz/dy (y up) of `height` (H, W), NaN outside the surface, in units of `pitch` a pixel: central
     differences, one-sided beside a missing neighbour, zero without both.
     """
-    return _difference(height, 1) / np.float32(pitch), -_difference(height, 0) / np.float32(pitch)
+    return _difference(height, 1) / pitch, -_difference(height, 0) / pitch
 
 
 def _difference(height: FloatArray, axis: int) -> FloatArray:
     values = np.moveaxis(height, axis, 0)
     step = values[1:] - values[:-1]  # NaN where either end is missing
     known = np.isfinite(step)
-    step = np.where(known, step, np.float32(0.0))
+    step = np.where(known, step, 0.0)
     total = np.zeros_like(values)
     count = np.zeros(values.shape, dtype=np.float32)
     total[1:] += step
     total[:-1] += step
     count[1:] += known
     count[:-1] += known
-    return np.moveaxis((total / np.maximum(count, np.float32(1.0))).astype(np.float32), 0, axis)
+    return np.moveaxis((total / np.maximum(count, 1.0)).astype(np.float32), 0, axis)
 
 
-def warp(
-    image: NDArray[np.float32], source_from_target: NDArray[np.float64], size: tuple[int, int]
-) -> NDArray[np.float32]:
+def warp(image: FloatArray, source_from_target: Array, size: tuple[int, int]) -> FloatArray:
     """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic, zero from outside; `source_from_target`
     (3 x 3) takes (column, row, 1) of the target to the source.
     """
     if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
         raise BadInput("the transform between two frames is singular.")
     pixels, flags = np.ascontiguousarray(image, dtype=np.float32), cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags), dtype=np.float32)
+    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags))
 
 
-def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:
+def rotation_about(centre: tuple[float, float], angle_rad: float) -> Array:
     """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -94,35 +92,33 @@ def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.
 def gaussian_mean(image: NDArray[Any], sigma: float) -> FloatArray:
     """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels, none below 0.2."""
     if sigma < 0.2:
-        return np.asarray(image, dtype=np.float32)
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)
+        return image
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
 
 
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Gaussian mean (H, W) of `values` (H, W) float32 over what lies inside the mask (H, W); zero outside it."""
 
     def blurred(image: FloatArray) -> FloatArray:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT))
 
     # about the mean, so that float32 keeps what matters
-    middle = np.float32(values[mask].mean()) if bool(mask.any()) else np.float32(0.0)
+    middle = values[mask].mean() if mask.any() else 0.0
     inside = mask.astype(np.float32)
-    total = blurred(np.where(mask, values - middle, np.float32(0.0)).astype(np.float32))
-    fraction = np.maximum(blurred(inside), np.float32(1e-6))
-    return np.asarray(np.where(mask, total / fraction + middle, np.float32(0.0)), dtype=np.float32)
+    total = blurred(np.where(mask, values - middle, 0.0).astype(np.float32))
+    fraction = np.maximum(blurred(inside), 1e-6)
+    return np.where(mask, total / fraction + middle, 0.0)
 
 
-def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
     factor = int(sigma / 4.0)
     if factor < 2:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)))
     size = (image.shape[1], image.shape[0])
     reduced = (-(-size[0] // factor), -(-size[1] // factor))
-    small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    smooth = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(smooth, dtype=np.float32)
+    small = cv2.resize(image, reduced, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR))
 
 
 _LINE = 128
@@ -144,13 +140,13 @@ def sampled_at(
     x, y = (part.reshape(-1, _LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
     taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4) if x.size else np.zeros(0)
-    return np.asarray(taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape), dtype=np.float32)
+    return taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape)
 
 
 def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
     """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
     size = (field.shape[1] * factor, field.shape[0] * factor)
-    large = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    large = cv2.resize(field, size, interpolation=cv2.INTER_LINEAR)
     return np.pad(large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge")
 
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
-from splitknit.model import BoolArray, FloatArray, Led, Rig, Shade
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
@@ -63,7 +62,7 @@ def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
     step = rig.camera.image_size[1] / columns / rig.camera.px_per_mm
     x, y = np.meshgrid(np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows))
     x, y = (step * x).astype(np.float32), (step * y).astype(np.float32)
-    return np.maximum(light_vectors_at(rig, x, y, np.zeros_like(x))[:, 2], np.float32(1e-3))
+    return np.maximum(light_vectors_at(rig, x, y, np.zeros_like(x))[:, 2], 1e-3)
 
 
 def _alone(led: Led) -> Led:
@@ -96,7 +95,7 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
     if led.lobe_exponent > 0:
         axis_unit = -led.axis.astype(np.float32)
         cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
-        strength *= np.maximum(cosine, np.float32(0.0)) ** np.float32(led.lobe_exponent)
+        strength *= np.maximum(cosine, 0.0) ** np.float32(led.lobe_exponent)
     result *= strength if led.shade is None else strength * _fraction(led.shade, x, y, z)
     return result
 
@@ -104,12 +103,12 @@ def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
 def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
     """Fraction of the light that reaches the places (x, y, z), of any shape."""
     if shade.apex_mm is not None:
-        nearer = np.float32(1.0) - z / np.float32(shade.apex_mm)
+        nearer = 1.0 - z / shade.apex_mm
         x, y = x / nearer, y / nearer
     rows, columns = shade.fraction.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
-        places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
+        places.append(((values - first) * ((count - 1) / (last - first))).astype(np.float32))
     column, row = np.broadcast_arrays(*places)
     return sampled_at(shade.fraction, column, row)
 
@@ -122,7 +121,7 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape)
 
 
-def few_lights(vectors: NDArray[np.float64]) -> list[str]:
+def few_lights(vectors: Array) -> list[str]:
     """A warning where three or four lights leave little to check, with the error that noise then causes: by the
     covariance s^2 (L'L)^-1 of normal times albedo, for a surface that faces the camera. `vectors`: (L, 3), mean length
     one.

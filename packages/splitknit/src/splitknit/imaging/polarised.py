@@ -13,7 +13,7 @@ from splitknit.errors import require
 from splitknit.imaging.band import CHUNK_ROWS, GREY_WEIGHTS, linear_stack
 from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.imaging.light_field import lights_in_front
-from splitknit.model import Band, Capture, Films, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, Films, FloatArray
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
@@ -110,21 +110,19 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
     depolarised passes either. Light that was scattered once or twice stays in part with the specular light. `parallel`
     and `crossed`: (..., H, W) or (..., H, W, C) linear light of one exposure. Returns the difference, zero where noise
-    makes it negative, and the crossed images as they are. Raises BadInput if the two differ in shape. Source: S. L.
+    makes it negative, and the crossed images as they are. Source: S. L.
     Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", 2002.
 
     >>> specular, diffuse = separate_polarised(np.full((1, 4, 4), 0.5), np.full((1, 4, 4), 0.3))
     >>> float(specular[0, 0, 0].round(3)), float(diffuse[0, 0, 0])
     (0.2, 0.3)
     """
-    differ = f"parallel and crossed images must have one shape, but they have {parallel.shape} and {crossed.shape}."
-    require(parallel.shape == crossed.shape, differ)
-    return np.maximum(parallel - crossed, np.float32(0.0)), crossed
+    return np.maximum(parallel - crossed, 0.0), crossed
 
 
-def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np.bool_]) -> tuple[str, ...]:
+def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray) -> tuple[str, ...]:
     """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
-    series = [np.maximum(stack[:, mask], np.float32(1e-6)) for stack in (parallel, crossed)]
+    series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
         return (NOT_SPECULAR,)
     shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
@@ -137,7 +135,7 @@ def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np
     return (f"{lit}: list both series in the same order of lights.",)
 
 
-def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
+def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """One specular image of all lights, of even brightness and contrast: the most legible picture of a finger.
 
     Returns (H, W) float32, standard deviations from the local mean, NaN outside the mask. Bright is skin that is turned
@@ -149,20 +147,20 @@ def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: fl
     >>> specular_picture(np.random.default_rng(0).random((7, 40, 40)), np.ones((40, 40), bool), 5.0).shape
     (40, 40)
     """
-    light = np.asarray(specular.mean(axis=0), dtype=np.float32)
+    light = specular.mean(axis=0)
     weight = mask.astype(np.float32)
 
     def smooth(values: FloatArray) -> FloatArray:
-        return np.asarray(wide_blur(values * weight, sigma_px) / around, dtype=np.float32)
+        return wide_blur(values * weight, sigma_px) / around
 
-    around = np.asarray(np.maximum(wide_blur(weight, sigma_px), np.float32(1e-3)), dtype=np.float32)
+    around = np.maximum(wide_blur(weight, sigma_px), 1e-3)
     detail = light - smooth(light)
     contrast = np.sqrt(smooth(detail * detail))
-    least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
-    return np.where(mask, detail / np.maximum(contrast, least), np.float32(np.nan))
+    least = 1e-3 * max(float(contrast[mask].max(initial=0.0)), 1e-9)
+    return np.where(mask, detail / np.maximum(contrast, least), np.nan)
 
 
-def specular_of(capture: Capture, mask: NDArray[np.bool_]) -> FloatArray | None:
+def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
     """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None without films."""
     white = capture.bands["white"]
     if white.crossed is None:
@@ -210,17 +208,17 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
     return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}
 
 
-def contrast(capture: Capture, band: Band) -> NDArray[np.float64]:
+def contrast(capture: Capture, band: Band) -> Array:
     """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects: the films leave `leak`
     of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed one, P - C = (1 - 2 leak) M. Ideal films: 1.
     """
     films = capture.rig.films
     if films is None:
         return np.ones(len(band.leds))
-    return np.asarray(1.0 - 2.0 * np.array(films.leak)[_lights(films, band)])
+    return 1.0 - 2.0 * np.array(films.leak)[_lights(films, band)]
 
 
-def crossed_place(films: Films, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
     x, y = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     s, (dx, dy) = films.scale, films.shift_px

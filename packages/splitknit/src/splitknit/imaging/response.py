@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.band import _srgb_light, srgb_code
+from splitknit.model import Array, FloatArray
 
-Array = NDArray[np.float64]
 _EXPONENTS = np.array([0.30, 0.36, 0.45, 0.55, 0.67, 0.82, 1.0, 1.22])
 """Exponents that are tried: sRGB code is about the power 1 / 2.2 of light."""
 _SRGB, _LINEAR = 2, 6
@@ -35,7 +34,7 @@ FEWEST = 5
 _FEWEST_VALUES, _MOST_PIXELS = 1000, 1500
 
 
-def shading_is_srgb(codes: NDArray[np.floating], vectors: Array, *, known: bool) -> bool | None:
+def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool | None:
     """Whether stored values are sRGB, by their shading; None where that decides nothing.
 
     The model of values (L, n) in [0, 1] is (a_k v_k . g)^e: g by least squares at each pixel, over the vectors (L, 3)
@@ -95,7 +94,7 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
         rest = values - np.clip(scaled @ g.T, 1e-4, None) ** exponent
         wide = 3.0 * max(float(np.median(np.abs(rest[lit > 0]))), 1e-3)
         weights = lit / (1.0 + (rest / wide) ** 2)
-    return np.asarray(np.log1p((rest / _WIDTH) ** 2) * lit)
+    return np.log1p((rest / _WIDTH) ** 2) * lit
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 
 
 def areal_roughness(height_mm: FloatArray, pitch_mm: float) -> dict[str, float]:
@@ -28,7 +27,7 @@ def areal_roughness(height_mm: FloatArray, pitch_mm: float) -> dict[str, float]:
     upper = np.sqrt(1.0 + (b - a) ** 2 + (c - a) ** 2)  # twice the areas of the triangles a b c and b c d
     lower = np.sqrt(1.0 + (d - c) ** 2 + (d - b) ** 2)
     area = (0.5 * (upper + lower)).astype(np.float64)
-    require(bool(np.isfinite(area).any()), "the surface has no square of four known pixels.")
+    require(np.isfinite(area).any(), "the surface has no square of four known pixels.")
     known -= known.mean()
     return {
         "Sa_um": float(np.abs(known).mean() * 1e3),
@@ -42,9 +41,7 @@ _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 """Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the cut-off."""
 
 
-def profile_roughness(
-    height_mm: NDArray[np.float64], step_mm: float, cutoff_mm: float
-) -> tuple[NDArray[np.float64], dict[str, float]]:
+def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tuple[Array, dict[str, float]]:
     """Roughness profile in um, NaN in the run-up and run-out of half a cut-off each, and its parameters.
 
     ``Ra_um`` (mean absolute height), ``Rq_um`` (root mean square), ``Rz_um`` (highest peak to lowest pit, mean over the
@@ -59,7 +56,7 @@ def profile_roughness(
     """
     length_mm = step_mm * (len(height_mm) - 1)
     gap = "the profile has a gap; choose points between which the surface is whole."
-    require(bool(np.isfinite(height_mm).all()), gap)
+    require(np.isfinite(height_mm).all(), gap)
     short = f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
     require(length_mm >= 2.0 * cutoff_mm - 1e-9, f"{short}; choose points farther apart, or a smaller `cutoff`.")
     coarse = (

@@ -18,13 +18,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Camera, FloatArray
-
-Points = NDArray[np.float64]
-Axis = NDArray[np.float64]
+from splitknit.model import Array, Camera, FloatArray
 
 LATTICE_PX = 16
 """Distortion is computed at every so many pixels and interpolated by cubic splines."""
@@ -34,9 +30,9 @@ LATTICE_PX = 16
 class View:
     """Where on the finger plane (z = 0) every pixel looks, and how its ray runs."""
 
-    x_mm: Axis
+    x_mm: Array
     """(W,) or (H, W)."""
-    y_mm: Axis
+    y_mm: Array
     """(H,) or (H, W)."""
     apex_mm: float | None = None
     """Height of the camera's centre, through which all rays pass; None for parallel rays."""
@@ -56,11 +52,11 @@ class View:
             return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape), height_mm
         apex = np.float32(self.apex_mm)
         if not self.along_rays:
-            nearer = np.float32(1.0) - height_mm / apex
+            nearer = 1.0 - height_mm / apex
             return x * nearer, y * nearer, height_mm
         # r over the distance at which the ray meets the plane
-        nearer = np.exp(-height_mm / apex) / np.sqrt(np.float32(1.0) + (x * x + y * y) / (apex * apex))
-        return x * nearer, y * nearer, apex * (np.float32(1.0) - nearer)
+        nearer = np.exp(-height_mm / apex) / np.sqrt(1.0 + (x * x + y * y) / (apex * apex))
+        return x * nearer, y * nearer, apex * (1.0 - nearer)
 
     def along(self, z_mm: FloatArray) -> FloatArray:
         """Heights along the rays (H, W) of surface points at `z_mm` (H, W): what :meth:`points` takes back to them."""
@@ -68,7 +64,7 @@ class View:
             return z_mm
         x, y = self.on_plane()
         apex = np.float32(self.apex_mm)
-        far = np.sqrt(x * x + y * y + apex * apex) * (np.float32(1.0) - z_mm / apex)
+        far = np.sqrt(x * x + y * y + apex * apex) * (1.0 - z_mm / apex)
         return _f32(apex * np.log(apex / far))
 
     def of_rows(self, chunk: slice) -> View:
@@ -83,7 +79,7 @@ class View:
         a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
         vx, vy, vz = vectors[:, 0], vectors[:, 1], vectors[:, 2]
         sideways = a * vx + b * vy
-        common = sideways / (np.float32(1.0) + c) + vz
+        common = sideways / (1.0 + c) + vz
         return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
 
     def in_rig(self, vectors: FloatArray) -> FloatArray:
@@ -93,7 +89,7 @@ class View:
         a, b, c = self._towards(slice(None), vectors.shape[:2], None)
         rx, ry, rz = vectors[..., 0], vectors[..., 1], vectors[..., 2]
         sideways = a * rx + b * ry
-        common = rz - sideways / (np.float32(1.0) + c)
+        common = rz - sideways / (1.0 + c)
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
 
     def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -108,7 +104,7 @@ class View:
         if not self._spread:
             return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
         a, b, c = self._towards(slice(None), shape, None)
-        k = np.float32(1.0) / (np.float32(1.0) + c)
+        k = 1.0 / (1.0 + c)
         xx, xy, yy = c * (1 - a * a * k), -c * a * b * k, c * (1 - b * b * k)
         x_x, x_y = xx * x_right + xy * y_right, xx * x_up + xy * y_up
         y_x, y_y = xy * x_right + yy * y_right, xy * x_up + yy * y_up
@@ -141,8 +137,8 @@ def view_of(
     starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
     (top, bottom, _), (left, right, _) = starts
     middle = 0.5 * (binning - 1)
-    row = np.asarray(top + np.arange(int((bottom - top) // binning)) * binning + middle, dtype=np.float64)
-    column = np.asarray(left + np.arange(int((right - left) // binning)) * binning + middle, dtype=np.float64)
+    row = top + np.arange(int((bottom - top) // binning), dtype=np.float64) * binning + middle
+    column = left + np.arange(int((right - left) // binning), dtype=np.float64) * binning + middle
     if camera.model == "orthographic":
         return View(*_pixel_axes_mm(camera, row, column))
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
@@ -151,59 +147,54 @@ def view_of(
     from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
 
     x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
-    return View(np.asarray(x), np.asarray(y), camera.height_mm, along_rays)
+    return View(x, y, camera.height_mm, along_rays)
 
 
-def _lattice(axis: Axis) -> Axis:
+def _lattice(axis: Array) -> Array:
     first, last = float(axis[0]), float(axis[-1])
     count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
     return np.linspace(first, max(last, first + 3.0), count)
 
 
 def _f32(values: Any) -> FloatArray:
-    return np.asarray(values, dtype=np.float32)
+    return np.asarray(values)
 
 
-def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | None = None) -> tuple[Axis, Axis]:
+def _pixel_axes_mm(camera: Camera, rows: Array | None = None, columns: Array | None = None) -> tuple[Array, Array]:
     """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
     height, width = camera.image_size
     column = np.arange(width, dtype=np.float64) if columns is None else columns
     row = np.arange(height, dtype=np.float64) if rows is None else rows
     x = (column - (width - 1) / 2) * camera.pitch_mm
-    return np.asarray(x), np.asarray(((height - 1) / 2 - row) * camera.pitch_mm)
+    return x, ((height - 1) / 2 - row) * camera.pitch_mm
 
 
-def plane_points(camera: Camera, pixels: Any) -> Points:
+def plane_points(camera: Camera, pixels: Any) -> Array:
     """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's centre is (0, 0))
-    look at. Raises BadInput for another shape, or what is not finite.
-    """
+    look at."""
     places = np.asarray(pixels, dtype=np.float64)
-    sound = places.ndim == 2 and places.shape[1] == 2 and bool(np.isfinite(places).all())
-    require(sound, f"pixels must be finite and of the shape (N, 2), but they have the shape {places.shape}.")
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
-    assert camera.matrix is not None
+    matrix = camera.matrix
+    assert matrix is not None
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-    matrix = np.asarray(camera.matrix, dtype=np.float64)
     rays = cv2.undistortPointsIter(places[:, None], matrix, distortion, np.eye(3), matrix, criteria)[:, 0]
     rays = (rays - matrix[:2, 2]) / np.diag(matrix)[:2]
     rays[:, 0] -= matrix[0, 1] / matrix[0, 0] * rays[:, 1]
-    return np.asarray(rays * (camera.height_mm, -camera.height_mm), dtype=np.float64)
+    return rays * (camera.height_mm, -camera.height_mm)
 
 
-def pixels_of(camera: Camera, points_mm: Any) -> Points:
+def pixels_of(camera: Camera, points_mm: Any) -> Array:
     """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
-    Raises BadInput for another shape, what is not finite, or points at or beyond a perspective camera's height.
+    Raises BadInput for points at or beyond a perspective camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
-    sound = points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
-    require(sound, f"points_mm must be finite and of the shape (N, 3), but it has the shape {points.shape}.")
     rows, columns = camera.image_size
     if camera.model == "orthographic":
         column = points[:, 0] * camera.px_per_mm + (columns - 1) / 2
         return np.stack([column, (rows - 1) / 2 - points[:, 1] * camera.px_per_mm], axis=1)
-    require(bool((points[:, 2] < camera.height_mm).all()), "points_mm must lie below the camera.")
+    require((points[:, 2] < camera.height_mm).all(), "points_mm must lie below the camera.")
     assert camera.matrix is not None
     seen = np.stack([points[:, 0], -points[:, 1], camera.height_mm - points[:, 2]], axis=1)
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
@@ -237,7 +228,7 @@ def lens_shading(  # noqa: PLR0917
     return shading_at(shading, squared).astype(np.float32)
 
 
-def shading_at(shading: Sequence[float], squared: NDArray[np.float64]) -> NDArray[np.float64]:
+def shading_at(shading: Sequence[float], squared: Array) -> Array:
     """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.model.Camera`."""
     brightness = np.ones_like(squared)
     for k, coefficient in enumerate(shading):

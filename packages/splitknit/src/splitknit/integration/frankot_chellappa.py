@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 
 def check_fields(
@@ -29,7 +28,7 @@ def check_fields(
     fields = [np.where(inside, part, 0.0).astype(np.float32) for part in (one, two)]
     for part, name in zip(fields, names, strict=True):
         require(
-            bool(np.isfinite(part).all()),
+            np.isfinite(part).all(),
             f"{name} contains NaN or infinite values inside the mask; take those pixels out of the mask.",
         )
     return fields[0], fields[1], inside
@@ -38,7 +37,7 @@ def check_fields(
 def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
     """Return `height` with a zero mean over the mask, NaN outside it."""
     mean = float(np.sum(height, where=mask, dtype=np.float64)) / int(np.count_nonzero(mask))
-    return np.where(mask, height - np.float32(mean), np.float32(np.nan))
+    return np.where(mask, height - mean, np.nan)
 
 
 # Least-squares integration in the frequency domain: the height whose gradient is nearest to (p, q) has the spectrum
@@ -46,7 +45,7 @@ def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
 # Outside the rectangle the gradient field is zero (``zero``), or the height is mirrored about the borders (``mirror``):
 # dz/dx then changes sign at the left and right one and dz/dy at the top and bottom.
 
-Transfer = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Transfer = Callable[[Array], Array]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
 
 WORKERS = 2
@@ -69,7 +68,7 @@ def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatAr
     spectrum += other
     spectrum *= _radial_factor(row_frequency, column_frequency, None) * np.complex64(-1j)
     result = scipy.fft.irfft2(spectrum, size, workers=WORKERS, overwrite_x=True)
-    return np.asarray(result[:height, :width], dtype=np.float32)
+    return result[:height, :width]
 
 
 def integrate_mirrored(gradient_x: FloatArray, gradient_y: FloatArray, transfer: Transfer | None = None) -> FloatArray:
@@ -93,9 +92,7 @@ _SAMPLES = 8192
 """Frequencies end at sqrt(2) pi: samples are 0.0005 rad/px apart, and a smooth transfer function is known to 1e-6."""
 
 
-def _radial_factor(
-    row_frequency: NDArray[np.float64], column_frequency: NDArray[np.float64], transfer: Transfer | None
-) -> FloatArray:
+def _radial_factor(row_frequency: Array, column_frequency: Array, transfer: Transfer | None) -> FloatArray:
     """T(|w|) / |w|^2, zero at the origin; T by linear interpolation in a table over the radius: ten times faster than
     exponentials of every scale at every frequency.
     """

@@ -8,14 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import enlarged, height_gradients, nearest_known, normals_from_gradients
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.frankot_chellappa import check_fields
 from splitknit.integration.poisson import poisson
-from splitknit.model import BoolArray, Camera, FloatArray
+from splitknit.model import Array, BoolArray, Camera, FloatArray
 from splitknit.settings import Checked
 
 
@@ -38,12 +37,10 @@ def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:
     unit; `mask`: (H, W) bool, optional. Source: the thesis, section 3.3.3 and figure 3.27.
     """
     ridge, shape, inside = check_fields(ridge_mm, shape_mm, mask, _PARTS)
-    return np.where(inside, ridge + shape, np.float32(np.nan)).astype(np.float32)
+    return np.where(inside, ridge + shape, np.nan).astype(np.float32)
 
 
-def crossover(
-    visible_mm: Any, shape_mm: Any, response: Callable[[NDArray[np.float64]], Any], mask: Any = None
-) -> FloatArray:
+def crossover(visible_mm: Any, shape_mm: Any, response: Callable[[Array], Any], mask: Any = None) -> FloatArray:
     """Fine detail from one surface and the rest from the other, each frequency once: H visible + (1 - H) shape.
 
     Computed as shape + H (visible - shape), so that only the difference of the two, which is small and smooth at the
@@ -68,7 +65,7 @@ def crossover(
     wx = 2 * np.pi * np.fft.rfftfreq(2 * columns)[None, :]
     gain = np.asarray(response(np.hypot(wx, wy)), dtype=np.float32)
     detail = scipy.fft.irfft2(spectrum * gain, mirrored.shape, workers=2)[:rows, :columns]
-    return np.where(inside, shape + detail, np.float32(np.nan)).astype(np.float32)
+    return np.where(inside, shape + detail, np.nan).astype(np.float32)
 
 
 COARSE_MM = 0.2
@@ -94,14 +91,14 @@ def place(  # noqa: PLR0917
     of the highest point above the finger plane, as one camera does not see how far away it is.
     """
     if camera.model == "orthographic":
-        seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+        seen = np.where(mask, height_mm, np.nan).astype(np.float32)
         normals = normals_from_gradients(*height_gradients(seen, camera.pitch_mm))
         return height_mm, shape_mm, normals * mask[..., None], None, None
     view = view_of(camera, *window, along_rays=True)
     shape = shape_mm + unevenness(shape_mm, mask, camera, window)
     for _ in range(4):  # lifting moves points along their rays
         top = np.quantile(view.points(shape)[2][mask], TOP_SHARE)
-        shape = shape + np.float32(top_mm - top)
+        shape = shape + (top_mm - top)
     whole = shape + (height_mm - shape_mm)
     x, y, z = view.points(whole)
     _, _, below = view.points(shape)
@@ -123,26 +120,29 @@ def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tu
         return np.zeros_like(shape_mm)
     pitch = camera.pitch_mm * binning
     view = view_of(camera, *window, binning=binning, along_rays=True)
-    coarse = np.where(inside, bin_mean(np.where(mask, shape_mm, np.float32(0)), binning), np.float32(np.nan)).astype(
-        np.float32
-    )
+    coarse = np.where(inside, bin_mean(np.where(mask, shape_mm, 0), binning), np.nan).astype(np.float32)
     right, up = height_gradients(coarse, pitch)
     x_x, x_y, y_x, y_y = view.stretch(pitch, (rows, columns))
     residual_x, residual_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
-    residual = poisson(
-        np.where(inside, residual_x, 0).astype(np.float32), np.where(inside, residual_y, 0).astype(np.float32), inside
-    ) * np.float32(pitch)
+    residual = (
+        poisson(
+            np.where(inside, residual_x, 0).astype(np.float32),
+            np.where(inside, residual_y, 0).astype(np.float32),
+            inside,
+        )
+        * pitch
+    )
     residual = np.nan_to_num(residual, nan=0.0).astype(np.float32)
     return enlarged(nearest_known(residual, inside), binning, mask.shape)
 
 
 def _normals(height_mm: FloatArray, mask: BoolArray, view: View, pitch_mm: float) -> FloatArray:
     """Unit normals (h, w, 3) in the rig's frame, zero outside the mask, of a surface along the rays."""
-    seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+    seen = np.where(mask, height_mm, np.nan).astype(np.float32)
     right, up = height_gradients(seen, pitch_mm)
     x_x, x_y, y_x, y_y = view.stretch(pitch_mm, (mask.shape[0], mask.shape[1]))
     scale = 1 / (x_x * y_y - x_y * y_x)
     slope_x = (y_y * right - y_x * up) * scale
     slope_y = (x_x * up - x_y * right) * scale
-    own = normals_from_gradients(np.asarray(slope_x, dtype=np.float32), np.asarray(slope_y, dtype=np.float32))
-    return np.asarray(view.in_rig(own) * mask[..., None], dtype=np.float32)
+    own = normals_from_gradients(slope_x, slope_y)
+    return view.in_rig(own) * mask[..., None]

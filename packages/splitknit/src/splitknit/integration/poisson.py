@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
 _LOG = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ _LOG = logging.getLogger(__name__)
 # Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
 # j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
 
-Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+Floats = TypeVar("Floats", FloatArray, Array)
 
 
 def _difference(height: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -61,11 +61,11 @@ def _difference_adjoint(right: Floats, down: Floats) -> Floats:
 
 def _edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Mean weight of an edge's two pixels, zero unless both lie in the mask."""
-    own = mask.astype(np.float32) if weights is None else np.where(mask, weights, np.float32(0.0))
+    own = mask.astype(np.float32) if weights is None else np.where(mask, weights, 0.0)
     right, down = np.zeros_like(own), np.zeros_like(own)
     both_right, both_down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
-    right[:, :-1] = np.float32(0.5) * (own[:, 1:] + own[:, :-1]) * both_right
-    down[:-1] = np.float32(0.5) * (own[1:] + own[:-1]) * both_down
+    right[:, :-1] = 0.5 * (own[:, 1:] + own[:, :-1]) * both_right
+    down[:-1] = 0.5 * (own[1:] + own[:-1]) * both_down
     return right, down
 
 
@@ -88,8 +88,8 @@ def _edge_integral(slope: FloatArray, weights: FloatArray | None) -> FloatArray:
     if weights is not None:
         used = (weights > _WEIGHT_FLOOR).astype(np.float32)
         kept = slope * used
-        return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], np.float32(1)))
-    return np.asarray(np.float32(0.5) * (slope[1:] + slope[:-1]))
+        return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], 1))
+    return 0.5 * (slope[1:] + slope[:-1])
 
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
@@ -122,7 +122,7 @@ class _Grid:
         degree[:, 1:] += right[:, :-1]
         degree[1:] += down[:-1]
         self.degree = degree
-        self.inverse = np.where(degree > 0, 1 / np.maximum(degree, np.float32(1e-30)), 0).astype(np.float32)
+        self.inverse = np.where(degree > 0, 1 / np.maximum(degree, 1e-30), 0).astype(np.float32)
         self.inside = (degree > 0).astype(np.float32)
         self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: _Grid | None = None
@@ -179,7 +179,7 @@ class _Grid:
         if self.direct is not None:
             return self.direct(right_side)
         height = self.inverse * right_side
-        height *= np.float32(_STEPS[0])
+        height *= _STEPS[0]
         self._smooth(height, right_side, _STEPS[1])
         if self.coarser is None:
             for _ in range(_COARSEST_SWEEPS):
@@ -204,20 +204,20 @@ class _Grid:
         """Interpolate heights of the coarser grid to this one."""
         if not self.even:
             blocks = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1) * self.inside
-            blocks -= np.float32(_SMOOTHED) * self.inverse * self.apply(blocks)
+            blocks -= _SMOOTHED * self.inverse * self.apply(blocks)
             return blocks
         rows, columns = self.inside.shape
         fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(fine * self.fraction, dtype=np.float32)
+        return fine * self.fraction
 
     def restrict(self, residual: FloatArray) -> FloatArray:
         """Adjoint of :meth:`prolong`."""
         assert self.coarser is not None
         if not self.even:
-            smooth = residual - np.float32(_SMOOTHED) * self.apply(self.inverse * residual)
+            smooth = residual - _SMOOTHED * self.apply(self.inverse * residual)
             smooth *= self.inside
             pairs = smooth[::2] + smooth[1::2]
-            return np.asarray(pairs[:, ::2] + pairs[:, 1::2]) * self.coarser.inside
+            return (pairs[:, ::2] + pairs[:, 1::2]) * self.coarser.inside
         spread = cv2.sepFilter2D(
             residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
         )
@@ -262,9 +262,9 @@ class _DirectSolver:
         height[self.pixels] = self._balance(self.factor.solve(balanced))
         return height.reshape(right_side.shape)
 
-    def _balance(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _balance(self, values: Array) -> Array:
         mean = np.bincount(self.part, weights=values, minlength=self.size.size) / self.size
-        return np.asarray(values - mean[self.part])
+        return values - mean[self.part]
 
 
 def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
@@ -273,8 +273,8 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
         coarse = _Grid(
-            np.float32(0.5) * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
-            np.float32(0.5) * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
+            0.5 * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
+            0.5 * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
             unit=False,
             even=unit,
         )
@@ -282,7 +282,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
         if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
             break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, np.float32(1e-6)), 0).astype(np.float32)
+        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, 1e-6), 0).astype(np.float32)
         grid.coarser = coarse
         grid = coarse
     if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
@@ -369,7 +369,7 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     """
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
     trust = None if weights is None else _check_weights(weights, inside)
-    if trust is None and bool(inside.all()):
+    if trust is None and inside.all():
         right, down = _predicted_differences(slope_x, slope_y, None)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = bounding_box(inside)
@@ -384,10 +384,10 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
     trust = np.where(mask, array, 0.0).astype(np.float32)
     require(
-        bool(np.isfinite(trust).all()) and float(trust.min()) >= 0 and float(trust.max()) <= 1,
+        np.isfinite(trust).all() and float(trust.min()) >= 0 and float(trust.max()) <= 1,
         "weights must lie between 0 and 1 inside the mask.",
     )
-    return np.maximum(trust, np.float32(_WEIGHT_FLOOR))
+    return np.maximum(trust, _WEIGHT_FLOOR)
 
 
 def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
@@ -399,7 +399,7 @@ def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
     size = np.bincount(flat, minlength=count)
     total = np.bincount(flat, weights=height.ravel(), minlength=count)
     mean = (total / np.maximum(size, 1)).astype(np.float32)
-    return np.where(mask, height - mean[labels], np.float32(np.nan))
+    return np.where(mask, height - mean[labels], np.nan)
 
 
 def _solve_rectangle(right_side: FloatArray) -> FloatArray:
@@ -471,7 +471,7 @@ class _Edges:
     target_right: FloatArray
     target_down: FloatArray
 
-    def residual(self, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+    def residual(self, height: NDArray[Any]) -> tuple[Array, float]:
         """Half the negative gradient of the energy, and the energy: the weighted sum of squared residuals of edges.
 
         Differences of neighbouring heights are exact in single precision, differences of their Laplacian are not.
@@ -489,7 +489,7 @@ class _Edges:
         return _EXCESS * energy + _ROUNDING * power
 
 
-def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[Array, float]:
     """Correction of the height, until its rms error and the excess of the energy are small; the smallest eigenvalue.
 
     Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few

@@ -13,10 +13,9 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.integration.frankot_chellappa import check_fields, integrate_mirrored, zero_mean
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 
 REFERENCE_PX_PER_MM = 75.7
@@ -41,7 +40,7 @@ class ShapeletSettings(Checked):
         return tuple(self.sigma_px * self.factor**k for k in range(self.scales))
 
 
-def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> NDArray[np.float64]:
+def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> Array:
     """Gain of the height at the radial frequency `omega` (rad/px, any shape), one in the pass band.
 
     (ln(m^2) / 2) sum_s x_s exp(-x_s / 2), x_s = (sigma_s omega)^2, m the factor between scales: an infinite bank has a

@@ -218,7 +218,7 @@ def metric_side(
     assert side is not None
     first = metric_skin(images.bands, grid, skin, p, networks)
     red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
-    part = np.asarray(RED_PART * blue / np.maximum(red, np.float32(1e-6)), dtype=np.float32)
+    part = RED_PART * blue / np.maximum(red, 1e-6)
     matt = without_white(white, part), without_white(side[0], part)
     height_mm, error_mm, found = _specular_heights(images, matt, first, WHITE[0])
     limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
@@ -300,7 +300,7 @@ def relief_and_shape(
     found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
     of_crossed = variance_restored(first).relief_mm - found.relief_mm
     low, high = BOTH_DEG
-    part = smooth_step((slant_of(smooth, grid.pitch_mm) - np.float32(low)) / np.float32(high - low)) / 2
+    part = smooth_step((slant_of(smooth, grid.pitch_mm) - low) / (high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
 
 
@@ -323,7 +323,7 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
     facts: dict[str, Any] = {"shape_source": shape_source, "separation": OPAQUE, "heights": "measured"}
     if (unsure := bas_relief_of(white.rig)) is None:
         return replace(surface, facts=facts)
-    deviation_um = bas_relief_um(surface.height_mm, white.inside, float(white.pitch_mm), unsure)
+    deviation_um = bas_relief_um(surface.height_mm, white.inside, white.pitch_mm, unsure)
     directions = np.round(white.rig.light_vectors(), 3).tolist()
     facts |= {"lights": "estimated", "light_directions": directions, "bas_relief": unsure}
     return replace(surface, uncertainty_um=deviation_um, facts=facts)
@@ -366,7 +366,7 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     else:
         found = metric_skin(images.bands, images.grid, skin, p, networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
-    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), np.float32(lost) * ridge_mm) * np.float32(1000.0)
+    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), lost * ridge_mm) * 1000.0
     relief_by = found.facts["relief_by"]
     facts = {
         "shape_source": "nir" if len(images.bands) > 1 else "white",
@@ -449,7 +449,7 @@ def near_slopes(
         normals, albedo = by_rows(photographs, lit, without_clipped=True)
         slopes = gradients_from_normals(normals, inside, MAX_SLOPE)
         if turn < rounds - 1:
-            surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
+            surface = integrated(slopes, photographs, height) + photographs.plane_mm
     return slopes, albedo, view.in_rig(normals)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places, sure_of_places
@@ -24,7 +23,7 @@ from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, 
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import place
 from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.checks import (
     PhotographFault,
     faulty_photographs,
@@ -131,9 +130,9 @@ class FingerBand:
         return self.capture.rig.camera.px_per_mm
 
     @property
-    def pitch_mm(self) -> np.float32:
+    def pitch_mm(self) -> float:
         """Side of a pixel on the finger plane."""
-        return np.float32(self.capture.rig.camera.pitch_mm)
+        return self.capture.rig.camera.pitch_mm
 
 
 @dataclass(slots=True, eq=False)
@@ -250,7 +249,7 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     if band.pixels.dtype != np.uint8 or min(stored.shape[:2]) < 64:
         return False
     image, k = pick_channel(stored, "grey"), np.arange(4, 8)  # the upper half of a block's frequencies
-    waves = np.float32(0.5) * np.cos(np.pi / 16 * k[:, None] * (2 * np.arange(8) + 1)).astype(np.float32)
+    waves = 0.5 * np.cos(np.pi / 16 * k[:, None] * (2 * np.arange(8) + 1)).astype(np.float32)
     total = np.zeros_like(image)
     for across in waves:
         rows = cv2.filter2D(image, cv2.CV_32F, across[None], anchor=(0, 0))
@@ -260,7 +259,7 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     return grids[0] < _JPEG_GRID * grids[1]
 
 
-def _sampled(capture: Capture, band: Band) -> tuple[FloatArray, NDArray[np.float64], tuple[slice, slice]]:
+def _sampled(capture: Capture, band: Band) -> tuple[FloatArray, Array, tuple[slice, slice]]:
     """Grey linear light (L, h, w) at some of a band's pixels, its lights (L, 3), and which pixels these are."""
     every = max(1, max(capture.shape) // FRAME_SIDE)
     lights = capture.rig.select(band.lights).light_vectors()
@@ -410,15 +409,13 @@ def _doubt_of_lights(
         faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
         faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
         bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        doubts = [(_unlike_words(one, band.image_names), one.effect_deg > SPOILT_DEG) for one in bad[:1]]
+        for one in bad[:1]:
+            how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(one.kind, one.kind)
+            turns = f"it turns the surface by {one.effect_deg:.1f} deg (median)"
+            words = f"{band.image_names[one.photograph]} does not fit the other photographs ({how}): {turns}"
+            doubts = [(f"{words}; capture it again.", one.effect_deg > SPOILT_DEG)]
     begin = "" if band.name == "white" else f"{band.name} band: "
     return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
-
-
-def _unlike_words(fault: PhotographFault, names: Sequence[str]) -> str:
-    how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
-    turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
-    return f"{names[fault.photograph]} does not fit the other photographs ({how}): {turns}; capture it again."
 
 
 def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
@@ -445,7 +442,7 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[
     binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
     names = ("red", "green", "blue") if has_colour(band) else ("grey",)
     images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
-    inside = np.asarray(bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99)
+    inside = bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99
     rows, columns = (n // (every * binning) for n in capture.shape)
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
@@ -469,7 +466,7 @@ def _doubt_of_relief(
     on a smaller part, which gloss may hide."""
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
-    inside = np.asarray(bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99)
+    inside = bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
     area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
     patch = doubt_of_patch(area_mm2, part)
@@ -482,12 +479,13 @@ def _doubt_of_relief(
 
 
 def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
-    band, every = capture.bands["white"], max(1, max(capture.shape) // FRAME_SIDE)
-    if band.crossed is not None and not band.colours:
-        series = replace(band, crossed=None), band.crossed
-        parallel, crossed = (linear_stack(one.sampled(every), capture.encoding) for one in series)
-        return doubts_of_series(parallel, crossed, finger.mask[::every, ::every])
-    return ()
+    white = capture.bands["white"]
+    if white.crossed is None or white.colours:
+        return ()
+    (parallel, _, some), (crossed, *_) = (
+        _sampled(capture, one) for one in (replace(white, crossed=None), white.crossed)
+    )
+    return doubts_of_series(parallel, crossed, finger.mask[some])
 
 
 def _with_promised_light(capture: Capture) -> Capture:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.band import linear_stack
@@ -17,7 +16,7 @@ from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.poisson import poisson
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
 from splitknit.methods.photographs import FingerBand
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
@@ -83,7 +82,7 @@ def by_rows(
 
 @step("normals")
 def distant_normals(
-    images: FloatArray, lights: NDArray[np.float64], inside: BoolArray, p: NormalsSettings
+    images: FloatArray, lights: Array, inside: BoolArray, p: NormalsSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo by photometric stereo under distant lights (L, 3)."""
     if p.method == "robust":
@@ -130,7 +129,7 @@ def fast_part(height_mm: FloatArray, photographs: FingerBand) -> FloatArray:
     return rest - smoothed(rest, photographs.inside, sigma_px)
 
 
-def ridge_response(photographs: FingerBand, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
+def ridge_response(photographs: FingerBand, p: ShapeletSettings) -> Callable[[Array], Any]:
     """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
     bank = _bank(photographs, p)
     return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)

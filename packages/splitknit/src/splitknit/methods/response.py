@@ -10,6 +10,7 @@ from splitknit.diagnosis.response import (
     blue_over_red,
     clipped_part,
     colour_spread,
+    drifted_light,
     height_over_half_width,
     image_gains,
     shading_exponent,
@@ -21,7 +22,7 @@ from splitknit.imaging.band import has_colour, linear_channels
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.photometric.uncalibrated import bas_relief_of
 
@@ -50,6 +51,10 @@ FLAT = (
     "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local contrast, a tone curve or "
     "night mode of the camera, light of the room or haze has flattened it, or the LEDs stand elsewhere than stated; "
     "store RAW or linear images, and add an ambient one."
+)
+DRIFTED = (
+    "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card again (splitknit "
+    "calibrate radiometry)."
 )
 _BLUE, _CLIPPED, _COLOURS = 1.3, 0.2, 0.02
 """Blue over red light, part of the finger that is clipped in one colour of an image, and standard deviation of the
@@ -89,7 +94,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
     inside[finger.window] = finger.inside
     inside = inside[::every, ::every]
     core = erode(inside, _DEPTH_MM / (every * capture.rig.camera.pitch_mm))
-    toned, found = [], list[ResponseDoubt]()
+    toned, names, found = [], [], list[ResponseDoubt]()
     exponent, height = float("nan"), float("nan")
     for name in ("white", "nir"):
         band = capture.bands.get(name)
@@ -113,6 +118,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         strength = np.linalg.norm(at, axis=1)
         level = strength * (band.exposure if len(band.exposure) == len(strength) else 1.0)
         toned.append((gains.mean(axis=0), at / strength[:, None], level))
+        names.append(band.image_names)
         if coloured:
             exponent = shading_exponent(stack[1:][..., core], vectors[..., core])
             height = height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm)
@@ -129,7 +135,17 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         other = "linear" if capture.encoding == "srgb" else "srgb"
         if doubt_of_response(replace(capture, encoding=other), finger, others=False) is None:
             return replace(doubt, words=ENCODING.format(capture.encoding, other))
-    return doubt
+    return doubt or (_doubt_of_drift(names, toned) if "radiometry" in capture.rig.provenance else None)
+
+
+def _doubt_of_drift(names: list[tuple[str, ...]], toned: list[tuple[Array, Array, Array]]) -> ResponseDoubt | None:
+    """Whether the brightness of one LED is no longer that of the rig's calibration."""
+    for files, (gains, directions, _) in zip(names, toned, strict=True):
+        drift = drifted_light(gains, directions) if np.isfinite(gains).all() else None
+        if drift is not None:
+            percent, word = 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
+            return ResponseDoubt(DRIFTED.format(files[drift[0]], percent, word), False, False)
+    return None
 
 
 def _coarse_surface(
@@ -143,9 +159,9 @@ def _coarse_surface(
     view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
-        g = pseudo_normals(stack, rig, height_mm + np.float32(_PLANE_MM), inside, view=view)
-        z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + np.float32(1e-9))
-        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * np.float32(every * camera.pitch_mm)
+        g = pseudo_normals(stack, rig, height_mm + _PLANE_MM, inside, view=view)
+        z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
+        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * (every * camera.pitch_mm)
         height_mm = np.nan_to_num(height).astype(np.float32)
-    points = view.points(height_mm + np.float32(_PLANE_MM))
+    points = view.points(height_mm + _PLANE_MM)
     return height_mm, view.turned(light_vectors_at(rig, *points))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.finger.contrast import clahe
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
@@ -28,7 +27,7 @@ from splitknit.methods.photometry import (
     ridge_response,
     slopes_of,
 )
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.presets import DirectSettings, EnhanceSettings, Parameters, Photometry, PipelineSettings
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.steps import shared, step
@@ -106,7 +105,7 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
         lights, inside = white.rig.light_vectors(), white.inside
 
         def solve(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-            return distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
+            return distant_normals(np.maximum(images, 0.0), lights, inside[rows], p.normals)
 
         return by_rows(white, solve)
     images = _grey_images(white)
@@ -125,7 +124,7 @@ def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
     return slopes_of(normals, nir)
 
 
-def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.float64]:
+def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> Array:
     """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
     lights = photographs.rig.light_vectors()
     return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
@@ -135,7 +134,7 @@ def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.flo
 def _grey_images(photographs: FingerBand) -> FloatArray:
     """(L, h, w) linear grey images."""
     encoding, window = photographs.capture.encoding, photographs.finger.window
-    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
+    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), 0.0)
 
 
 @step("light")

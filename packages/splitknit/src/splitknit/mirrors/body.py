@@ -14,13 +14,10 @@ from functools import cache, lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from splitknit.imaging.view import view_of
-from splitknit.model import BoolArray, Camera, FloatArray
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray
 
 OVAL_NODES = 400
 MAX_SQUARE = 0.45  # beyond, the oval is no longer convex
@@ -71,7 +68,7 @@ class Body:
 
     def fraction(self, u: Array) -> Array:
         """Distance from the tip over the length, just above zero beyond the tip, at most one."""
-        return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
+        return np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0)
 
     def sections(self, u: Array) -> _Sections:
         """Centre, half axes and shear at `u` (n,)."""
@@ -91,10 +88,10 @@ class Body:
         apex = np.float32(view.apex_mm)
         z = np.zeros(plane_x.shape, dtype=np.float32)
         for _ in range(4):  # less than all the way each time: at steep skin whole steps overshoot
-            nearer = np.float32(1.0) - z / apex
+            nearer = 1.0 - z / apex
             found, _, _ = _looked_up(self, table, plane_x * nearer, plane_y * nearer)
-            z = np.float32(0.3) * z + np.float32(0.7) * found
-        nearer = np.float32(1.0) - z / apex
+            z = 0.3 * z + 0.7 * found
+        nearer = 1.0 - z / apex
         x, y = plane_x * nearer, plane_y * nearer
         return x, y, *_looked_up(self, table, x, y)
 
@@ -137,7 +134,7 @@ def _oval_table(squareness: float) -> tuple[Array, Array]:
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
     sine, cosine = np.sin(node), np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
-    return np.asarray(np.arctan2(normal_x, cosine)), node
+    return np.arctan2(normal_x, cosine), node
 
 
 def basis(x: Array, count: int) -> Array:
@@ -156,7 +153,7 @@ def _between(table: Array, x: Array) -> Array:
 @cache
 def _basis_table(count: int) -> Array:
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-    return np.asarray(BSpline.design_matrix(np.linspace(0.0, 1.0, 4001), knots, 3).toarray())
+    return BSpline.design_matrix(np.linspace(0.0, 1.0, 4001), knots, 3).toarray()
 
 
 # A body as seen from above: z over every pixel, and slopes.
@@ -191,16 +188,16 @@ def _looked_up(
     dx, dy = x - np.float32(body.origin_mm[0]), y - np.float32(body.origin_mm[1])
     across, axis = body.across.astype(np.float32), body.axis.astype(np.float32)
     t, u = across[0] * dx + across[1] * dy, axis[0] * dx + axis[1] * dy
-    w = (np.float32(body.tip_mm) - u) / np.float32(body.length_mm)
-    s = np.sqrt(np.clip(w, 0.0, 1.0)) * np.float32(_DENSE_STATIONS - 1)
+    w = (body.tip_mm - u) / body.length_mm
+    s = np.sqrt(np.clip(w, 0.0, 1.0)) * (_DENSE_STATIONS - 1)
     row = np.zeros_like(s)
     left, right = (cv2.remap(end, s, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for end in ends[:, None])
-    half = np.maximum(np.float32(0.5) * (right - left), np.float32(1e-6))
-    place = (t - np.float32(0.5) * (left + right)) / half
+    half = np.maximum(0.5 * (right - left), 1e-6)
+    place = (t - 0.5 * (left + right)) / half
     inside = (w > 0) & (w <= 1) & (np.abs(place) <= 1)
-    node = (np.arcsin(np.clip(place, -1, 1)) / np.float32(np.pi) + np.float32(0.5)) * np.float32(NODES - 1)
+    node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (NODES - 1)
     z = cv2.remap(tabled, node, s, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(z, dtype=np.float32), np.asarray(inside), np.asarray(w <= 1)
+    return np.asarray(z), inside, w <= 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
@@ -24,7 +23,7 @@ from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
-from splitknit.model import BoolArray, Capture, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
 DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
@@ -56,15 +55,15 @@ def mirror_shape_of(
     shape = z
     if camera.model != "orthographic":  # heights along the rays that the result is made from
         shape = view_of(camera, *window, along_rays=True).along(z)
-        shape = np.asarray(shape - unevenness(shape, inside, camera, window), dtype=np.float32)
+        shape = shape - unevenness(shape, inside, camera, window)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
-        from_light = np.where(inside, detail_mm, np.float32(0))
+        from_light = np.where(inside, detail_mm, 0)
         finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
     kept[window] &= known
-    require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
+    require(kept.any(), "the mirrors show another part of the finger than the front view; check the rig file.")
     facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": _drawing(seen)}
     return shape, kept, facts
 
@@ -95,7 +94,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def require_mirrors(rig: Rig) -> None:
     """Raise BadInput if the rig has no mirrors."""
     fault = "the rig has no mirrors, so that the shape cannot come from them"
-    require(bool(rig.mirrors), f"{fault}: add them to rig.json, or take `shape` nir or white.")
+    require(rig.mirrors, f"{fault}: add them to rig.json, or take `shape` nir or white.")
 
 
 def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
@@ -125,9 +124,9 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
-    inside: BoolArray = np.asarray(bin_mean(views.front.astype(np.float32), factor) > 0.999)
+    inside: BoolArray = bin_mean(views.front.astype(np.float32), factor) > 0.999
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
-    if len(grey) < 3 or not bool((depth > RIM_MM).any()):
+    if len(grey) < 3 or not (depth > RIM_MM).any():
         return None
     stack = bin_mean(grey, factor)
     view = view_of(camera, binning=views.binning * factor)
@@ -135,9 +134,9 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     rows, columns = (slice(0, side * block) for side in inside.shape)
     x, y, z = shape.points(rows, columns, block)
     inside &= np.isfinite(z)
-    surface = np.where(inside, z, np.float32(np.nanmin(z)))
+    surface = np.where(inside, z, np.nanmin(z))
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)
-    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
+    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), pitch * factor))
     rig = _with_images(
         capture.rig.select(capture.bands["white"].lights),
         tuple(glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
@@ -147,11 +146,11 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     )
     normals = pseudo_normals(stack, rig, surface, inside, view=view)
     length = np.linalg.norm(normals, axis=2)
-    level = np.float32(1e-3) * np.float32(np.median(length[inside]))
+    level = 1e-3 * np.median(length[inside])
     upward = np.maximum(normals[..., 2], level)
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
     sigma = 0.5 / (pitch * factor)
-    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), np.float32(1e-3))
+    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
     smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
     step = max(1, round(APART_MM / (pitch * factor)))
     chosen = np.zeros_like(inside)
@@ -161,9 +160,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
 
 
-def _with_images(
-    rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64], view: View
-) -> Rig:
+def _with_images(rig: Rig, glasses: Sequence[Glass], points_mm: Array, normals: Array, view: View) -> Rig:
     """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where it reaches the
     skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
     """

@@ -18,9 +18,7 @@ from splitknit.errors import require
 from splitknit.mirrors.body import MAX_SQUARE, Body, Slopes, basis, slopes_across
 from splitknit.mirrors.reflection import Plane, Touching
 from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, SQUARENESS_SD
-from splitknit.model import BoolArray
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray
 
 _STATIONS = 80  # places along the body at which a plane seen from the tip is tried
 _MAX_STEP = {"tip_mm": 1.0, "turn_rad": 0.04, "lean_rad": 0.04, "shift_mm": 2.0}
@@ -154,7 +152,7 @@ def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, A
         u = body.tip_mm - body.length_mm * np.linspace(0.0, 1.0, _STATIONS) ** 2
         sections = body.sections(u)
         reach = sections.support(normal[:, :1], normal[:, 2:])[0] + normal[:, 1:2] * u  # (n, _STATIONS)
-        return np.asarray(u[np.argmax(reach, axis=1)]), normal, point
+        return u[np.argmax(reach, axis=1)], normal, point
     direction = body.to_frame(planes.direction, place=False)
     within = np.maximum(direction[:, 0] ** 2 + direction[:, 2] ** 2, 1e-6)
     u = point[:, 1] + 0.0
@@ -259,7 +257,7 @@ def _robust_weights(residual: Array, ends: NDArray[np.intp], *, sure: bool) -> A
 
 def _tukey(residual: Array, limit: float) -> Array:
     """Tukey's biweight: one at zero, nothing from `limit` on."""
-    return np.asarray(np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2)
+    return np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2
 
 
 TIP_TRUST = 0.1  # weight of a view from beyond the tip: it sees the largest sections only
@@ -322,7 +320,11 @@ def fit_body(
     if any(mirror.from_tip for mirror in outlines.mirrors.values()):
         return _with_ends(start, outlines, squareness, slopes, rounds)
     estimate, names, ends = start, outlines.names, outlines.ends
-    parameters = _global_names(names, slopes is not None)
+    parameters = [("tip_mm", 1e-3), ("squareness", 1e-4)]
+    if slopes is not None:
+        parameters += [("shear", 1e-4), ("shear_slope", 1e-4)]
+    for name in names:
+        parameters += [(f"turn_rad {name}", 1e-5), (f"lean_rad {name}", 1e-5), (f"shift_mm {name}", 1e-3)]
     count = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = {
@@ -422,16 +424,6 @@ def _with_ends(
     return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
-def _global_names(names: list[str], with_slopes: bool) -> _Parameters:
-    """Parameters that all sections share, each with the step of its difference quotient."""
-    found = [("tip_mm", 1e-3), ("squareness", 1e-4)]
-    if with_slopes:
-        found += [("shear", 1e-4), ("shear_slope", 1e-4)]
-    for name in names:
-        found += [(f"turn_rad {name}", 1e-5), (f"lean_rad {name}", 1e-5), (f"shift_mm {name}", 1e-3)]
-    return found
-
-
 def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, residual: Array) -> Array:
     """Derivative (n,) of the residuals by one of the parameters that all sections share."""
     moved = estimate.moved(name, size)
@@ -461,7 +453,7 @@ def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
 def _is_right(body: Body, part: Touching) -> BoolArray:
     """(n,) which planes touch along the right edge of their view, not along its left one."""
     normal, direction = (body.to_frame(of, place=False) for of in (part.normal, part.direction))
-    return np.asarray(normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0])
+    return normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0]
 
 
 def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from splitknit.errors import BadInput, require
@@ -41,9 +40,7 @@ from splitknit.mirrors.outline import (
 from splitknit.mirrors.reflection import Plane, Touching, reflect_points
 from splitknit.mirrors.settings import SQUARENESS_SD, MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror, Rig
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
@@ -157,11 +154,11 @@ def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -
         parts.append((back, middle, line, 0.5 * rows.width_mm[known][::-1]))
     (back, middle, _, half), (back_side, middle_side, line_side, half_side) = parts
     common = (back <= back_side[-1]) & (back >= back_side[0])
-    require(bool(common.any()), "the views of the finger have no row in common: it does not lie along the mirror.")
+    require(common.any(), "the views of the finger have no row in common: it does not lie along the mirror.")
     back, middle, half = back[common], middle[common], half[common]
     rise = np.interp(back, back_side, half_side)
     centre = tip_is_outward * np.interp(back, back_side, middle_side - line_side)
-    return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, np.asarray(centre))
+    return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, centre)
 
 
 _TURN_DEG, _CUT_TURN_DEG = 0.2, 0.6
@@ -203,7 +200,7 @@ class MirrorShape:
     def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y, z (h, w), mm, of the surface seen by a window's pixels, in blocks of `binning`; NaN beside it."""
         x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
-        return x, y, np.where(inside, z, np.float32(np.nan))
+        return x, y, np.where(inside, z, np.nan)
 
     def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
         """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which are known."""
@@ -247,7 +244,7 @@ def mirror_shape(
     cut_too : use what views still show that the border of the picture or of their mirror cuts; else they are left out
     """
     settings = settings or MirrorShapeSettings()
-    require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")
+    require(views.mirrors, "no mirror shows the finger; the shape needs one beside it at least.")
     turn = np.deg2rad(tip_direction_deg)
     axis, front = finger_axis(views.front, rig.camera, views.binning, np.array([-np.sin(turn), np.cos(turn)]))
     if settings.method == "thesis":
@@ -276,7 +273,7 @@ def _mirrors_of(views: Views, rig: Rig, axis: Array) -> tuple[dict[str, Mirror],
     known = {mirror.name: mirror for mirror in rig.mirrors}
     used = {name: known[name] for name in sorted(views.mirrors)}
     sides = {name: mirror for name, mirror in used.items() if not _from_tip(mirror, axis)}
-    require(bool(sides), "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
+    require(sides, "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
     return used, sides
 
 
@@ -347,7 +344,7 @@ def _seen_outlines(views: Views, rig: Rig, axis: Array, *, cut_too: bool) -> _Se
     lay = "lay the finger in the middle, so that the mirror shows all of its pad."
     where = f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's"
     nothing = "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle."
-    require(bool(lateral), nothing if cut_too or not cut else f"{where}: {lay}")
+    require(lateral, nothing if cut_too or not cut else f"{where}: {lay}")
     return _SeenOutlines(mirrors, poses, all_rows, lateral, cut, useless)
 
 

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.mirrors.reflection import Touching, touching
 from splitknit.mirrors.settings import ROW_MM
-from splitknit.model import BoolArray, Camera, Mirror
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
 _EVERY = 2  # rows that are averaged to one point of an outline in the fit
 STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05  # rms below which an outline is a mirror's edge: pads bulge, ends are round
@@ -38,7 +35,7 @@ class OutlineRows:
     @property
     def width_mm(self) -> Array:
         """(n,) NaN where an edge is missing."""
-        return np.asarray(self.right_mm - self.left_mm)
+        return self.right_mm - self.left_mm
 
     @property
     def tip_mm(self) -> float:
@@ -75,8 +72,8 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
     `axis`: (2,) direction on the finger plane from row to row, towards the fingertip; `trust_ends`: keep what looks
     like the straight end of a cut finger. Raises BadInput if the mask is empty.
     """
-    require(bool(mask.any()), "a view of the finger is empty.")
-    axis = np.asarray(axis, dtype=np.float64) / float(np.hypot(*axis))
+    require(mask.any(), "a view of the finger is empty.")
+    axis = axis / float(np.hypot(*axis))
     across = np.array([axis[1], -axis[0]])
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     low, high = np.array([columns[0], rows[0]]) - 2, np.array([columns[-1], rows[-1]]) + 3
@@ -87,7 +84,7 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
     along = np.arange(p.min(), p.max() + ROW_MM, ROW_MM)
     side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
     part = np.pad(mask, 3)[low[1] + 3 : high[1] + 4, low[0] + 3 : high[0] + 4].astype(np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR_PX), dtype=np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR_PX), dtype=part.dtype)
     field = _resampled(smooth, low, camera, binning, (along, side, axis, across))
     left, right = _edges(field, side)
     found = OutlineRows(axis, along, left, right)
@@ -145,7 +142,7 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
     """Direction (2,) of the finger towards its tip, within about 75 deg of `hint` (2,), and its outline across it."""
-    axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
+    axis = hint / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)
     for _ in range(4):
         slope, _ = medial_line(rows)
@@ -158,29 +155,29 @@ def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> t
 
 
 def _resampled(
-    smooth: NDArray[np.float32], low: Array, camera: Camera, binning: int, grid: tuple[Array, Array, Array, Array]
-) -> NDArray[np.float32]:
+    smooth: FloatArray, low: Array, camera: Camera, binning: int, grid: tuple[Array, Array, Array, Array]
+) -> FloatArray:
     """(rows, places) of the smoothed mask on the rows across the axis."""
     along, side, axis, across = grid
 
     def pixels(p: Array, q: Array) -> Array:
         places = np.outer(p, axis) + np.outer(q, across)
         full = pixels_of(camera, np.column_stack([places, np.zeros(len(places))]))
-        return np.asarray((full - 0.5 * (binning - 1)) / binning - low)
+        return (full - 0.5 * (binning - 1)) / binning - low
 
     if camera.model == "perspective" and camera.distortion and any(camera.distortion):
         p, q = (part.ravel() for part in np.meshgrid(along, side, indexing="ij"))
         where = pixels(p, q).reshape(along.size, side.size, 2).astype(np.float32)
-        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR), dtype=np.float32)
+        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
     three = pixels(along[[0, 0, -1]], side[[0, -1, 0]])
     right = (three[1] - three[0]) / (side.size - 1)
     down = (three[2] - three[0]) / (along.size - 1)
     turn = np.column_stack([right, down, three[0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(smooth, turn, (side.size, along.size), flags=flags), dtype=np.float32)
+    return np.asarray(cv2.warpAffine(smooth, turn, (side.size, along.size), flags=flags))
 
 
-def _edges(field: NDArray[np.float32], side: Array) -> tuple[Array, Array]:
+def _edges(field: FloatArray, side: Array) -> tuple[Array, Array]:
     """Where each row first and last crosses one half."""
     inside = field > 0.5
     some = inside.any(axis=1)
@@ -212,7 +209,7 @@ def _without_cuts(
         pixel = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])) / binning
         margin = 3.0
         beyond = (pixel < margin) | (pixel > np.array([shape[1], shape[0]]) - 1 - margin)
-        near = np.asarray(beyond[:, 0] | beyond[:, 1], dtype=np.bool_)
+        near = beyond[:, 0] | beyond[:, 1]
         if not trust_ends and row.size > 4:
             steep = np.abs(np.gradient(edge[row], rows.along_mm[row])) > 1.2
             low = rows.along_mm[row] < middle

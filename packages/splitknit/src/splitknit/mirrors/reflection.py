@@ -10,14 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View, pixels_of
-from splitknit.model import Camera, FloatArray, Led, Mirror, Shade
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, Camera, FloatArray, Led, Mirror, Shade
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +53,6 @@ class Plane:
     point_mm: Array  # (3,) on the reflecting face
     normal: Array  # (3,) unit length, towards the camera (z > 0)
 
-    def __post_init__(self) -> None:
-        shapes = np.shape(self.point_mm), np.shape(self.normal)
-        require(shapes == ((3,), (3,)), f"a mirror's point and normal are three numbers each, not {shapes}.")
-        length = float(np.linalg.norm(self.normal))
-        require(abs(length - 1.0) < 1e-6, f"a mirror's normal must have unit length, but it has {length:.6g}.")
-
     @property
     def offset_mm(self) -> float:
         """Distance of the plane from the rig's origin, along the normal."""
@@ -100,7 +90,7 @@ class Plane:
         """(2,) unit direction in which a level direction (2,) of the finger runs in the mirror's picture."""
         n = self.normal
         shown = axis - 2.0 * float(axis @ n[:2]) * n[:2]
-        return np.asarray(shown / np.linalg.norm(shown))
+        return shown / np.linalg.norm(shown)
 
     def epipole(self, camera: Camera) -> Array | None:
         """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
@@ -111,13 +101,13 @@ class Plane:
 
 def reflect_vectors(vectors: Array, plane: Plane) -> Array:
     """Directions (..., 3) reflected in the mirror."""
-    return np.asarray(vectors - 2.0 * (vectors @ plane.normal)[..., None] * plane.normal)
+    return vectors - 2.0 * (vectors @ plane.normal)[..., None] * plane.normal
 
 
 def reflect_points(points_mm: Array, plane: Plane) -> Array:
     """Points (..., 3) reflected in the mirror: the same function takes them back."""
     beyond = points_mm @ plane.normal - plane.offset_mm
-    return np.asarray(points_mm - 2.0 * beyond[..., None] * plane.normal)
+    return points_mm - 2.0 * beyond[..., None] * plane.normal
 
 
 def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
@@ -164,7 +154,7 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
     way = np.where(there, above / np.where(there, -falling, 1.0), 0.0)
     met = points_mm + way[..., None] * towards
     axes = np.stack(plane.axes(), axis=1)
-    flat, outline = (met - plane.point_mm) @ axes, (np.asarray(corners_mm) - plane.point_mm) @ axes
+    flat, outline = (met - plane.point_mm) @ axes, (corners_mm - plane.point_mm) @ axes
     following = np.roll(outline, -1, axis=0)
     turning = float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
     within = np.full(flat.shape[:-1], np.inf)
@@ -238,7 +228,7 @@ class Sight:
         """Cosine (...) of the angle between normals (..., 3) at points (..., 3) of the rig's frame and the line of
         sight."""
         if self.camera.model == "orthographic":
-            return np.asarray(normals @ self.turned(np.array([0.0, 0.0, 1.0])))
+            return normals @ self.turned(np.array([0.0, 0.0, 1.0]))
         towards = np.array([0.0, 0.0, self.camera.height_mm]) - self.to_view(points_mm)
         towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
         return np.asarray((normals * self.turned(towards)).sum(axis=-1))

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
 _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
-Array = NDArray[np.float64]
 SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
-FindFinger = Callable[[FloatArray, float], BoolArray]  # from an image (h, w, C) and its px_per_mm to its mask
-FindOutline = Callable[[FloatArray, BoolArray, float], BoolArray]
-"""From an image (h, w, C), a rough mask of the same piece of the scene and px_per_mm to the finger's mask (h, w)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,31 +35,23 @@ def view_binning(px_per_mm: float) -> int:
     return max(1, round(px_per_mm / _PX_PER_MM))
 
 
-def views_in(
-    image: FloatArray,
-    rig: Rig,
-    binning: int,
-    find_finger: FindFinger = finger_region,
-    find_outline: FindOutline = finger_outline,
-) -> Views:
+def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     """Find the finger itself and its mirror images.
 
-    The front view is what `find_finger` sees of the image without the mirrors' nominal outlines; each mirror's view is
-    what it sees around that mirror's outline, without the front view. A mirror's frame, second reflections and the
-    finger's far parts are left out because one piece of skin is wanted from each. `find_finger` works on a small copy
-    of the image, and the outlines are found in the image around what was seen there. Raises BadInput if there are no
+    The front view is the finger in the image without the mirrors' nominal outlines; each mirror's view is the finger
+    around that mirror's outline, without the front view. A mirror's frame, second reflections and the finger's far
+    parts are left out because one piece of skin is wanted from each. It is looked for on a small copy of the image, and
+    the outlines are found in the image around what was seen there. Raises BadInput if there are no
     mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
 
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
-    find_finger : segmentation mask of an image
-    find_outline : the same of a finger roughly known
     """
-    require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
+    require(rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
     size = (image.shape[0] // factor, image.shape[1] // factor)
     small = block_means(image[: size[0] * factor, : size[1] * factor], size, factor) if factor > 1 else image
-    views = _outlined(image, rig, _rough_views(small, rig, find_finger, binning * factor), find_outline, factor)
+    views = _outlined(image, rig, _rough_views(small, rig, binning * factor), factor)
     for name, view in views.mirrors.items():
         px_per_mm = rig.camera.px_per_mm / views.binning
         good = int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2
@@ -72,25 +59,25 @@ def views_in(
     return views
 
 
-def _rough_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: int) -> Views:
-    """Views as `find_finger` segments them."""
+def _rough_views(image: FloatArray, rig: Rig, binning: int) -> Views:
+    """Views, to a pixel of a small copy."""
     px_per_mm = rig.camera.px_per_mm / binning
     outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
     in_any = _in_any(outlines, (image.shape[0], image.shape[1]))
-    front = _largest_in(image, ~in_any, px_per_mm, find_finger)
+    front = _largest_in(image, ~in_any, px_per_mm)
     if front is None:
         raise BadInput("no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place.")
     _refuse_second(image, front, in_any, px_per_mm)
 
     def look(name: str) -> BoolArray | None:
-        return _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm, find_finger)
+        return _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm)
 
     with ThreadPoolExecutor(2) as pool:
         seen = dict(zip(sorted(outlines), pool.map(look, sorted(outlines)), strict=True))
     return _with_views(front, seen, binning)
 
 
-def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutline, factor: int) -> Views:
+def _outlined(image: FloatArray, rig: Rig, rough: Views, factor: int) -> Views:
     """Views whose outlines are found in `image`, around the rough ones."""
     binning = rough.binning // factor
     px_per_mm = rig.camera.px_per_mm / binning
@@ -104,7 +91,7 @@ def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutli
         shape = (box[0].stop - box[0].start, box[1].stop - box[1].start)
         allowed = ~_in_any(inside, shape) if front is None else _allowed(name, inside, front[box], px_per_mm)
         try:
-            part = find_outline(blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
+            part = finger_outline(blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
         except BadInput:
             return None
         whole = np.zeros(image.shape[:2], dtype=np.bool_)
@@ -122,7 +109,7 @@ def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning:
     """Front view and what mirrors show."""
     found = {name: view for name, view in seen.items() if view is not None}
     fault = "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture,"
-    require(bool(found), f"{fault} or take the shape from light (`shape` nir or white).")
+    require(found, f"{fault} or take the shape from light (`shape` nir or white).")
     return Views(front, found, binning)
 
 
@@ -141,7 +128,7 @@ def _allowed(name: str, outlines: Mapping[str, Array], front: BoolArray, px_per_
     return allowed
 
 
-def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float, find_finger: FindFinger) -> BoolArray | None:
+def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> BoolArray | None:
     """The finger in the part of the image that is `allowed`, or None."""
     rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
     if rows.size < 20 or columns.size < 20:
@@ -150,7 +137,7 @@ def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float, find_fi
     inside = allowed[window]
     part = blanked(image[window], inside, px_per_mm)
     try:
-        mask = find_finger(part, px_per_mm) & inside
+        mask = finger_region(part, px_per_mm) & inside
     except BadInput:
         return None
     whole = np.zeros(allowed.shape, dtype=np.bool_)

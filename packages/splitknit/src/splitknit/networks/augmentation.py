@@ -40,7 +40,7 @@ class Symmetry:
 
     def transposed(self, fields: FloatArray) -> FloatArray:
         """Swap rows and columns: (x, y) becomes (-y, -x), for y points up against the rows; a becomes 3 pi / 2 - a."""
-        old = np.asarray(fields.swapaxes(1, 2), dtype=np.float32)
+        old = fields.swapaxes(1, 2)
         turned = old.copy()
         for x, y in self.vectors:
             turned[x], turned[y] = -old[y], -old[x]
@@ -100,7 +100,7 @@ def mean_over_orientations(
             fields = symmetries[0].oriented_in_place(fields, _between(current, orientation))
             current = orientation
         outputs.append(symmetries[1].restored(network(fields), orientation))
-    return np.asarray(sum(outputs) / np.float32(len(outputs)), dtype=np.float32)
+    return np.asarray(sum(outputs) / len(outputs))
 
 
 def _between(first: int, second: int) -> int:

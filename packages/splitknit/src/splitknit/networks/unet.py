@@ -274,13 +274,13 @@ def _infer(network: Network, image: FloatArray) -> FloatArray:
     card = network.card
     feed: Mapping[str, FloatArray] = {network.input_name: image}
     try:
-        made = np.asarray(network.session.run([network.output_name], feed)[0], dtype=np.float32)
+        made = network.session.run([network.output_name], feed)[0]
     except Exception as error:  # as above
         raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
     expected = (1, card.channels_out, *image.shape[2:])
     good = made.shape == expected
     require(good, f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.")
-    return made
+    return np.asarray(made)
 
 
 def _checked(images: Any, card: Card) -> FloatArray:
@@ -295,7 +295,7 @@ def _checked(images: Any, card: Card) -> FloatArray:
     fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
     stride = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
     require(min(height, width) >= card.stride, f"{fault}: {stride}")
-    require(bool(np.isfinite(stack).all()), "images contain NaN or infinite values.")
+    require(np.isfinite(stack).all(), "images contain NaN or infinite values.")
     return stack
 
 

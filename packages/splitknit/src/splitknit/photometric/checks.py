@@ -13,10 +13,9 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, check_mask, check_stack
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import (
     PAIRS,
     back_substitute,
@@ -77,7 +76,7 @@ class PhotographFault:
     """By how much the photograph turns the normals, median."""
 
 
-def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> NDArray[np.float64]:
+def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
     """Brightness (L,) of each photograph's light over what `lights` promise, one in the geometric mean.
 
     Minimises sum |I_k / a_k - l_k . g|^2 over the surface's g at every pixel and the gains a: with the surface
@@ -135,7 +134,7 @@ def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
     return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
 
 
-def _gains(light: FloatArray, lights: NDArray[np.float64], ceilings: FloatArray) -> NDArray[np.float64]:
+def _gains(light: FloatArray, lights: Array, ceilings: FloatArray) -> Array:
     own = light.astype(np.float64)
     gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
@@ -221,29 +220,25 @@ def faulty_photographs(
     return tuple(faults)
 
 
-def _checked(
-    stack: Any, lights: Any, mask: Any, ceilings: Any
-) -> tuple[FloatArray, NDArray[np.float64], BoolArray, FloatArray]:
+def _checked(stack: Any, lights: Any, mask: Any, ceilings: Any) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
     images = check_stack(stack, least=3)
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
     return images, check_lights(lights, len(images)), inside, levels
 
 
-def _lit(light: FloatArray, lights: NDArray[np.floating], ceilings: FloatArray) -> BoolArray:
+def _lit(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> BoolArray:
     """(L, n) where a light reaches a pixel, and its value is not clipped."""
     relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
     usable = light < ceilings[:, None]
     peak = np.max(relative, axis=0, where=usable, initial=1e-20)
-    return np.asarray((relative > np.float32(_SHADOW) * peak) & usable)
+    return np.asarray((relative > _SHADOW * peak) & usable)
 
 
 class _Compared:
     """Photographs, and what the others predict of each."""
 
-    def __init__(
-        self, images: FloatArray, lights: NDArray[np.float64], inside: BoolArray, ceilings: FloatArray
-    ) -> None:
+    def __init__(self, images: FloatArray, lights: Array, inside: BoolArray, ceilings: FloatArray) -> None:
         self.images, self.lights, self.inside, self.ceilings = images, lights, inside, ceilings
         self.kept: list[int] = []
 
@@ -253,7 +248,7 @@ class _Compared:
         light = self.images[kept][:, self.inside]
         vectors = self.lights[kept].astype(np.float32)
         lit = _lit(light, vectors, self.ceilings[kept])
-        light = np.where(lit, light, np.float32(0.0))
+        light = np.where(lit, light, 0.0)
         weights = lit.astype(np.float32)
         self.factors = factorise(moment_matrix(vectors, weights))
         self.g = back_substitute(self.factors, moment_vector(light, vectors, weights))
@@ -268,7 +263,7 @@ class _Compared:
             plane = np.zeros(self.inside.shape, dtype=np.uint8)
             plane[self.inside] = one
             self.steady &= cv2.erode(plane, _SQUARE) == cv2.dilate(plane, _SQUARE)
-        self.apart = np.where(self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), np.float32(0.0))
+        self.apart = np.where(self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), 0.0)
         return self
 
     def turned(self, k: int) -> float:
@@ -327,10 +322,10 @@ class _Compared:
         known = (cv2.erode(valid, _SQUARE, borderValue=0) > 0) & self.steady
 
         def local(values: FloatArray) -> FloatArray:
-            return np.asarray(cv2.stackBlur(values * valid, (_LOCAL_PX, _LOCAL_PX)), dtype=np.float32)
+            return np.asarray(cv2.stackBlur(values * valid, (_LOCAL_PX, _LOCAL_PX)))
 
-        ratio = np.where(valid > 0, local(image) / np.maximum(local(predicted), np.float32(1e-9)), np.float32(1.0))
-        return image, np.asarray(predicted * np.clip(ratio, 0.2, 5.0), dtype=np.float32), known
+        ratio = np.where(valid > 0, local(image) / np.maximum(local(predicted), 1e-9), 1.0)
+        return image, predicted * np.clip(ratio, 0.2, 5.0), known
 
     def _derivatives(self, k: int) -> tuple[float, float]:
         """Pixels of shift and blur in a photograph's difference to its prediction, times the fraction that they
@@ -371,7 +366,7 @@ class _Compared:
         def moved(x: float, y: float) -> FloatArray:
             matrix = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
             size, border = predicted.shape[::-1], cv2.BORDER_REPLICATE
-            return np.asarray(cv2.warpAffine(predicted, matrix, size, borderMode=border), dtype=np.float32)
+            return np.asarray(cv2.warpAffine(predicted, matrix, size, borderMode=border))
 
         def best(model: Callable[[float, float], FloatArray]) -> tuple[float, float]:
             tried = [(misfit(model(x, y)), float(np.hypot(x, y)), x, y) for x in reach[::2] for y in reach[::2]]
@@ -386,7 +381,7 @@ class _Compared:
         ways: dict[Fault, tuple[float, float]] = {
             "moved": best(moved),
             "blurred": min((misfit(cv2.GaussianBlur(predicted, (0, 0), one)), one) for one in sigmas),
-            "double": best(lambda x, y: np.float32(0.5) * (predicted + moved(x, y))),
+            "double": best(lambda x, y: 0.5 * (predicted + moved(x, y))),
         }
         kind = min(ways, key=lambda one: ways[one][0])
         left = misfit(predicted)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import BoolArray, FloatArray
 
-RIDGE = np.float32(1e-6)
+RIDGE = 1e-6
 """Minimum pivot of M relative to its trace."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def linear_map(matrix: NDArray[np.floating], images: FloatArray) -> FloatArray:
+def linear_map(matrix: FloatArray, images: FloatArray) -> FloatArray:
     """`matrix` (3, L) times `images` (L, n), summed light by light."""
     result = np.empty((matrix.shape[0], images.shape[1]), dtype=np.float32)
     term = np.empty(images.shape[1], dtype=np.float32)
@@ -68,15 +68,15 @@ def factorise(moments: NDArray[Any]) -> NDArray[Any]:
     lights determine stays finite.
     """
     xx, xy, xz, yy, yz, zz = moments
-    least = RIDGE * (xx + yy + zz) + np.float32(1e-30)
+    least = RIDGE * (xx + yy + zz) + 1e-30
     result = np.empty_like(moments)
-    np.divide(np.float32(1.0), np.maximum(zz, least), out=result[0])
+    np.divide(1.0, np.maximum(zz, least), out=result[0])
     np.multiply(yz, result[0], out=result[3])
     np.multiply(xz, result[0], out=result[4])
-    np.divide(np.float32(1.0), np.maximum(yy - result[3] * yz, least), out=result[1])
+    np.divide(1.0, np.maximum(yy - result[3] * yz, least), out=result[1])
     rest = xy - result[3] * xz
     np.multiply(rest, result[1], out=result[5])
-    np.divide(np.float32(1.0), np.maximum(xx - result[4] * xz - result[5] * rest, least), out=result[2])
+    np.divide(1.0, np.maximum(xx - result[4] * xz - result[5] * rest, least), out=result[2])
     return result
 
 
@@ -95,7 +95,7 @@ def back_substitute(factors: FloatArray, vector: FloatArray) -> FloatArray:
 def conditioning(moments: FloatArray) -> FloatArray:
     """Smallest pivot over the trace, (n,): near zero where the weighted lights lie in one plane."""
     pivots = 1 / factorise(moments)[:3].max(axis=0)
-    return np.asarray(pivots / np.maximum(moments[0] + moments[3] + moments[5], np.float32(1e-30)), dtype=np.float32)
+    return np.asarray(pivots / np.maximum(moments[0] + moments[3] + moments[5], 1e-30))
 
 
 def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> FloatArray:
@@ -106,14 +106,14 @@ def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) ->
 def shading(g: FloatArray, lights: FloatArray) -> FloatArray:
     """l_k . g, (L, ...), from g (3, ...) and lights (L, 3) or (L, 3, ...): negative where the light is behind."""
     x, y, z = np.moveaxis(lights[..., None] if lights.ndim == 2 else lights, 1, 0)
-    return np.asarray(x * g[0] + y * g[1] + z * g[2], dtype=np.float32)
+    return np.asarray(x * g[0] + y * g[1] + z * g[2])
 
 
 def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit normals (3, n) and albedo (n,); a pixel without any light faces the camera and has albedo zero."""
     albedo = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     dark = albedo <= 0
-    normals = np.asarray(g / np.where(dark, np.float32(1.0), albedo), dtype=np.float32)
+    normals = g / np.where(dark, 1.0, albedo)
     normals[2][dark] = 1.0
     return normals, albedo
 

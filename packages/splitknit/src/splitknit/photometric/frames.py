@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_lights, check_mask, check_stack, require
-from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray, Led, Rig
+from splitknit.imaging.geometry import bounding_box, gaussian_mean
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 
 FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
@@ -94,7 +94,7 @@ _LARGEST_SEARCH = 48
 _PIXELS = 20_000
 
 
-def _frame_of(turn: NDArray[np.float64] | None) -> str:
+def _frame_of(turn: Array | None) -> str:
     """The frame of :data:`FRAMES` in which the lights must have been measured, by :func:`_fit_turn` of the normals.
 
     Only the right one, and that turned by 180 deg, give slopes without curl (R. T. Frankot and R. Chellappa, IEEE
@@ -157,11 +157,13 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     images = check_stack(stack, least=3)
     vectors = check_lights(lights, len(images))
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
-    gram = _inner_products(images, inside)
+    light = images[:, inside]
+    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
+    gram = np.einsum("kn,ln->kl", some, some)
     residual, each = _residual(gram, vectors)
     own = under = np.arange(len(vectors))  # the light of every photograph
 
-    def curl_in(order: NDArray[np.int64]) -> tuple[NDArray[np.float64] | None, float]:
+    def curl_in(order: NDArray[np.int64]) -> tuple[Array | None, float]:
         return _relief_turn(lambertian(images, vectors[order], inside)[0], inside) if relief else (None, 0.0)
 
     if len(vectors) >= _FEWEST and residual > _NO_RESIDUAL:
@@ -206,7 +208,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     return LightFit(residual, tuple(each.tolist()), order, best, frame, strange, of_lights, turned_deg, variety, curl)
 
 
-def _strange(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> int | None:
+def _strange(gram: Array, lights: Array) -> int | None:
     """The photograph without which the others fit their lights far better."""
     count = len(lights)
     if count < _FEWEST_OF_STRANGE:
@@ -324,7 +326,7 @@ _ON_A_LIGHT = 0.2
 _SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
 
 
-def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | None:
+def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
     """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
 
     None where the normals are such already, or those of no single convex surface.
@@ -344,7 +346,7 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | N
     return turn if opposite or ratio > worse else None
 
 
-def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float64] | None, float]:
+def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[Array | None, float]:
     """The turn or mirroring (2, 2) of x and y that leaves the relief's slopes without curl, None where none does or
     they have none; and how much of their change is curl now.
 
@@ -368,7 +370,7 @@ class _Curl(NamedTuple):
     """The same over that of curl and divergence: 0.5 of noise, and of a relief whose frame is mirrored."""
     convex: float
     """Net divergence over its absolute sum, positive where the surface falls off outwards."""
-    turn: NDArray[np.float64]
+    turn: Array
 
 
 def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Curl, list[_Curl]]:
@@ -403,13 +405,13 @@ def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
     within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
     sigma = 0.12 * max(cover.shape)
-    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-6))
-    coarse = sum(float(((_blurred(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
+    mean = np.maximum(gaussian_mean(cover, sigma), 1e-6)
+    coarse = sum(float(((gaussian_mean(part * cover, sigma) / mean)[within] ** 2).sum()) for part in (p, q))
     own = sum(float((part[within] ** 2).sum()) for part in (p, q))
     return float(np.sqrt(coarse / max(own, 1e-12)))
 
 
-def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.int64]:
+def _turned_order(lights: Array, turn: Array) -> NDArray[np.int64]:
     """The light that each light falls on when all are turned; each itself where they fall on none."""
     units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     turned = np.column_stack([np.einsum("ij,kj->ki", turn, units[:, :2]), units[:, 2]])
@@ -420,30 +422,23 @@ def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDA
     return np.asarray(nearest) if fits else np.arange(len(units))
 
 
-def _inner_products(images: FloatArray, inside: BoolArray) -> NDArray[np.float64]:
-    """(L, L) inner products of the photographs, over some of the mask's pixels."""
-    light = images[:, inside]
-    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
-    return np.asarray(np.einsum("kn,ln->kl", some, some))
-
-
-def _unexplained(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unexplained(gram: Array, lights: Array) -> Array:
     """(L,) squared light of the photographs that no surface under these lights explains."""
     rest = np.eye(len(lights)) - _explaining(lights)
     return np.asarray(np.maximum(np.einsum("kj,kj->k", np.einsum("ki,ij->kj", rest, gram), rest), 0.0))
 
 
-def _explaining(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _explaining(lights: Array) -> Array:
     """(L, L) projection of photographs onto those that a surface under these lights has."""
     return np.asarray(np.einsum("ki,il->kl", lights, np.linalg.pinv(lights)))
 
 
-def _residual(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def _residual(gram: Array, lights: Array) -> tuple[float, Array]:
     left, own = _unexplained(gram, lights), np.maximum(np.diag(gram), 1e-300)
-    return float(np.sqrt(left.sum() / own.sum())), np.asarray(np.sqrt(left / own))
+    return float(np.sqrt(left.sum() / own.sum())), np.sqrt(left / own)
 
 
-def _brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _brightness(gram: Array, lights: Array) -> Array:
     """(L,) brightness of every photograph over that of its light, mean 1, found by alternation."""
     explaining, scale = _explaining(lights), np.ones(len(gram))
     for _ in range(30):
@@ -455,13 +450,13 @@ def _brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArr
     return scale
 
 
-def _of_free_brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> float:
+def _of_free_brightness(gram: Array, lights: Array) -> float:
     """The residual where every photograph has a brightness of its own."""
     scale = _brightness(gram, lights)
     return _residual(gram / np.outer(scale, scale), lights)[0]
 
 
-def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
+def _better_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     """The light of every photograph in the order that explains them best; their own unless that is clearly worse."""
     own, under = np.arange(len(lights)), _best_order(gram, lights)
     order = np.argsort(under)
@@ -476,7 +471,7 @@ def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDA
     return under if clearly else own
 
 
-def _best_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
+def _best_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     """The light of every photograph in the order that explains them best."""
     count = len(lights)
     own = np.arange(count)
@@ -490,12 +485,10 @@ def _best_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArr
         random = np.random.default_rng(0)
         starts += [random.permutation(count) for _ in range(_SEEDS)]
     order = max((_climbed(explaining, gram, start) for start in starts), key=lambda found: found[1])[0]
-    return np.asarray(np.argsort(order))
+    return np.argsort(order)
 
 
-def _climbed(
-    explaining: NDArray[np.float64], gram: NDArray[np.float64], start: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], float]:
+def _climbed(explaining: Array, gram: Array, start: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
     """The best order that exchanges of two photographs lead to, each the best one, and the light that it explains."""
     order = start.copy()
     own = np.diag(explaining)
@@ -519,15 +512,11 @@ def _smooth_slopes(
     """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
     window = bounding_box(inside)
     part, cover = normals[window], inside[window].astype(np.float32)
-    nz = np.maximum(part[..., 2], np.float32(1e-3))
+    nz = np.maximum(part[..., 2], 1e-3)
     slopes = [-part[..., axis] / nz for axis in (0, 1)]
-    steep = np.maximum(np.hypot(*slopes) / np.float32(_STEEPEST), np.float32(1.0))
+    steep = np.maximum(np.hypot(*slopes) / _STEEPEST, 1.0)
     sigma = max(1.0, blur * max(cover.shape))
-    mean = np.maximum(_blurred(cover, sigma), np.float32(1e-3))
-    p, q = (_blurred(np.asarray(slope / steep * cover, dtype=np.float32), sigma) / mean for slope in slopes)
+    mean = np.maximum(gaussian_mean(cover, sigma), 1e-3)
+    p, q = (gaussian_mean(slope / steep * cover, sigma) / mean for slope in slopes)
     believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
-    return np.asarray(p, np.float32), np.asarray(q, np.float32), np.asarray(believed, dtype=np.float32)
-
-
-def _blurred(values: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+    return p, q, np.asarray(believed)

@@ -89,7 +89,7 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     leverage = np.einsum("ki,ij,kj->k", vectors, inverse, vectors)
     alone = int(np.argmax(leverage))
     require(
-        bool(leverage[alone] < 1.0 - MIN_REST),
+        leverage[alone] < 1.0 - MIN_REST,
         f"without image {alone} the lights lie in one plane, so that no normals follow from the others; add a light.",
     )
     where = inside.ravel()

@@ -30,7 +30,7 @@ class _NearScene:
     def cut(self, chunk: slice) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n pixels."""
         here = self.mask[chunk]
-        z = np.where(here, self.surface[chunk], np.float32(0.0))
+        z = np.where(here, self.surface[chunk], 0.0)
         x, y, z = self.view.points(z, chunk)
         lights = self.view.turned(light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here)
         return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
@@ -166,9 +166,9 @@ def near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given: 
     surface = surface_array(surface_mm, shape)
     finite = np.isfinite(surface)
     inside = finite if mask is None else check_mask(mask, shape)
-    require(bool(inside.any()), "surface_mm is NaN everywhere: there is no surface to light.")
+    require(inside.any(), "surface_mm is NaN everywhere: there is no surface to light.")
     require(
-        bool(finite[inside].all()),
+        finite[inside].all(),
         "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
     )
     view = view_of(rig.camera) if given is None else given
@@ -188,7 +188,7 @@ def near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given: 
 def _check_weights(weights: Any, shape: tuple[int, int, int], name: str = "weights") -> FloatArray:
     array = np.asarray(weights, dtype=np.float32)
     require(array.shape == shape, f"{name} must have the shape {shape}, but it has the shape {array.shape}.")
-    require(bool(np.isfinite(array).all()) and float(array.min()) >= 0, f"{name} must be finite and not negative.")
+    require(np.isfinite(array).all() and float(array.min()) >= 0, f"{name} must be finite and not negative.")
     return array
 
 

@@ -45,7 +45,7 @@ error on DiLiGenT's bear hardly changes."""
 def strengths(lights: FloatArray) -> FloatArray:
     """Length of every light vector: (L, 1) of (L, 3), (L, n) of (L, 3, n)."""
     length = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
-    return np.asarray(length[:, None] if lights.ndim == 2 else length)
+    return length[:, None] if lights.ndim == 2 else length
 
 
 def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
@@ -54,15 +54,15 @@ def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, ND
     A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
     every light, weighted by the square of what it gives: the brightest decide, and the system stays solvable.
     """
-    peak = np.maximum(images.max(axis=0), np.float32(1e-20))
-    lit = images > np.float32(_SHADOW) * peak
+    peak = np.maximum(images.max(axis=0), 1e-20)
+    lit = images > _SHADOW * peak
     weights = lit.astype(np.float32)
     shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
     weak = shadowed[:0]
     if shadowed.size:
         nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
         weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
-        soft = np.maximum(images[:, weak] / peak[weak], np.float32(_FAINT))
+        soft = np.maximum(images[:, weak] / peak[weak], _FAINT)
         weights[:, weak] = soft * soft
     return weights, shadowed, weak
 
@@ -108,7 +108,7 @@ def _reweight(
         g[:, active] = fresh
         weights[:, active] = current
         step = fresh - here
-        moving = np.flatnonzero(_square(step) > np.float32(_SETTLED**2) * _square(fresh))
+        moving = np.flatnonzero(_square(step) > (_SETTLED**2) * _square(fresh))
         if not moving.size:
             return
         active, part, usable, here = active[moving], part[:, moving], usable[:, moving], fresh[:, moving]
@@ -117,17 +117,17 @@ def _reweight(
 
 
 def _square(vector: FloatArray) -> FloatArray:
-    return np.asarray(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2], dtype=np.float32)
+    return np.asarray(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
 def _misfit(images: FloatArray, lights: FloatArray, usable: FloatArray, g: FloatArray) -> FloatArray:
     """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
     residual = images - shading(g, lights)
-    albedo = np.maximum(np.sqrt(_square(g)), np.float32(1e-20))
-    residual /= albedo * np.float32(_TOLERANCE)
+    albedo = np.maximum(np.sqrt(_square(g)), 1e-20)
+    residual /= albedo * _TOLERANCE
     residual *= usable > 0
-    misfit = np.maximum(residual, residual * np.float32(-1 / _FORGIVENESS))
-    return np.asarray(np.minimum(misfit, np.float32(_HOPELESS)), dtype=np.float32)
+    misfit = np.maximum(residual, residual * (-1 / _FORGIVENESS))
+    return np.minimum(misfit, _HOPELESS)
 
 
 def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:
@@ -163,4 +163,4 @@ def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, Float
     normals, albedo = surface_by_chunks(
         inside, count, lambda chunk, here: robust_fit(gather(images, chunk, here), vectors)[0]
     )
-    return normals, albedo / np.float32(scale)
+    return normals, albedo / scale

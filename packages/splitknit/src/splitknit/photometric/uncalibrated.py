@@ -19,14 +19,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack, refusing, require
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
 
-Array = NDArray[np.float64]
 FEWEST = 6
 _SIDE = 220
 """Longest side of the reduced images."""
@@ -88,7 +86,7 @@ def bas_relief_note(deviation: tuple[float, float, float]) -> str:
 def bas_relief_um(height_mm: FloatArray, inside: BoolArray, pitch_mm: float, deviation: Any) -> FloatArray:
     """(H, W) standard deviation in um of heights whose bas-relief transformation has a `deviation` (a, m, k)."""
     rows, columns = np.indices(height_mm.shape, dtype=np.float32)
-    parts: list[Any] = [height_mm, np.float32(pitch_mm) * columns, np.float32(pitch_mm) * rows]
+    parts: list[Any] = [height_mm, pitch_mm * columns, pitch_mm * rows]
     away = [scale * (part - part[inside].mean()) for scale, part in zip(deviation, parts, strict=True)]
     return np.asarray(1000.0 * np.sqrt(sum(part**2 for part in away)), dtype=np.float32)
 
@@ -103,7 +101,11 @@ def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tupl
     """
     images = check_stack(stack)
     require(len(images) >= FEWEST, f"lights that nobody knows need {FEWEST} photographs, but there are {len(images)}.")
-    inside = _brighter(images.mean(axis=0)) if mask is None else check_mask(mask, (images.shape[1], images.shape[2]))
+    inside = check_mask(mask, (images.shape[1], images.shape[2]))
+    if mask is None:  # what is brighter than the background, by Otsu's threshold
+        mean = images.mean(axis=0)
+        grey = np.rint(255 * np.clip(mean / max(float(np.quantile(mean, 0.99)), 1e-12), 0, 1)).astype(np.uint8)
+        inside = np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
     with refusing(_UNDETERMINED):  # singular matrices
         lights, fields, places = _factors(images, inside, np.broadcast_to(ceilings, len(images)))
         few = [part[:: max(1, len(part) // _FEW)] for part in fields]
@@ -116,14 +118,8 @@ def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tupl
         near = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()) < _RIVAL_DEG
         rival = "other lights explain the photographs as well; give a list of their directions as `lights`."
         require(near or other.cost > _RIVAL + best.cost, rival)
-    require(bool((unit[:, 2] > 0).all()), _UNDETERMINED)
+    require((unit[:, 2] > 0).all(), _UNDETERMINED)
     return unit, deviation
-
-
-def _brighter(image: FloatArray) -> BoolArray:
-    """What is brighter than the background, by Otsu's threshold."""
-    grey = np.rint(255 * np.clip(image / max(float(np.quantile(image, 0.99)), 1e-12), 0, 1)).astype(np.uint8)
-    return np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
 
 
 def _factors(images: FloatArray, inside: BoolArray, ceilings: Any) -> tuple[Array, list[Array], Array]:

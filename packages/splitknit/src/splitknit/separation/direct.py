@@ -30,19 +30,18 @@ def local_level(image: FloatArray) -> FloatArray:
     """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one. A
     Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, by blocks of 8 x 8 pixels.
     """
-    grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
+    grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), 0.0)
     height, width = grey.shape
     coarse = -(-width // LEVEL_BLOCK_PX), -(-height // LEVEL_BLOCK_PX)
     sigma = LEVEL_SIGMA_PX / LEVEL_BLOCK_PX
 
     def spread(values: FloatArray) -> FloatArray:
         small = cv2.resize(values, coarse, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
 
-    level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), np.float32(1e-3))
-    least = np.float32(max(MIN_LEVEL * exposure_level(image), 1e-12))
-    fine = cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(fine, dtype=np.float32)
+    level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), 1e-3)
+    least = max(MIN_LEVEL * exposure_level(image), 1e-12)
+    return np.asarray(cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 def direct_light(
@@ -91,6 +90,6 @@ def direct_of_enhanced(
     require(good, f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.")
     direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
-    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
+    of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), 1e-12)
     fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)
-    return np.asarray(np.maximum(grey, 0.0) * fraction, dtype=np.float32)
+    return np.asarray(np.maximum(grey, 0.0) * fraction)

@@ -15,9 +15,8 @@ from importlib import resources
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 
 CHANNELS = ("red", "green", "blue", "nir")
@@ -82,12 +81,12 @@ class Diffusion:
     absorption_per_mm: float
     albedo: float
     """Part of the light that comes out again, for diffuse light that entered."""
-    _omega: NDArray[np.float64]
-    _transfer: NDArray[np.float64]
+    _omega: Array
+    _transfer: Array
 
-    def __call__(self, omega_per_mm: Any) -> NDArray[np.float64]:
+    def __call__(self, omega_per_mm: Any) -> Array:
         """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
-        return np.asarray(np.interp(np.asarray(omega_per_mm, dtype=np.float64), self._omega, self._transfer))
+        return np.asarray(np.interp(omega_per_mm, self._omega, self._transfer))
 
 
 def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
@@ -99,14 +98,6 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
     >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
     (1.0, True)
     """
-    require(
-        bool(np.isfinite(scattering_per_mm)) and scattering_per_mm > 0,
-        f"scattering must be a positive number per mm, but it is {scattering_per_mm}.",
-    )
-    require(
-        bool(np.isfinite(absorption_per_mm)) and absorption_per_mm >= 0,
-        f"absorption must be a number per mm that is not negative, but it is {absorption_per_mm}.",
-    )
     albedos, frequencies, table = _table()
     total = scattering_per_mm + absorption_per_mm
     # between albedos the table is nearly linear in the logarithm of the absorbed part
@@ -119,7 +110,7 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
 
 
 @lru_cache(maxsize=1)
-def _table() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _table() -> tuple[Array, Array, Array]:
     with (resources.files("splitknit.skin") / "diffusion_table.npz").open("rb") as file, np.load(file) as data:
         return (
             data["albedo"].astype(np.float64),

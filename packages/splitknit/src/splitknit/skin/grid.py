@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import largest_component
 from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import View
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
@@ -30,8 +30,8 @@ class Grid:
     """A window of the image at some pitch, and which of its sides cut the finger."""
 
     mask: BoolArray  # (h, w)
-    x_mm: NDArray[np.float64]  # (w,) or (h, w) on the finger plane
-    y_mm: NDArray[np.float64]  # (h,) or (h, w)
+    x_mm: Array  # (w,) or (h, w) on the finger plane
+    y_mm: Array  # (h,) or (h, w)
     pitch_mm: float
     cut: tuple[bool, bool, bool, bool]  # whether the finger goes on beyond the top, bottom, left and right side
     apex_mm: float | None = None
@@ -87,11 +87,11 @@ class Grid:
         field = np.fft.irfft2(spectrum, self._size)
         return np.ascontiguousarray(field[..., m : m + rows, m : m + columns], dtype=np.float32)
 
-    def radial(self, omega: NDArray[np.float64], gain: NDArray[np.float64]) -> FloatArray:
+    def radial(self, omega: Array, gain: Array) -> FloatArray:
         """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
         return np.interp(self.omega[2], omega, gain).astype(np.float32)
 
-    def sampled(self, gain: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> FloatArray:
+    def sampled(self, gain: Callable[[Array], Array]) -> FloatArray:
         """A smooth radial gain, a function of rad/mm, on the frequencies of :meth:`forward`."""
         omega = np.linspace(0, float(self.omega[2].max()), 1024)
         return self.radial(omega, gain(omega))
@@ -108,12 +108,12 @@ class Grid:
             small = values if step == 1 else cv2.resize(values, size, interpolation=cv2.INTER_AREA)
             return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma / step))
 
-        total = np.maximum(blurred(weight), np.float32(1e-3))
+        total = np.maximum(blurred(weight), 1e-3)
         means = np.empty(field.shape, dtype=np.float32)
 
         def mean(job: tuple[FloatArray, FloatArray]) -> None:
             values, room = job
-            one = blurred(np.where(weight > 0, values * weight, np.float32(0.0)).astype(np.float32)) / total
+            one = blurred(np.where(weight > 0, values * weight, 0.0).astype(np.float32)) / total
             room[...] = one if step == 1 else cv2.resize(one, (columns, rows), interpolation=cv2.INTER_LINEAR)
 
         with ThreadPoolExecutor(2) as pool:
@@ -123,7 +123,7 @@ class Grid:
     @cached_property
     def depth_mm(self) -> FloatArray:
         """Distance of each pixel of the mask from its outline; a cut is an outline too."""
-        return np.asarray(cv2.distanceTransform(self.mask.astype(np.uint8), cv2.DIST_L2, 5) * self.pitch_mm)
+        return cv2.distanceTransform(self.mask.astype(np.uint8), cv2.DIST_L2, 5) * self.pitch_mm
 
 
 def coarsen(grid: Grid, factor: int) -> Grid:
@@ -132,7 +132,7 @@ def coarsen(grid: Grid, factor: int) -> Grid:
     blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
     whole = np.pad(blocks.all(axis=(1, 3)).astype(np.uint8), 1)  # nothing belongs to the mask beyond the border
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    mask = largest_component(np.asarray(cv2.morphologyEx(whole, cv2.MORPH_OPEN, cross)[1:-1, 1:-1] > 0))
+    mask = largest_component(cv2.morphologyEx(whole, cv2.MORPH_OPEN, cross)[1:-1, 1:-1] > 0)
     if grid.x_mm.ndim == 1:
         x = grid.x_mm[: columns * factor].reshape(columns, factor).mean(axis=1)
         y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
@@ -141,7 +141,7 @@ def coarsen(grid: Grid, factor: int) -> Grid:
             axis[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor).mean(axis=(1, 3))
             for axis in (grid.x_mm, grid.y_mm)
         )
-    return Grid(np.asarray(mask, dtype=np.bool_), x, y, grid.pitch_mm * factor, grid.cut, grid.apex_mm)
+    return Grid(mask, x, y, grid.pitch_mm * factor, grid.cut, grid.apex_mm)
 
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
@@ -151,13 +151,13 @@ def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, in
     large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)
     large = cv2.GaussianBlur(large, (0, 0), factor / 2)
     missing = ((0, max(0, shape[0] - large.shape[0])), (0, max(0, shape[1] - large.shape[1])))
-    return np.asarray(np.pad(large, missing, mode="edge")[: shape[0], : shape[1]], dtype=np.float32)
+    return np.asarray(np.pad(large, missing, mode="edge")[: shape[0], : shape[1]])
 
 
 def smooth_step(values: FloatArray) -> FloatArray:
     """Zero below 0, one above 1, smooth between."""
-    t = np.clip(values, np.float32(0.0), np.float32(1.0))
-    return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
+    t = np.clip(values, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
 
 
 # What the preset sees: linear images of a band.

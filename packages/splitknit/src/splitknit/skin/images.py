@@ -10,13 +10,12 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import contrast
 from splitknit.imaging.view import view_of
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
 from splitknit.settings import Checked, Limits
 from splitknit.skin.grid import WORKING_PITCH_MM, BandImages, Grid
@@ -85,7 +84,7 @@ class SkinImages:
             field = coarser(field)
         if self.binning > 1:
             by = self.binning
-            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC))
         covered = field[tuple(slice(part.stop - part.start) for part in self.place)]
         first = [part.start for part in self.place]
         last = [n - k - done for n, k, done in zip(self.size, first, covered.shape, strict=True)]
@@ -183,7 +182,7 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
     covered = mask[: ceil(height * binning), : ceil(width * binning)].astype(np.float32)
     if binning > 1:
         covered = block_means(covered, (height, width), binning)
-    inside: BoolArray = np.asarray(covered > np.float32(0.999), dtype=np.bool_)
+    inside: BoolArray = covered > 0.999
     full = capture.shape
     cut = (
         rows.start == 0 and bool(inside[0].any()),
@@ -227,7 +226,7 @@ def coarser(field: FloatArray) -> FloatArray:
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
 
 
-def _halved(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _halved(values: Array, axis: int) -> Array:
     """Values at the middles of both halves of each pixel along `axis`, straight between their neighbours."""
     if values.shape[axis] < 2:
         return np.repeat(values, FACTOR, axis=axis)

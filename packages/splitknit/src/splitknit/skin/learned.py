@@ -87,11 +87,11 @@ def features(
             left = band.stack[c, :, *part] / entering
             left -= shading(here, vectors)  # what a matt surface shows
             left *= trust
-            left /= level * size + np.float32(1e-9)
+            left /= level * size + 1e-9
             beyond[4 * c : 4 * c + 4, *part] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
 
     for_each_chunk(brightness, *grid.shape, lights)
-    np.maximum(grid.smooth(bright, grid.mask, LEVEL_MM), np.float32(1e-6), out=levels)
+    np.maximum(grid.smooth(bright, grid.mask, LEVEL_MM), 1e-6, out=levels)
     for_each_chunk(relative, *grid.shape, lights)
     slopes -= grid.smooth(slopes, grid.mask, RIDGE_BAND_MM)
     towards = band.rig.light_vectors()
@@ -102,8 +102,8 @@ def features(
         np.minimum(grid.depth_mm, 1),
         light.trust.mean(axis=0),
         *(np.clip(np.log(level / levels[0]), -3, 3) / 2 for level in levels[1:]),
-        np.float32(grid.pitch_mm / 0.0264 - 1),
-        np.float32(tangent * 2),
+        grid.pitch_mm / 0.0264 - 1,
+        tangent * 2,
         *_statistics(slopes, beyond, light.trust.min(axis=0) > 0.9),
     ]
     for room, field in zip(geometry, others, strict=True):
@@ -148,11 +148,11 @@ Network = Callable[[FloatArray], FloatArray]
 """From (32, h, w) features to (9, h, w): relief, seven harmonics of the specular reflection, logarithm of the relief's
 variance."""
 
-SHAPE_SLOPE = np.float32(0.1)
+SHAPE_SLOPE = 0.1
 """Unit of the slopes of the shape network."""
-RELIEF_MM = np.float32(0.02)
+RELIEF_MM = 0.02
 """Unit of the relief of the relief network."""
-GLARE = np.float32(0.05)
+GLARE = 0.05
 """Unit of its specular reflection, over the green channel's brightness."""
 
 
@@ -204,7 +204,7 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
 
 
 def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
-    """Relief as the network estimates it on the fine grid; :func:`glare_of` has the glare estimated with it. `given`:
+    """Relief as the network estimates it on the fine grid. `given`:
     of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
     """
     return relief_of_output(network(given.fields), given.level[:2] * grid.mask, grid, smooth_mm)
@@ -218,7 +218,7 @@ def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_
     relief = (relief - grid.smooth(relief, grid.mask, RIDGE_BAND_MM)) * trust
     variance = np.exp(np.clip(output[8], -8, 4)) * RELIEF_MM * RELIEF_MM
     # where skin is too slanted to be estimated, the relief is as high as elsewhere
-    inner = trust > np.float32(0.9)
+    inner = trust > 0.9
     power = float((relief[inner] ** 2).mean()) if inner.any() else float(RELIEF_MM) ** 2
     error = float(variance[inner].mean()) if inner.any() else 0.0
     typical = np.float32(np.sqrt(power))
@@ -242,15 +242,6 @@ def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_
     )
 
 
-def glare_of(estimate: ReliefEstimate, rig: Rig, light: Lighting) -> FloatArray:
-    """(L, h, w) specular reflection in each white image, as the network estimates it."""
-    assert estimate.output is not None
-    assert estimate.level is not None
-    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
-    glare = np.tensordot(azimuth_waves(rig, 3), estimate.output[1:8] * GLARE, 1) * estimate.level * size
-    return np.asarray(np.maximum(glare, 0), dtype=np.float32)
-
-
 def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
     """The estimate with the variance that it lost by shrinkage."""
     rms = estimate.facts["relief_rms_um"]
@@ -266,15 +257,10 @@ def refined_shape(
     grid = images.grid
     ridges = _ridge_tensor(relief_mm, images.fine, images.factor, grid)
     fields = _shape_features(images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges)
-    slope_x, slope_y = _slopes_by_network(fields, network)
+    symmetries = SHAPE_SYMMETRY, _SLOPES  # over quarter turns: mirroring changes < 1 %
+    slope_x, slope_y = mean_over_orientations(network, fields, symmetries, QUARTER_TURNS) * SHAPE_SLOPE
     added = integrate(slope_x * grid.mask, slope_y * grid.mask, grid, shape.facing)
     return replace(shape, height_mm=shape.height_mm + added)
-
-
-def _slopes_by_network(fields: FloatArray, network: Network) -> tuple[FloatArray, FloatArray]:
-    """Residual slopes (h, w) in x, y of :func:`_shape_features`: mean over quarter turns (mirroring changes < 1 %)."""
-    slopes = mean_over_orientations(network, fields, (SHAPE_SYMMETRY, _SLOPES), QUARTER_TURNS) * SHAPE_SLOPE
-    return slopes[0], slopes[1]
 
 
 def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
@@ -286,8 +272,8 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
     parts = [p[:rows, :columns] for p in (x * x - y * y, 2 * x * y, x * x + y * y)]
     coarse = bin_mean(np.ascontiguousarray(np.nan_to_num(np.stack(parts))), factor)
     even, odd, power = low.smooth(coarse, low.mask, RIDGES_MM)
-    slope = np.sqrt(np.maximum(power, np.float32(1e-8)))
-    return np.asarray(np.stack([even / slope, odd / slope, slope]) * low.mask, dtype=np.float32)
+    slope = np.sqrt(np.maximum(power, 1e-8))
+    return np.stack([even / slope, odd / slope, slope]) * low.mask
 
 
 # Input of the shape network: how images and prediction differ on the coarse grid, in all bands.
@@ -330,18 +316,18 @@ def _shape_features(
         size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
         for c, name in enumerate(band.channels):
             expected = predicted_all[c]
-            ratio = band.stack[c][:, reached] / np.maximum(expected[:, reached], np.float32(1e-4))
+            ratio = band.stack[c][:, reached] / np.maximum(expected[:, reached], 1e-4)
             brightness[name] = float(np.median(ratio))
-            expected *= np.float32(brightness[name])
+            expected *= brightness[name]
             both = np.stack([band.stack[c], expected]).astype(np.float32)
             measured, predicted = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, view=grid.view)
             x, y = residual_slopes(measured, predicted, grid)
-            level = np.maximum(predicted[..., 2], np.float32(0.05 * brightness[name]))
+            level = np.maximum(predicted[..., 2], 0.05 * brightness[name])
             fields[f"{name} x"], fields[f"{name} y"] = 4 * x, 4 * y
             fields[f"{name} level"] = np.log(np.clip(measured[..., 2] / level, 0.2, 5.0))
             if name in WITH_WAVES:
                 matt = shading(np.moveaxis(measured, -1, 0), light.vectors)
-                left = (band.stack[c] - matt) * light.trust / (level * size + np.float32(1e-9))
+                left = (band.stack[c] - matt) * light.trust / (level * size + 1e-9)
                 for n, wave in enumerate(np.clip(np.tensordot(waves, left, 1), -0.5, 0.5)):
                     fields[f"{name} {n}"] = 10 * wave
     nothing = np.zeros(grid.shape, dtype=np.float32)
@@ -357,7 +343,7 @@ def _shape_features(
         *ridges,
         *(nothing + np.float32(t) for t in tints),
         nothing + np.float32("nir" in brightness),
-        nothing + np.float32(grid.pitch_mm / 0.106 - 1),
+        nothing + (grid.pitch_mm / 0.106 - 1),
     ]
     stacked = np.stack([*(fields.get(name, nothing) for name in names), *known]).astype(np.float32)
-    return np.asarray(np.nan_to_num(stacked) * grid.mask, dtype=np.float32)
+    return np.nan_to_num(stacked) * grid.mask

@@ -26,16 +26,16 @@ INDEX = 1.42
 def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
     """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born and Wolf 1.5)."""
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
-    return ((1.0 - fresnel_reflectance(cosine, index)) / np.float32(normal)).astype(np.float32)
+    return ((1.0 - fresnel_reflectance(cosine, index)) / normal).astype(np.float32)
 
 
 def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
     """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and Wolf, 1.5)."""
-    c = np.clip(np.asarray(cosine, dtype=np.float32), np.float32(1e-3), np.float32(1.0))
-    inside = np.sqrt(1.0 - (1.0 - c * c) / np.float32(index**2))
+    c = np.clip(np.asarray(cosine, dtype=np.float32), 1e-3, 1.0)
+    inside = np.sqrt(1.0 - (1.0 - c * c) / (index**2))
     s = (c - index * inside) / (c + index * inside)
     p = (index * c - inside) / (index * c + inside)
-    return np.asarray(0.5 * (s * s + p * p), dtype=np.float32)
+    return np.asarray(0.5 * (s * s + p * p))
 
 
 class MicrofacetGlare:
@@ -49,26 +49,26 @@ class MicrofacetGlare:
         """Keep what does not depend on the roughness."""
         planes = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
         nz, strength = planes[2], np.sqrt((lights * lights).sum(axis=1))
-        safe = np.maximum(strength, np.float32(1e-12))
+        safe = np.maximum(strength, 1e-12)
         cosine = shading(planes, lights) / safe
-        length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), np.float32(1e-12)))  # of light plus view
+        length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), 1e-12))  # of light plus view
         half = np.clip((cosine + nz) / length, 0, 1)
         self._half_squared = half * half
-        self._incoming = np.maximum(cosine, np.float32(1e-4))
-        self._mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, np.float32(0.0))
-        self._view = np.clip(nz, np.float32(0.05), 1)
+        self._incoming = np.maximum(cosine, 1e-4)
+        self._mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, 0.0)
+        self._view = np.clip(nz, 0.05, 1)
 
     def __call__(self, roughness: float) -> FloatArray:
         """(L, ...) float32 for a roughness (GGX alpha)."""
         a2 = np.float32(roughness**2)
         masking = _one_way(self._view, a2) / (4 * self._view)
         falloff = self._half_squared * (a2 - 1) + 1
-        spread = a2 / (np.float32(np.pi) * falloff * falloff)
-        return np.asarray(spread * masking * _one_way(self._incoming, a2) * self._mirrored, dtype=np.float32)
+        spread = a2 / (np.pi * falloff * falloff)
+        return np.asarray(spread * masking * _one_way(self._incoming, a2) * self._mirrored)
 
 
 def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
-    return np.asarray(2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine * cosine)), dtype=np.float32)
+    return 2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine * cosine))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def _orthonormal(lights: FloatArray) -> list[FloatArray]:
     for axis in (2, 0, 1):
         vector = _project_out(lights[:, axis], basis)
         norm = np.sqrt((vector * vector).sum(axis=0))
-        basis.append(vector / np.maximum(norm, np.float32(1e-9)))
+        basis.append(vector / np.maximum(norm, 1e-9))
     return basis
 
 
@@ -137,9 +137,9 @@ def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -
     """Light vectors, Fresnel transmission and trust of every light at the surface."""
     vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
     length = np.sqrt((vectors * vectors).sum(axis=1))
-    cosine = shading(np.moveaxis(normals, -1, 0), vectors) / np.maximum(length, np.float32(1e-12))
-    trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
-    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
+    cosine = shading(np.moveaxis(normals, -1, 0), vectors) / np.maximum(length, 1e-12)
+    trust = np.clip((cosine - 0.05) / 0.15, 0, 1) + 1e-3
+    return Lighting(vectors, fresnel_transmission(np.maximum(cosine, 0.05)), trust * grid.mask)
 
 
 def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
@@ -159,7 +159,7 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
     """Lights on a smooth surface (h, w) of the coarse grid, enlarged to the fine one."""
     normals = normals_from_gradients(*height_gradients(height_mm, low.pitch_mm))
     light = lighting(rig, low, height_mm, normals)
-    trust = np.where(low.mask, light.trust, np.float32(0.0))
+    trust = np.where(low.mask, light.trust, 0.0)
 
     def enlarge(fields: FloatArray) -> FloatArray:
         size = (low.shape[1] * factor, low.shape[0] * factor)
@@ -172,9 +172,9 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
         return large.reshape(*fields.shape[:-2], *grid.shape)
 
     fine_trust, entering = enlarge(trust), enlarge(light.entering)
-    np.maximum(fine_trust, np.float32(1e-3), out=fine_trust)
+    np.maximum(fine_trust, 1e-3, out=fine_trust)
     fine_trust *= grid.mask
-    np.maximum(entering, np.float32(0.2), out=entering)
+    np.maximum(entering, 0.2, out=entering)
     return Lighting(enlarge(light.vectors), entering, fine_trust)
 
 
@@ -186,9 +186,4 @@ def slant_of(surface_mm: FloatArray, pitch_mm: float) -> FloatArray:
 
 def trust_of(slant_deg: FloatArray, grid: Grid) -> FloatArray:
     """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
-    return np.asarray(
-        smooth_step((np.float32(74) - slant_deg) / np.float32(14))
-        * smooth_step((grid.depth_mm - np.float32(0.1)) / np.float32(0.3))
-        * grid.mask,
-        dtype=np.float32,
-    )
+    return smooth_step((74 - slant_deg) / 14) * smooth_step((grid.depth_mm - 0.1) / 0.3) * grid.mask

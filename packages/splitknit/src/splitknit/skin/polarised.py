@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at, lights_in_front
-from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
@@ -100,7 +100,7 @@ class Specular:
     lift_mm: float = 0.0
     """By how much the finger lies higher than the start."""
 
-    def changed(self, by: NDArray[np.float64]) -> Specular:
+    def changed(self, by: Array) -> Specular:
         """With the logarithms of the first four and, where given, the lift in mm changed, within their bounds."""
         factors = np.exp(by[:4])
         values = *(factors * (self.strength, self.roughness, self.path_px, self.blur_px)), self.lift_mm + by[4:].sum()
@@ -134,9 +134,8 @@ def specular_images(
         matt = []
         for lights in (rig, crossed.rig):
             vectors = grid.view.turned(light_vectors_at(lights, *grid.view.points(surface_mm)))
-            matt.append(np.maximum(shading(normals, vectors), np.float32(0.05)))
+            matt.append(np.maximum(shading(normals, vectors), 0.05))
         stack -= (matt[0] / matt[1] - 1) * crossed.stack.mean(axis=0)
-    stack = np.asarray(stack, dtype=np.float32)
     laplacian = 4 * stack[:, 1:-1, 1:-1] - stack[:, :-2, 1:-1] - stack[:, 2:, 1:-1]
     laplacian -= stack[:, 1:-1, :-2] + stack[:, 1:-1, 2:]
     lit = crossed.stack[0, :, 1:-1, 1:-1] > 0
@@ -160,7 +159,7 @@ def polarised_heights(
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
     side = np.flatnonzero(~lights_in_front(images.rig))
-    spread = PRIOR_FACTOR[bool(side.size)] * RIDGES_PER_MM * np.maximum(deviation_mm, np.float32(1e-3))
+    spread = PRIOR_FACTOR[bool(side.size)] * RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
     prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
     first = FIRST_ERROR if side.size else MODEL_ERROR
     weight, reached = _weight(images, mask, slice(None), first), np.ones(1, dtype=np.float32)
@@ -173,8 +172,7 @@ def polarised_heights(
         higher = None
         if fit.any():  # from there on the lights' brightness and the finger's height are fitted
             lights, higher = (
-                _Lights.of(images.rig, grid, start_mm + np.float32(specular.lift_mm + by), gains)
-                for by in (0, RAISED_MM)
+                _Lights.of(images.rig, grid, start_mm + (specular.lift_mm + by), gains) for by in (0, RAISED_MM)
             )
         for k in side[fit]:
             if count % SHADOWS_EVERY == 1 or not reached[k].any():
@@ -199,7 +197,7 @@ def polarised_heights(
         fit = _fitted(turn, side, gains, MISFIT[count > TURNS // 2])
     tensor[0::2] -= prior
     height_mm = _shifted(nodes, -0.5, -1)
-    shown = np.maximum(np.float32(turn.specular.strength) * sharp, np.float32(1e-9))
+    shown = np.maximum(turn.specular.strength * sharp, 1e-9)
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
@@ -222,9 +220,9 @@ def polarised_heights(
 
 def _misfit(turn: _Turn) -> FloatArray:
     """(h, w) local mean square over the lights of what is left of the images, over its expected error."""
-    shown, scattered = np.float32(turn.specular.strength) * turn.sharp, turn.rho * turn.soft
-    expected = np.float32(turn.images.noise**2) + (np.float32(MODEL_ERROR) * turn.images.stack) ** 2
-    expected += (np.float32(SCATTERED_ERROR) * scattered) ** 2
+    shown, scattered = turn.specular.strength * turn.sharp, turn.rho * turn.soft
+    expected = turn.images.noise**2 + (MODEL_ERROR * turn.images.stack) ** 2
+    expected += (SCATTERED_ERROR * scattered) ** 2
     found = (turn.reached * (turn.images.stack - shown - scattered) ** 2 / expected).mean(axis=0)
     return turn.grid.smooth(found, turn.mask, RIDGE_MM)
 
@@ -262,22 +260,22 @@ def _joined(
     facing = np.cos(np.deg2rad(slant))
     flat = grid.mask & (facing >= np.quantile(facing[grid.mask], 0.5))
     relief = np.sqrt((ridges[flat] ** 2).mean(dtype=np.float64))
-    both = np.maximum(known[0] * known[2] - known[1] * known[1], np.float32(1e-3))
-    noise = np.float32(ERROR_MM**2) * (known[0] + known[2]) / (2 * both * np.maximum(facing, np.float32(0.2)) ** 4)
+    both = np.maximum(known[0] * known[2] - known[1] * known[1], 1e-3)
+    noise = ERROR_MM**2 * (known[0] + known[2]) / (2 * both * np.maximum(facing, 0.2) ** 4)
     of_films = (np.interp(slant, ERROR_DEG, ERROR_PART) * relief) ** 2 + noise
-    of_start = np.maximum(np.float32(START_ERROR) * deviation_mm, np.float32(1e-4)) ** 2
+    of_start = np.maximum(START_ERROR * deviation_mm, 1e-4) ** 2
     common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
     part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
     if error.misfit is None:
         glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * error.roughness)
         lost = np.interp(slant, STATED_DEG, ERROR_BEND).astype(np.float32) * bend
         lost *= np.float32(error.blur * max(glints, 1))
-        stated = noise + grid.smooth(lost * lost + (np.float32(error.gain) * ridges) ** 2, grid.mask, RIDGE_MM)
+        stated = noise + grid.smooth(lost * lost + (error.gain * ridges) ** 2, grid.mask, RIDGE_MM)
     else:
         steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
         lost = np.interp(slant, STATED_DEG, ERROR_STEEP[error.films]).astype(np.float32) ** 2 * steep
-        lost += np.float32(ERROR_SIDE[error.films] ** 2)
-        stated = noise + power * lost * (error.misfit / np.float32(MISFIT_MEAN)) ** np.float32(0.75)
+        lost += ERROR_SIDE[error.films] ** 2
+        stated = noise + power * lost * (error.misfit / MISFIT_MEAN) ** np.float32(0.75)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
@@ -305,9 +303,9 @@ class _Lights:
             grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm[some], some)), some), 1, 0
         )
         irradiance = np.sqrt((vectors * vectors).sum(axis=0))
-        towards = vectors / np.maximum(irradiance, np.float32(1e-12))
+        towards = vectors / np.maximum(irradiance, 1e-12)
         half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
-        length = np.maximum(np.sqrt((half * half).sum(axis=0)), np.float32(1e-6))
+        length = np.maximum(np.sqrt((half * half).sum(axis=0)), 1e-6)
         fields = np.stack([*towards, irradiance, *(half / length), irradiance * fresnel_reflectance(length / 2)])
         if gains is not None:
             fields[3::4] *= gains[..., None, None]
@@ -324,15 +322,15 @@ class _Lights:
         found, size = np.ones(grid.shape, dtype=np.float32), (grid.shape[1], grid.shape[0])
         middle = np.unravel_index(int(np.argmax(grid.depth_mm)), grid.shape)
         x, y, z = np.matmul(self.between, self.fields[:3, k])
-        rise = z / np.maximum(np.hypot(x, y), np.float32(1e-3)) * np.float32(grid.pitch_mm)
+        rise = z / np.maximum(np.hypot(x, y), 1e-3) * grid.pitch_mm
         right, up = (float(one[middle]) for one in (x, y))
         right, up = right / np.hypot(right, up), up / np.hypot(right, up)
         for far in SHADOW_PX:
             matrix = np.array([[1, 0, far * right], [0, 1, -far * up]], dtype=np.float32)
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             above = cv2.warpAffine(surface_mm, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-            above -= surface_mm + np.float32(far) * rise
-            np.minimum(found, 0.5 - above / np.float32(2 * PENUMBRA * far * grid.pitch_mm), out=found)
+            above -= surface_mm + far * rise
+            np.minimum(found, 0.5 - above / (2 * PENUMBRA * far * grid.pitch_mm), out=found)
         return np.clip(found, 0, 1, out=found)
 
     def on(self, rows: slice) -> FloatArray:
@@ -346,7 +344,7 @@ def _fitted(turn: _Turn, side: NDArray[np.intp], gains: FloatArray, misfit: floa
     Returns which fit; the others are left out."""
     some, fit = slice(None, None, 3), np.zeros(side.size, dtype=np.bool_)
     for n, k in enumerate(side):
-        parts = turn.rho[some] * turn.soft[k, some], np.float32(turn.specular.strength) * turn.sharp[k, some]
+        parts = turn.rho[some] * turn.soft[k, some], turn.specular.strength * turn.sharp[k, some]
         found = _brightness(turn.images.stack[k, some], turn.error, parts, misfit)
         fit[n] = found is not None
         gains[:, k] *= (1, 1) if found is None or k in turn.aside else found
@@ -367,7 +365,7 @@ def _brightness(
     if not lit.any():
         return None
     usual = np.median(np.abs(left[lit]))
-    weight = 1 / ((np.float32(error) * measured) ** 2 + (2 * usual) ** 2 + left * left + np.float32(1e-12))
+    weight = 1 / ((error * measured) ** 2 + (2 * usual) ** 2 + left * left + 1e-12)
     columns = [weight * part for part in parts]
     normal = np.array([[float((a * b).sum(dtype=np.float64)) for b in parts] for a in columns])
     force = np.array([float((a * measured).sum(dtype=np.float64)) for a in columns])
@@ -409,7 +407,7 @@ def _predicted(lights: _Lights, slopes: Slopes, specular: Specular, mask: BoolAr
 
 def _blur(stack: FloatArray, sigma_px: float, inside: FloatArray) -> None:
     """Gaussian means over the finger, in place."""
-    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma_px), np.float32(0.05))
+    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma_px), 0.05)
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda one: np.divide(cv2.GaussianBlur(one, (0, 0), sigma_px), around, out=one), stack))
 
@@ -424,22 +422,22 @@ def _facets(
     nz = 1 / np.sqrt(1 + p * p + q * q)
     cosine = (towards[2] - p * towards[0] - q * towards[1]) * nz
     nh = (half[2] - p * half[0] - q * half[1]) * nz
-    lit = cosine > np.float32(1e-3)
-    nl = np.maximum(cosine, np.float32(1e-3))
+    lit = cosine > 1e-3
+    nl = np.maximum(cosine, 1e-3)
     a2 = np.float32(roughness * roughness)
     b = 1 - a2
     below = 1 - b * nh * nh
     root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
     unit = irradiance * lit
-    entering = nl * nl + np.float32(grazing)
+    entering = nl * nl + grazing
     matt = unit * nl * (nl * nl / entering)
-    image = reflected * lit * nl * (a2 / np.float32(np.pi) / (nz + root_z)) / (below * below * (nl + root_l))
+    image = reflected * lit * nl * (a2 / np.pi / (nz + root_z)) / (below * below * (nl + root_l))
     if not derivatives:
         return [image, matt]
     by_h = 4 * b * nh / below
     by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
     by_z = -(1 + b * nz / root_z) / (nz + root_z)
-    by_matt = unit * (nl * nl / entering) * (1 + np.float32(2 * grazing) / entering)
+    by_matt = unit * (nl * nl / entering) * (1 + 2 * grazing / entering)
     specular, scattered = [], []
     for axis, slope in enumerate(slopes):
         turned = slope * nz * nz
@@ -472,10 +470,10 @@ def _strengths(
     own, given = (float(one.sum(dtype=np.float64)) for one in sums[3:])
     strength = given / max(own, 1e-12) if first else strength
     for turn in range(7 if first else 1, 0, -1):
-        s = np.float32(strength)
-        mean = np.maximum((means[0] - s * means[1]) / np.maximum(means[2], np.float32(1e-9)), np.float32(1e-6))
+        s = strength
+        mean = np.maximum((means[0] - s * means[1]) / np.maximum(means[2], 1e-9), 1e-6)
         prior = 1 / (LOCAL_RHO * mean) ** 2
-        rho = np.where(mask, (right - s * both + prior * mean) / (power + prior), np.float32(0.0))
+        rho = np.where(mask, (right - s * both + prior * mean) / (power + prior), 0.0)
         if turn > 1:
             strength = max((given - float((rho * both).sum(dtype=np.float64))) / max(own, 1e-12), 1e-9)
     return strength, rho, mean
@@ -483,8 +481,8 @@ def _strengths(
 
 def _weight(images: SpecularImages, mask: BoolArray, rows: slice, relative: float) -> FloatArray:
     """(L, rows, w) inverse variance of the difference; `relative`: error of the prediction."""
-    error = np.float32(relative) * images.stack[:, rows]
-    return np.asarray(mask[rows] / (np.float32(images.noise**2) + error * error), dtype=np.float32)
+    error = relative * images.stack[:, rows]
+    return mask[rows] / (images.noise**2 + error * error)
 
 
 # One step: linear equations for slopes, scattered part and the finger's four numbers.
@@ -523,14 +521,14 @@ class _Turn:
         p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
         grazing, roughness = self.lights.grazing, self.specular.roughness
         facets = _facets(self.lights.on(rows), slopes, roughness, grazing, derivatives=True)
-        strength, rho, soft = np.float32(self.specular.strength), self.rho[rows], self.soft[:, rows]
+        strength, rho, soft = self.specular.strength, self.rho[rows], self.soft[:, rows]
         shown, scattered = strength * self.sharp[:, rows], self.rho[rows] * soft
         residual = self.images.stack[:, rows] - shown - scattered
         weight = _weight(self.images, self.mask, rows, self.error)
         aside = self.reached.ndim == 3
         trust = _from(facets[7], LIT[aside])
-        trust *= _from(np.asarray(1 / np.sqrt(1 + p * p + q * q), dtype=np.float32), SEEN[aside])
-        error = np.float32(SCATTERED_ERROR) * scattered
+        trust *= _from(1 / np.sqrt(1 + p * p + q * q), SEEN[aside])
+        error = SCATTERED_ERROR * scattered
         trust *= self.reached[:, rows] if aside else 1
         gate = trust / ((1 + weight * error * error) * (1 + weight * residual * residual / 9))
         damped = rho * np.float32(np.exp(-0.5 * (RIDGES_PER_MM * self.grid.pitch_mm * self.specular.path_px) ** 2))
@@ -540,19 +538,19 @@ class _Turn:
         columns = [x, y, soft, residual, shown, strength * facets[6], wider, blurrier]
         if lift and self.higher is not None:
             image, matt = _facets(self.higher.on(rows), slopes, roughness, grazing)
-            columns.append((strength * (image - facets[0]) + rho * (matt - facets[1])) / np.float32(RAISED_MM))
+            columns.append((strength * (image - facets[0]) + rho * (matt - facets[1])) / RAISED_MM)
         return columns, weight * gate
 
     def brightness(self, rows: slice) -> list[tuple[int, FloatArray]]:
         """Lights to the side and derivatives (rows, w) of their images by the logarithms of their two brightnesses."""
-        shown = np.float32(self.specular.strength) * self.sharp[self.aside, rows]
+        shown = self.specular.strength * self.sharp[self.aside, rows]
         scattered = self.rho[rows] * self.soft[self.aside, rows]
         return [(int(k), part) for parts in (scattered, shown) for k, part in zip(self.aside, parts, strict=True)]
 
 
 def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
     """Weights in [0, 1]."""
-    return np.asarray(np.clip((cosine - np.float32(limits[0])) / np.float32(limits[1]), 0, 1))
+    return np.asarray(np.clip((cosine - limits[0]) / limits[1], 0, 1))
 
 
 def _laplacian(stack: FloatArray, rows: slice) -> FloatArray:
@@ -585,10 +583,10 @@ STRIPES = 12
 """Chunks of rows that give them, about."""
 
 
-def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
+def _change(turn: _Turn, prior: _Prior) -> Array:
     """Of the logarithms of strength, roughness, path and blur, and, where lights to the side show them, of the lift in
     mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit them best."""
-    sums: dict[int, NDArray[np.float64]] = {}
+    sums: dict[int, Array] = {}
 
     def work(rows: slice) -> None:
         height = rows.stop - rows.start
@@ -608,7 +606,7 @@ def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
     return np.clip(np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0]), -most, most)
 
 
-def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _system(turn: _Turn, prior: _Prior, change: Array, used: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Tensor (3, h, w) of the slopes (xx, xy, yy) and force (2, h, w) on them, the four numbers changed and the
     scattered part eliminated at each pixel; `used` (L, h, w) becomes the weights."""
     tensor, force = (np.empty((n, *turn.mask.shape), dtype=np.float32) for n in (3, 2))
@@ -649,7 +647,7 @@ def _gram(
         gram[axis, axis] += prior.slopes[rows]
         gram[axis, 3] -= prior.slopes[rows] * off[rows]
         gram[3, axis] = gram[axis, 3]
-    stiff = 1 / (np.float32(LOCAL_RHO) * prior.rho[rows]) ** 2
+    stiff = 1 / (LOCAL_RHO * prior.rho[rows]) ** 2
     gram[2, 2] += stiff
     gram[2, 3] -= stiff * prior.rho_off[rows]
     gram[3, 2] = gram[2, 3]
@@ -658,7 +656,7 @@ def _gram(
 
 def _without(gram: FloatArray, i: int) -> FloatArray:
     """Normal equations (n, n, rows, w) with an unknown eliminated."""
-    return np.asarray(gram - gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], np.float32(1e-12))))
+    return np.asarray(gram - gram[:, i, None] * (gram[i] / np.maximum(gram[i, i], 1e-12)))
 
 
 # Heights at the corners of the pixels.
@@ -678,14 +676,14 @@ class _Solver:
         self._size = tuple(scipy.fft.next_fast_len(n, True) for n in self.start.shape)
         rows, columns = ((2 - 2 * np.cos(np.pi * np.arange(n) / n)) / grid.pitch_mm**2 for n in self._size)
         self._square = (rows[:, None] + columns[None]).astype(np.float32)
-        self._slow = self._square * np.exp(-self._square * np.float32(SLOW_MM**2)) / np.float32(SLOW_SLOPE**2)
+        self._slow = self._square * np.exp(-self._square * SLOW_MM**2) / SLOW_SLOPE**2
 
     def solve(self, tensor: FloatArray, force: FloatArray, nodes: FloatArray) -> tuple[float, FloatArray]:
         """Part of the step that is taken, and the change of the heights."""
         damped = tensor.copy()
-        damped[0::2] += np.float32(0.02) * (tensor[0] + tensor[2])
+        damped[0::2] += 0.02 * (tensor[0] + tensor[2])
         mean = np.float32(np.median((tensor[0] + tensor[2])[self._mask]) / 2)
-        rest = np.float32(1e-6) * mean
+        rest = 1e-6 * mean
         precondition = 1 / (self._square * mean + self._slow + rest)
 
         def product(x: FloatArray) -> FloatArray:
@@ -703,15 +701,15 @@ class _Solver:
             if size <= 1e-6 * first:
                 break
             image = product(along)
-            length = np.float32(size / _dot(along, image))
+            length = size / _dot(along, image)
             x, residual = x + length * along, residual - length * image
             better = precondition * residual
             size, last = _dot(residual, better), size
-            along = better + np.float32(size / last) * along
+            along = better + size / last * along
         added = self._inverse(x)
         steepest = float(np.percentile(np.hypot(*_slopes(added, self._pitch))[self._mask], 99.5))
         step = min(1.0, MAX_SLOPE_STEP / max(steepest, 1e-9))
-        return step, np.asarray(added * np.float32(step))
+        return step, added * step
 
     def _forward(self, nodes: FloatArray) -> FloatArray:
         missing = [(0, n - m) for n, m in zip(self._size, nodes.shape, strict=True)]
@@ -732,15 +730,15 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 def _slopes(nodes: FloatArray, pitch_mm: float) -> Slopes:
     """dz/dx and dz/dy (h, w) at the centres of the pixels whose corners are `nodes` (h + 1, w + 1)."""
-    half = np.float32(0.5 / pitch_mm)
+    half = 0.5 / pitch_mm
     falling = (nodes[:-1, 1:] - nodes[1:, :-1]) * half
     rising = (nodes[1:, 1:] - nodes[:-1, :-1]) * half
-    return np.asarray(rising + falling), np.asarray(falling - rising)
+    return rising + falling, falling - rising
 
 
 def _transposed(x: FloatArray, y: FloatArray, pitch_mm: float) -> FloatArray:
     """The transpose of :func:`_slopes`."""
-    half = np.float32(0.5 / pitch_mm)
+    half = 0.5 / pitch_mm
     nodes = np.zeros((x.shape[0] + 1, x.shape[1] + 1), dtype=np.float32)
     falling, rising = (x + y) * half, (x - y) * half
     nodes[:-1, 1:] += falling
@@ -755,4 +753,4 @@ def _shifted(image: FloatArray, by: float, larger: int) -> FloatArray:
     matrix = np.array([[1, 0, by], [0, 1, by]], dtype=np.float32)
     size = (image.shape[1] + larger, image.shape[0] + larger)
     moved = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, dtype=np.float32)
+    return np.asarray(moved)

@@ -25,16 +25,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.light import Lighting, slant_of, trust_of
 
-Float64Array = NDArray[np.float64]
 
-
-def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Float64Array:
+def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
     """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n frequencies.
 
     signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation, Interpolation, and
@@ -42,22 +40,22 @@ def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, n
     the weights `glare` (C, G) of G independent glares in each channel, the expected powers `signal` (n,) of the true
     slope and `glare_power` (n,) or (n, G), and the `noise` (C,).
     """
-    m = np.asarray(transfer, dtype=np.float64).T  # (n, C)
+    m = transfer.T  # (n, C)
     g = np.asarray(glare, dtype=np.float64).reshape(m.shape[1], -1)
-    power = np.asarray(glare_power, dtype=np.float64)
+    power = glare_power
     power = power[:, None] if power.ndim == 1 else power
     covariance = (
-        np.asarray(signal)[:, None, None] * m[:, :, None] * m[:, None, :]
+        signal[:, None, None] * m[:, :, None] * m[:, None, :]
         + np.einsum("ng,cg,dg->ncd", np.broadcast_to(power, (m.shape[0], g.shape[1])), g, g)
-        + np.diag(np.asarray(noise, dtype=np.float64))
+        + np.diag(noise)
     )
-    weights = np.linalg.solve(covariance, (np.asarray(signal)[:, None] * m)[..., None])[..., 0]
-    return np.asarray(weights.T)
+    weights = np.linalg.solve(covariance, (signal[:, None] * m)[..., None])[..., 0]
+    return weights.T
 
 
 def cross_spectra(
     slopes: list[Slopes], region: FloatArray, pitch_mm: float, bands: int = 28
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+) -> tuple[Array, Array, Array]:
     """Radially averaged cross-spectra between the slope fields (dz/dx, dz/dy), y up, of C channels.
 
     `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a logarithmic scale from a
@@ -89,12 +87,10 @@ def cross_spectra(
             along[:, i, j] = np.bincount(index, (first * second.conj()).real, bands) / scale
     across = np.stack([np.bincount(index, np.abs(t) ** 2, bands) / scale for t in transverse], axis=1)
     centres = np.sqrt(edges[1:] * edges[:-1])
-    return np.asarray(centres), along, np.asarray(across)
+    return centres, along, across
 
 
-def fit_spectra(
-    along: Float64Array, across: Float64Array, transfer: Any, glare: Any
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple[Array, Array, Array]:
     """Powers (n,) of relief and glare (correlated with it or not) per mode, not negative, and (C,) of the noise, from
     measured :func:`cross_spectra`.
 
@@ -103,7 +99,7 @@ def fit_spectra(
     single channel they are indistinguishable: all is relief.
     """
     noise = np.median(across[-2:], axis=0)
-    m = np.asarray(transfer, dtype=np.float64)
+    m = transfer
     g = np.asarray(glare, dtype=np.float64)
     require(all(bool(np.isfinite(part).all()) for part in (along, across, m, g)), NOT_SKIN)
     channels = len(g)
@@ -139,11 +135,6 @@ _CAUTION = 1.5
 """Factor on the noise's power where a window's own power is estimated."""
 
 
-def _window_px(pitch_mm: float) -> int:
-    """Side of a window in pixels: a multiple of the overlap, at least 16."""
-    return max(16, _OVERLAP * round(_WINDOW_MM / pitch_mm / _OVERLAP))
-
-
 def _window_power(image: FloatArray, side: int) -> FloatArray:
     """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise gives."""
     require(min(image.shape) >= side, f"the image must be at least {side} pixels wide and high.")
@@ -174,26 +165,24 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
         spectrum = scipy.fft.rfft2(strip, workers=2)
         raw = (spectrum.real**2 + spectrum.imag**2).astype(np.float32)
         power = scipy.ndimage.uniform_filter(raw, (1, 3, 3), mode=("wrap", "wrap", "nearest"))
-        excess = np.maximum(power - np.float32(_CAUTION) * noise_power, np.float32(0.0))
-        gain = excess / (excess + noise_power + np.float32(1e-30))
+        excess = np.maximum(power - _CAUTION * noise_power, 0.0)
+        gain = excess / (excess + noise_power + 1e-30)
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
         # the error's power in each window: g^2 N + (1 - g)^2 S = g N for the Wiener gain
-        error = (
-            (gain * noise_power * double).sum(axis=(1, 2)) / np.float32(side**4) * np.float32(1 / (window**2).mean())
-        )
+        error = (gain * noise_power * double).sum(axis=(1, 2)) / (side**4) * (1 / (window**2).mean())
         for column, part, left in zip(starts, kept, error, strict=True):
             place = np.s_[row : row + side, column : column + side]
             total[place] += part
             variance[place] += left * window * window
             norm[place] += window * window
-    norm = np.maximum(norm, np.float32(1e-6))
+    norm = np.maximum(norm, 1e-6)
     inner = np.s_[side : side + rows, side : side + columns]
     return (total / norm)[inner], np.sqrt(variance / norm)[inner]
 
 
 def _window(side: int) -> FloatArray:
     hann = np.sin(np.pi * (np.arange(side) + 0.5) / side).astype(np.float32)
-    return np.asarray(np.outer(hann, hann), dtype=np.float32)
+    return np.outer(hann, hann)
 
 
 NOT_SKIN = (
@@ -227,7 +216,7 @@ class Unmixing:
     """How the channels' slopes are summed."""
 
     weights: list[FloatArray]  # one for each channel, on the grid's frequencies
-    noise: NDArray[np.float64]  # (C,) power of the noise in each channel's slopes
+    noise: Array  # (C,) power of the noise in each channel's slopes
 
 
 def measure(  # noqa: PLR0917
@@ -251,13 +240,7 @@ def measure(  # noqa: PLR0917
     region = cv2.GaussianBlur(inner, (0, 0), 0.2 / grid.pitch_mm) * inner
     transfer = np.stack([grid.sampled(skin[name]) for name in band.channels])
     levels = np.array([brightness[name] for name in band.channels], dtype=np.float32)
-    return Measured(band.channels, g, transfer, levels, trust, np.asarray(region, dtype=np.float32))
-
-
-def _mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
-    """Unit normals (h, w, 3) of a surface that is finite everywhere, zero outside the mask."""
-    slope_x, slope_y = height_gradients(surface_mm, grid.pitch_mm)
-    return normals_from_gradients(slope_x, slope_y) * grid.mask[..., None]
+    return Measured(band.channels, g, transfer, levels, trust, region)
 
 
 def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> tuple[list[Slopes], FloatArray]:
@@ -265,7 +248,8 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
     reflection in them, one in the first. Predicted are the normals blurred by the skin; the local albedo, and with it
     the darkening of valleys (1 + k h), drops out; the specular part of the brightness is estimated by colour.
     """
-    normals = grid.forward(np.moveaxis(_mean_normals(surface_mm, grid), -1, 0), extend=True)
+    own = normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)) * grid.mask[..., None]
+    normals = grid.forward(np.moveaxis(own, -1, 0), extend=True)
     predicted = [
         np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
         for c in range(len(measured.channels))
@@ -273,15 +257,15 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
     level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in predicted]
     albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
     inner = measured.region > 0
-    middle = np.float32(np.median(albedo[inner]))
-    require(bool(0.0 < middle < np.inf), NOT_SKIN)
+    middle = np.median(albedo[inner])
+    require(0.0 < middle < np.inf, NOT_SKIN)
     albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
     glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
     slopes: list[Slopes] = []
     for c, e in enumerate(predicted):
         length = np.sqrt((e * e).sum(axis=-1))
-        z = np.maximum(e[..., 2], 0.05 * length + np.float32(1e-6))
-        diffuse = np.maximum(albedo, np.float32(0.1) * middle) * np.maximum(z, np.float32(0.1) * measured.brightness[c])
+        z = np.maximum(e[..., 2], 0.05 * length + 1e-6)
+        diffuse = np.maximum(albedo, 0.1 * middle) * np.maximum(z, 0.1 * measured.brightness[c])
         g = measured.pseudo_normals[c]
         x, y = (-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2))
         slopes.append((_ridge_band(x, grid) * measured.trust, _ridge_band(y, grid) * measured.trust))
@@ -296,12 +280,12 @@ def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -
 def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
     """Local scale a of measured = a predicted + specular, equal in all channels; a single one has no such part."""
     if len(predicted) == 1:
-        return np.asarray(measured[0] / np.maximum(predicted[0], np.float32(1e-6)), dtype=np.float32)
-    n = np.float32(len(predicted))
+        return measured[0] / np.maximum(predicted[0], 1e-6)
+    n = len(predicted)
     mean_p, mean_m = sum(predicted) / n, sum(measured) / n
     above = sum((p - mean_p) * (m - mean_m) for p, m in zip(predicted, measured, strict=True))
     below = sum((p - mean_p) ** 2 for p in predicted)
-    return np.asarray(above / np.maximum(below, np.float32(1e-9)), dtype=np.float32)
+    return above / np.maximum(below, 1e-9)
 
 
 def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatArray) -> Unmixing:
@@ -328,7 +312,7 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     return Unmixing([grid.radial(omega, w) for w in weights], noise)
 
 
-def _plausible(omega: NDArray[np.float64], signal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plausible(omega: Array, signal: Array) -> Array:
     """The relief's power `signal` with that above the ridges' own frequency limited to the fall of a ridge's harmonics.
     Where skin passes next to nothing, errors in the glare's colour look like relief. Slopes of flat ridges with narrow,
     steep valleys fall off about as one over the frequency; nothing rougher is believed.
@@ -341,7 +325,7 @@ def _plausible(omega: NDArray[np.float64], signal: NDArray[np.float64]) -> NDArr
 
 def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
     """Fraction of the fine grid at each frequency; the coarse grid has the rest."""
-    return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * np.float32(sigma_mm)) ** 2), dtype=np.float32)
+    return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * sigma_mm) ** 2))
 
 
 def update(measured: Measured, grid: Grid, slopes: list[Slopes], mix: Unmixing, relief_mm: FloatArray) -> FloatArray:
@@ -363,7 +347,7 @@ def _integrated(grid: Grid, slopes: list[Slopes], weights: list[FloatArray]) -> 
         total += w * (wx * grid.forward(x) + wy * grid.forward(y))
     square = omega * omega
     square[0, 0] = 1.0
-    return np.asarray(total * (-1j / square), dtype=np.complex64)
+    return total * (-1j / square)
 
 
 def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
@@ -386,7 +370,7 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
 
     noise = [(white(power), white(power)) for power in mix.noise]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
-    side = _window_px(grid.pitch_mm)
+    side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))  # a multiple of the overlap
     if min(grid.shape) < side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))
@@ -449,7 +433,7 @@ def relief_by_colour(
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
     sensitivity = abs(_scattering_sensitivity(measured, grid, mix, other, relief))
-    height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
+    height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
     model = np.float32(np.hypot(sensitivity, MODEL_ERROR)) * height
     return ReliefEstimate(
         relief_mm=relief,

@@ -100,7 +100,7 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
 def above_plane(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
     """The shape (h, w) at its assumed height above the finger plane."""
     mean = np.float32(height_mm[images.grid.mask].mean(dtype=np.float64))
-    return height_mm - mean + np.float32(images.plane_mm)
+    return height_mm - mean + images.plane_mm
 
 
 def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
@@ -112,7 +112,7 @@ def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
-    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=height.dtype)
     return fine_lighting(images.white.rig, low, smooth, images.factor, images.fine)
 
 
@@ -121,24 +121,24 @@ def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
     height = np.zeros(grid.shape, dtype=np.float32)
     stack = band.stack.sum(axis=0)
     for _ in range(START_ROUNDS):
-        g = pseudo_normals(stack, band.rig, height + np.float32(plane_mm), grid.mask, view=grid.view)
+        g = pseudo_normals(stack, band.rig, height + plane_mm, grid.mask, view=grid.view)
         length = np.sqrt((g * g).sum(axis=-1, keepdims=True))
-        normals = np.asarray(g / np.maximum(length, np.float32(1e-9)), dtype=np.float32)
-        nz = np.maximum(normals[..., 2], np.float32(0.15))
-        height = integrate(np.asarray(-normals[..., 0] / nz), np.asarray(-normals[..., 1] / nz), grid, nz)
+        normals = g / np.maximum(length, 1e-9)
+        nz = np.maximum(normals[..., 2], 0.15)
+        height = integrate(-normals[..., 0] / nz, -normals[..., 1] / nz, grid, nz)
     return height
 
 
 def slopes_inside(height_mm: FloatArray, grid: Grid) -> Slopes:
     """dz/dx and dz/dy (h, w) of a surface on the grid's mask: no step at its edge, zero outside."""
-    x, y = height_gradients(np.where(grid.mask, height_mm, np.float32(np.nan)), grid.pitch_mm)
+    x, y = height_gradients(np.where(grid.mask, height_mm, np.nan), grid.pitch_mm)
     return np.nan_to_num(x), np.nan_to_num(y)
 
 
 def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray) -> FloatArray:
     """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
-    height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * np.float32(grid.pitch_mm)
-    return np.asarray(np.nan_to_num(height, nan=0.0), dtype=np.float32)
+    height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * grid.pitch_mm
+    return np.asarray(np.nan_to_num(height, nan=0.0))
 
 
 # One comparison: predicted images, specular fit, residual slopes, and the Wiener estimate from them.
@@ -180,12 +180,15 @@ def residual_of(
             if len(band.channels) > 1:
                 specular = _specular_by_colour(band.stack - predicted, level, light, normals, _some(reached))
             else:
-                specular = _specular_by_lights(band.stack[-1], light, normals, _some(reached))
+                region = _some(reached)  # what no matt surface explains
+                vectors = light.vectors[:, :, region]
+                lit = vectors * light.entering[:, None][:, :, region]
+                specular = fit_glare(band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors))
             specular = replace(specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure))
             exposure_of_white = exposure
         strength = specular.strength * exposure / exposure_of_white
         glare[band.channels[-1]] = (specular.roughness, strength)
-        diffuse = band.stack - lobe(specular.roughness) * np.float32(strength) * grid.mask
+        diffuse = band.stack - lobe(specular.roughness) * strength * grid.mask
         correction = _scaled_to(diffuse, predicted, matt)
         # residual: slopes that the measured pseudo-normals have beyond the predicted ones
         both = np.concatenate([diffuse, predicted]).astype(np.float32)
@@ -202,15 +205,15 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     With p the predicted slope, -(G_x + p G_z) / D vanishes where G is parallel to the prediction; D is the predicted z
     component times the smooth ratio of the two.
     """
-    z = np.maximum(predicted[..., 2], 0.1 * np.sqrt((predicted * predicted).sum(axis=-1)) + np.float32(1e-6))
+    z = np.maximum(predicted[..., 2], 0.1 * np.sqrt((predicted * predicted).sum(axis=-1)) + 1e-6)
     inside = grid.mask & (z > 0.05 * np.median(z[grid.mask]))
     albedo = grid.smooth(np.maximum(measured[..., 2], 0) / z, inside, 0.8)
-    scale = np.maximum(albedo * z, np.float32(1e-4))
+    scale = np.maximum(albedo * z, 1e-4)
     slopes = []
     for axis in range(2):
         p = -predicted[..., axis] / z
         value = -(measured[..., axis] + p * measured[..., 2]) / scale
-        slopes.append(np.where(grid.mask, np.clip(value, -0.6, 0.6), np.float32(0.0)).astype(np.float32))
+        slopes.append(np.where(grid.mask, np.clip(value, -0.6, 0.6), 0.0).astype(np.float32))
     return slopes[0], slopes[1]
 
 
@@ -250,8 +253,8 @@ def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) ->
     """Bring each channel of the prediction (C, L, h, w), in place, to the images' median; return the factors."""
     factors = []
     for c, image in enumerate(measured):
-        factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], np.float32(1e-4)))))
-        predicted[c] *= np.float32(factors[-1])
+        factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], 1e-4))))
+        predicted[c] *= factors[-1]
     return factors
 
 
@@ -269,17 +272,10 @@ def _specular_by_colour(
     """
     excess = excess[:, :, region]
     skin = np.array(brightness, dtype=np.float32)
-    n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
+    n, sum_b, sum_bb = len(skin), skin.sum(), (skin * skin).sum()
     tinted = np.einsum("c,cln->ln", skin, excess)
     white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
     return best_lobe(white, MicrofacetGlare(normals[region], light.vectors[:, :, region]))
-
-
-def _specular_by_lights(stack: FloatArray, light: Lighting, normals: FloatArray, region: BoolArray) -> GlareFit:
-    """Lobe of a grey band (L, h, w): what no matt surface explains."""
-    vectors = light.vectors[:, :, region]
-    lit = vectors * light.entering[:, None][:, :, region]
-    return fit_glare(stack[:, region], lit, MicrofacetGlare(normals[region], vectors))
 
 
 def _some(region: BoolArray) -> BoolArray:
