@@ -50,7 +50,7 @@ from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, wr
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.io.tiff import write_float_tiff
+from splitknit.io.images import write_float_tiff
 from splitknit.jobs import read_photographs
 from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface

@@ -28,7 +28,7 @@ from agreement_truth import read_truth
 
 from splitknit.finger.locate import find_finger
 from splitknit.io.capture import read_capture
-from splitknit.io.png import decode_png
+from splitknit.io.images import decode_image
 from splitknit.presets import preset_settings
 from splitknit_match.batch.chunks import read_chunk
 from splitknit_match.batch.reading import stored_places
@@ -63,7 +63,7 @@ def plain(store: Path, case: str, name: str) -> Minutiae:
     """Minutiae of a reconstruction's relief print."""
     place = stored_places(Store(store).files("features", case))[name]
     data = read_chunk(place.file, ["print"]).column("print").to_pylist()[place.row]
-    return extract(decode_png(data, "print")[..., 0])
+    return extract(decode_image(data, "print")[..., 0])
 
 
 def main() -> None:

@@ -11,7 +11,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
-from splitknit.io.png import SIGNATURE, decode_png
+from splitknit.io.images import decode_image as decode_png
+
+SIGNATURE = b'\x89PNG\r\n\x1a\n'
 
 
 def chunk(kind: bytes, body: bytes) -> bytes:

@@ -13,7 +13,7 @@ from splitknit import BadInput, read_capture, reconstruct
 from splitknit.errors import BadExposure, require
 from splitknit.finger.ridges import surface_print
 from splitknit.io.fields import inside
-from splitknit.io.png import decode_png
+from splitknit.io.images import decode_image
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import provenance, settings_hash
 from splitknit.model import surface_of
@@ -162,7 +162,7 @@ def extract_minutiae(task: MinutiaeTask) -> TaskDone:
         found = no_minutiae()
         if data:
             name = f"the print of '{capture}' in '{file}'"
-            pixels = decode_png(data, name)
+            pixels = decode_image(data, name)
             require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
             found = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
         rows.append({"capture": capture, "acquired": found.acquired, "minutiae": pack_minutiae(found)})

@@ -13,10 +13,8 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import open_file, require
-from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE
-from splitknit.io.png import SIGNATURE as PNG
+from splitknit.io.images import BMP, JPEG, PNG, TIFFS
 from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
-from splitknit.io.tiff import SIGNATURES as TIFF_SIGNATURES
 from splitknit_match.records import finger_image, iso39794, wsq_image
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, ISO_2011, MAX_RECORD_BYTES, what_bytes_are
 from splitknit_match.records.itl_reading import TransactionFacts, decode_transaction, encode_transaction
@@ -145,10 +143,10 @@ FORMATS: dict[str, PrintFormat] = {
     for one in (
         _picture("png", ".png", (PNG[:4],), lambda one, how: encode_print_png(one.image, _ppi(one), how.text)),
         _picture(
-            "tiff", ".tiff", TIFF_SIGNATURES, lambda one, how: encode_print_tiff(one.image, _ppi(one), how.text)
+            "tiff", ".tiff", TIFFS, lambda one, how: encode_print_tiff(one.image, _ppi(one), how.text)
         ),
-        _picture("jpeg", ".jpg", (JPEG_SIGNATURE,)),
-        _picture("bmp", ".bmp", (BMP_SIGNATURE,)),
+        _picture("jpeg", ".jpg", (JPEG,)),
+        _picture("bmp", ".bmp", (BMP,)),
         PrintFormat(
             "wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq,
             lambda one, how: wsq_image.encode_wsq(one.image, _ppi(one)), 100_000_000,

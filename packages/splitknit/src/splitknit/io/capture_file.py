@@ -4,22 +4,59 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from splitknit.errors import BadInput, check_lights, naming, require
-from splitknit.io.fields import Fields, inside, read_json
+from splitknit.io.fields import inside, read_document, read_json
 from splitknit.io.rig import rig_from_json
 from splitknit.model import Band, Capture, Rig, spectral_band
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "white_crossed", "nir")
-POLARISATIONS = ("", "parallel", "crossed")
-ENCODINGS = ("linear", "srgb")
-MATERIALS = ("skin", "opaque")
-_MAX_IMAGES = 1000
 _AS_NEAR = 0.01  # difference of cosines below which a light is equally near to two others
+_Index = Annotated[int, Meta(ge=0, lt=1 << 31)]
+
+
+class _Image(Struct):
+    """An image: its file, and how it was exposed where the document states it."""
+
+    file: str
+    exposure_s: Annotated[float, Meta(ge=1e-9, le=1e6)] | None = None
+    gain: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
+    black_level: Annotated[float, Meta(ge=0, le=65535)] | None = None
+
+    @property
+    def exposure(self) -> float | None:
+        """Exposure time times gain, None where neither is stated."""
+        if self.exposure_s is None and self.gain is None:
+            return None
+        return (1.0 if self.exposure_s is None else self.exposure_s) * (1.0 if self.gain is None else self.gain)
+
+
+class _BandFields(Struct):
+    images: Annotated[list[str | _Image], Meta(min_length=1, max_length=1000)]
+    leds: list[_Index | Annotated[tuple[_Index, ...], Meta(min_length=1, max_length=10_000)]]
+    ambient: str | _Image | None = None
+    flat: list[str] | None = None
+    polarisation: Literal["", "parallel", "crossed"] = ""
+
+
+class _CaptureFields(Struct):
+    format: Literal["splitknit-capture"]
+    version: Literal[1]
+    rig: str
+    bands: dict[Literal["white", "white_crossed", "nir"], _BandFields]
+    encoding: Literal["linear", "srgb"] = "linear"
+    material: Literal["skin", "opaque"] = "skin"
+    tip_direction_deg: Annotated[float, Meta(ge=-360, le=360)] | None = None
+    mask: str | None = None
+    truth: str | None = None
+    subject: dict[str, Any] | None = None
+    captured_at: str | None = None
+    shading: Any = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,63 +81,45 @@ class CapturePlan:
     documents: dict[Path, bytes]  # the JSON files and what was read from them
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """An image: its file, and how it was exposed where the document states it."""
-
-    file: Path
-    name: str
-    exposure: float | None
-    black_level: float | None
-
-
 def read_plan(document_file: Path) -> CapturePlan:
     """Read ``capture.json`` and its rig file. Raises BadInput naming the file and the field."""
     folder, name = document_file.parent, str(document_file)
-    document, data = read_json(document_file)
-    fields = Fields(document, name)
-    fields.format(CAPTURE_FORMAT, CAPTURE_VERSION)
-    gel = "names a calibrated shading, by which this version reads no heights."
-    fields.require(not fields.has("shading"), "shading", gel)
-    rig_file = inside(folder, fields.get("rig"), name, "rig")
+    fields, data = read_document(document_file, _CaptureFields)
+    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
+    rig_file = inside(folder, fields.rig, name, "rig")
     rig_document, rig_data = read_json(rig_file)
     rig = rig_from_json(rig_document, str(rig_file))
-    truth = fields.file("truth", folder)
+    truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
     there = truth is None or truth.is_file()
     require(there, f"{truth}, the truth that {name} names, does not exist; add it or remove the field.")
-    turned = fields.has("tip_direction_deg")
-    bands = _bands(fields, folder, rig)
+    mask = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
+    bands = _bands(fields.bands, folder, rig, name)
     capture = Capture(
         rig,
         bands={},
-        encoding=fields.choice("encoding", ENCODINGS),
-        material=fields.choice("material", MATERIALS),
-        tip_direction_deg=fields.number("tip_direction_deg", -360.0, 360.0) if turned else None,
-        subject=fields.mapping("subject"),
-        captured_at=fields.text("captured_at") if fields.has("captured_at") else None,
+        encoding=fields.encoding,
+        material=fields.material,
+        tip_direction_deg=fields.tip_direction_deg,
+        subject=fields.subject or {},
+        captured_at=fields.captured_at,
         truth=truth,
     )
-    documents = {document_file: data, rig_file: rig_data}
-    return CapturePlan(capture, rig_file, bands, fields.file("mask", folder), documents)
+    return CapturePlan(capture, rig_file, bands, mask, {document_file: data, rig_file: rig_data})
 
 
-def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
-    bands = fields.child("bands")
-    for key in bands.keys():  # noqa: SIM118 - not a dict
-        known = ", ".join(BANDS)
-        require(key in BANDS, f"{fields.name}: bands has '{ascii(key)[1:-1]}'; the bands are named {known}.")
-    require(bands.has("white"), f"{fields.name}: bands.white is missing; every capture has images under white light.")
-    plans = {key: _band(bands.child(key), folder, rig, key) for key in BANDS if bands.has(key)}
+def _bands(bands: Any, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
+    require("white" in bands, f"{name}: bands.white is missing; every capture has images under white light.")
+    plans = {key: _band(bands[key], folder, rig, key, name) for key in BANDS if key in bands}
     if "white_crossed" in plans:
-        check_pair(plans["white"].band, plans["white_crossed"].band, fields.name, rig)
+        check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
         same = plans["white"].exposed == plans["white_crossed"].exposed
-        stated = "and bands.white_crossed must state exposure_s for every image, both or neither (then it is the same)."
-        bands.require(same, "white", stated)
+        stated = "must state exposure_s for every image, both or neither (then it is the same)."
+        require(same, f"{name}: bands.white and bands.white_crossed {stated}")
     seen: set[Path] = set()
     for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
-        for name, file in zip(plan.band.files, plan.files, strict=True):
+        for image, file in zip(plan.band.files, plan.files, strict=True):
             place = file.resolve()
-            require(place not in seen, f"{fields.name}: {bands.path(key)}.images names {name!a} twice.")
+            require(place not in seen, f"{name}: bands.{key}.images names {image!a} twice.")
             seen.add(place)
     return plans
 
@@ -123,75 +142,58 @@ def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
         raise BadInput(f"{name}: {away}; list both series in the same order of lights.")
 
 
-def _band(fields: Fields, folder: Path, rig: Rig, key: str) -> BandPlan:
-    images, band = fields.items("images"), spectral_band(key)
+def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> BandPlan:
+    where, band = f"{name}: bands.{key}", spectral_band(key)
+    images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
-    enough = count >= 3 or (count > 0 and any(led.colour for led in rig.leds if led.band == band))
-    fields.require(enough, "images", f"names {count} images, but at least three are needed.")
-    fields.require(count <= _MAX_IMAGES, "images", f"names {count} images, but at most {_MAX_IMAGES} are read.")
-    leds = tuple(_group(fields, item, k) for k, item in enumerate(fields.items("leds")))
-    other = f"has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
-    fields.require(len(leds) == count, "", other)
-    _check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
-    entries = [_entry(fields, item, folder, f"{fields.path('images')}[{k}]") for k, item in enumerate(images)]
-    lit = fields.has("ambient")
-    ambient = _entry(fields, fields.get("ambient"), folder, fields.path("ambient")) if lit else None
-    flat = fields.items("flat") if fields.has("flat") else []
-    each = f"names {len(flat)} images; it needs one for each of the {count}."
-    fields.require(len(flat) in (0, count), "flat", each)
-    own, own_level = (ambient.exposure, ambient.black_level) if ambient else (None, None)
-    exposures, levels = [entry.exposure for entry in entries], [entry.black_level for entry in entries]
+    enough = count >= 3 or any(led.colour for led in rig.leds if led.band == band)
+    require(enough, f"{where}.images names {count} images, but at least three are needed.")
+    leds = tuple((group,) if isinstance(group, int) else group for group in fields.leds)
+    differ = f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
+    require(len(leds) == count, differ)
+    _check_light_list(rig, band, leds, f"{where}.leds")
+    ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
+    flat = fields.flat or []
+    each = f"{where}.flat names {len(flat)} images; it needs one for each of the {count}."
+    require(len(flat) in (0, count), each)
+    exposures, levels = [image.exposure for image in images], [image.black_level for image in images]
+    dark_exposure, dark_level = 1.0, 0.0
+    if ambient is not None:
+        dark_exposure = _ambient_value(ambient.exposure, exposures, 1.0, f"{where}.ambient", "exposure_s")
+        dark_level = _ambient_value(ambient.black_level, levels, 0.0, f"{where}.ambient", "black_level")
     described = Band(
         key,
         np.empty((0, 0, 0, 0), np.uint8),
         leds,
         exposure=np.array([1.0 if value is None else value for value in exposures]),
         black_level=np.array([0.0 if value is None else value for value in levels]),
-        ambient_exposure=_ambient_value(fields, own, exposures, "exposure_s", 1.0),
-        ambient_black_level=_ambient_value(fields, own_level, levels, "black_level", 0.0),
-        files=tuple(entry.name for entry in entries),
-        polarisation=fields.choice("polarisation", POLARISATIONS),
+        ambient_exposure=dark_exposure,
+        ambient_black_level=dark_level,
+        files=tuple(image.file for image in images),
+        polarisation=fields.polarisation,
     )
-    flats = tuple(inside(folder, item, fields.name, f"{fields.path('flat')}[{k}]") for k, item in enumerate(flat))
-    files, dark = tuple(entry.file for entry in entries), ambient.file if ambient else None
+    files = tuple(inside(folder, image.file, name, f"bands.{key}.images[{k}]") for k, image in enumerate(images))
+    dark = None if ambient is None else inside(folder, ambient.file, name, f"bands.{key}.ambient")
+    flats = tuple(inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat))
     return BandPlan(described, files, dark, flats, exposed=None not in exposures)
 
 
-def _ambient_value(fields: Fields, own: float | None, images: list[float | None], key: str, default: float) -> float:
-    """The ambient image's `own`, else what all images of the band have, else unknown; the default if not stated."""
-    if own is not None or None in images or not fields.has("ambient"):
+def _ambient_value(own: float | None, images: list[float | None], default: float, where: str, key: str) -> float:
+    """The ambient image's `own`, else what all images of the band have, else the default."""
+    if own is not None or None in images:
         return default if own is None else own
-    fault = f'needs its own {key}, as the images of the band differ in theirs; write {{"file": ..., "{key}": ...}}.'
-    fields.require(len(set(images)) == 1, "ambient", fault)
+    fault = f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.'
+    require(len(set(images)) == 1, fault)
     return images[0] or 0.0
-
-
-def _entry(fields: Fields, item: Any, folder: Path, where: str) -> _Entry:
-    if not isinstance(item, dict):
-        return _Entry(inside(folder, item, fields.name, where), str(item), None, None)
-    entry = Fields(item, fields.name, where)
-    file = inside(folder, entry.get("file"), fields.name, entry.path("file"))
-    exposure = None
-    if entry.has("exposure_s") or entry.has("gain"):
-        exposure = entry.number("exposure_s", 1e-9, 1e6, 1.0) * entry.number("gain", 1e-6, 1e6, 1.0)
-    black_level = entry.number("black_level", 0.0, 65535.0) if entry.has("black_level") else None
-    return _Entry(file, str(item["file"]), exposure, black_level)
-
-
-def _group(fields: Fields, item: Any, k: int) -> tuple[int, ...]:
-    group = item if isinstance(item, list) else [item]
-    good = 0 < len(group) <= 10_000 and all(type(index) is int and 0 <= index < 1 << 31 for index in group)
-    fault = "must be the number of an LED in the rig (from 0), or a list of different ones."
-    fields.require(good and len(set(group)) == len(group), f"leds[{k}]", fault)
-    return tuple(group)
 
 
 def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
     """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not determine a normal."""
     for k, group in enumerate(leds):
+        require(len(set(group)) == len(group), f"{where}[{k}] names an LED twice.")
         for index in group:
             known, named = len(rig.leds), f"{where}[{k}] names LED {index}"
-            require(0 <= index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
+            require(index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
             own = rig.leds[index].band
             wrong = f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
             require(own == band, wrong)

@@ -17,18 +17,18 @@ from splitknit.errors import importing, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
-from splitknit.io.clouds import NEEDS_TRIMESH
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, stl_chunks, triangulate, write_ply_pieces
+from splitknit.io.mesh import bands, triangulate, write_ply_pieces
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
-from splitknit.io.prints import png_with_texts, provenance_texts
+from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
 LARGEST_MM = 1000.0  # longest side of a result's frame
+_NEEDS_TRIMESH = "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
 _DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."
@@ -217,8 +217,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
     `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
-    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or ``obj`` or ``glb`` are
-    wanted without trimesh.
+    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
     """
     require_scale(result)
     box = bounding_box(result.mask)
@@ -229,9 +228,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     faces = np.concatenate(list(pieces))
     rough = areal_roughness(result.ridge_mm[box], result.pitch_mm)
     facts = {"vertices": len(vertices), "faces": count, "unit": "mm", "relief_roughness": rough}
-    if kind == "stl":
-        return facts, b"".join(stl_chunks(vertices, faces, title))
-    with importing(NEEDS_TRIMESH):
+    with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
     grey[:, :3] = np.round(255.0 * intensity)[:, None]
@@ -240,9 +237,12 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     mesh: Any = trimesh.Trimesh(
         vertices * scale, faces, vertex_normals=normals, vertex_colors=grey, metadata=words, process=False
     )
-    header = {} if kind == "glb" else {"header": f"unit mm, {', '.join(words.values())}"}
+    header = {"header": f"unit mm, {', '.join(words.values())}"} if kind == "obj" else {}
     written = mesh.export(file_type=kind, **header)
-    return facts, written if isinstance(written, bytes) else written.encode("ascii")
+    written = written if isinstance(written, bytes) else written.encode("ascii")
+    if kind == "stl":  # whose header is free
+        written = f"splitknit, unit mm {title}".encode("ascii", "replace")[:80].ljust(80) + written[80:]
+    return facts, written
 
 
 def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
@@ -275,8 +275,4 @@ def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
 
 def write_picture(path: Path, picture: NDArray[np.uint8], origin: Origin) -> None:
     """Write a grey or RGB picture as PNG, with its provenance."""
-    image = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise RuntimeError(f"{path.name} could not be encoded")
-    write_file(path, png_with_texts(data.tobytes(), provenance_texts(origin)))
+    write_file(path, encode_png(picture, provenance_texts(origin)))

@@ -30,7 +30,7 @@ from splitknit.io.photos import encoding_of, read_photo
 from splitknit.io.plain import photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.io.tiff import write_float_tiff
+from splitknit.io.images import write_float_tiff
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
