@@ -19,13 +19,12 @@ import numpy as np
 from splitknit.io.images import write_image
 from splitknit.model import Camera, default_rig
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import Separation, StackSettings
+from splitknit.separation.stacks import Separation
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
 from splitknit_simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM, SIDE_PX = 0.4, 20.0, 96
-UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip
 
 
 def photograph() -> tuple[np.ndarray, np.ndarray, Separation]:
@@ -59,10 +58,10 @@ def main(arguments: list[str] | None = None) -> int:
     for sigma in (0.0, 0.01, 0.03):
         noisy = stack + np.random.default_rng(1).normal(0, sigma, stack.shape)
         methods = {
-            "maximum - minimum": checkerboard(noisy, settings=UNBOUNDED),
-            "known states": checkerboard(noisy, patterns=states, settings=UNBOUNDED),
+            "maximum - minimum": checkerboard(noisy, clip_level=None),
+            "known states": checkerboard(noisy, patterns=states, clip_level=None),
             "known states, middle of the checks": checkerboard(
-                noisy, patterns=states, check_px=check_px, settings=UNBOUNDED
+                noisy, patterns=states, check_px=check_px, clip_level=None
             ),
         }
         for name, parts in methods.items():

@@ -27,7 +27,6 @@ from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import Camera, Led, default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.direct import exposure_level, local_level
-from splitknit.separation.stacks import StackSettings
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, separate_truth
@@ -134,7 +133,7 @@ def _through_patterns(surface, led, skin, light):
     stack = checkerboard_stack(surface, led, skin, Checkerboard(CHECK_MM, steps=5)).transpose(0, 2, 3, 1)
     mask = surface.mask[light.window]
     # radiance in the rig's units knows no clipping; the black outside the mask is not a fault
-    made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, settings=StackSettings(clip_level=None))
+    made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
     direct = np.where(mask, made.direct.transpose(2, 0, 1), np.float32(0.0))
     return np.asarray(np.minimum(direct, light.white), dtype=np.float32)
 

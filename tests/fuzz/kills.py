@@ -44,7 +44,6 @@ VERBS: dict[str, str] = {
     "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
     "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
     "print": "print {base}/result --out {out}",
-    "import-cloud": "import {base}/result/phalange.ply --out {out} --pitch 0.2 --overwrite",
     "import-images": "import --images {base}/flat --lights {base}/lights.txt --px-per-mm 9 --out {out} --overwrite",
     "import-prints": "import {base}/result/print.png --out {out}",
     "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",

@@ -62,7 +62,6 @@ NO_READERS = {
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
-    "cli.import_clouds.import_cloud": "reads what io.clouds.read_cloud reads",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

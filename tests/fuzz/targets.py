@@ -38,11 +38,9 @@ from splitknit.accuracy import read_truth
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.io.clouds import read_cloud
 from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.light_list import read_intensities, read_named_lights
-from splitknit.io.mesh import stl_chunks, write_ply
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
@@ -52,13 +50,11 @@ from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.io.images import write_float_tiff
 from splitknit.jobs import read_photographs
-from splitknit.methods.cloud import CloudView, result_of_cloud
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
-from splitknit.separation.folder import _read_light
-from splitknit.separation.pattern_folder import read_pattern_folder
+from splitknit.separation.folder import read_light
 from splitknit.settings import override
 from splitknit.viewer.server import pages_of, start
 from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
@@ -308,39 +304,6 @@ def _matched(folder: Path, files: Files) -> object:
 def _print() -> Any:
     rows, columns = np.mgrid[:120, :100]
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
-
-
-# --- point clouds ------------------------------------------------------------------------------------------------
-
-
-@cache
-def _clouds() -> list[Files]:
-    y, x = np.mgrid[8:0:-1, 0:7] * 0.5
-    points = np.stack([x, y, 3 - 0.1 * (x - 2) ** 2 - 0.02 * y * y], axis=2).astype("<f4")
-    flat = points.reshape(-1, 3)
-    rows = [" ".join(map(str, row)) for row in flat.tolist()]
-    up, shade = np.tile(np.float32([0, 0, 1]), (56, 1)), np.arange(56, dtype=np.uint8)
-    ply = "ply\nformat ascii 1.0\nelement vertex 56\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    text = "\n".join(rows).encode() + b"\n"
-    faces = np.arange(54).reshape(-1, 3).astype(np.int32)
-    solid = "".join(f"facet normal 0 0 1\nvertex {row}\nvertex {row}\nvertex {row}\n" for row in rows)
-    return [
-        *_written("x.ply", lambda path: write_ply(path, flat, up, shade)),
-        {"x.ply": ply.encode() + text},
-        {"x.xyz": text},
-        {"x.obj": ("v " + "\nv ".join(rows) + "\nf 1 2 3\n").encode()},
-        {"x.stl": b"".join(stl_chunks(flat, faces))},
-        {"x.stl": f"solid x\n{solid}endsolid\n".encode()},
-    ]
-
-
-def _cloud(folder: Path, files: Files) -> object:
-    name = next((one for one in files if one.startswith("x.")), "x.ply")
-    cloud = read_cloud(folder / name)
-    result = result_of_cloud(cloud, CloudView(material="opaque"))
-    assert np.isfinite(result.height_mm[result.mask]).all()
-    assert 0 < result.pitch_mm < 1000
-    return result
 
 
 # --- captures and results ----------------------------------------------------------------------------------------
@@ -773,14 +736,11 @@ def _radiometric(folder: Path, files: Files) -> object:
 def _patterns() -> list[Files]:
     images = {f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png") for i in (0, 2) for j in (0, 2)}
     singles = {name: encode_image(_noise(8, 9, seed=8) // 20, ".png") for name in ("black.png", "white.png")}
-    document = {"format": "splitknit-separation", "version": 1, "method": "checkerboard", "images": list(images)}
-    document |= {"shifts": [[0, 0], [0, 2], [2, 0], [2, 2]], "black": "black.png", "white": "white.png", "period": 4}
-    files: Files = {**images, **singles}
-    return [files, {**files, "separation.json": json.dumps(document).encode()}]
+    return [{**images, **singles}]
 
 
 def _pattern(folder: Path, files: Files) -> None:
-    _read_light(read_pattern_folder(folder), folder)
+    read_light(folder)
 
 
 # --- viewer ------------------------------------------------------------------------------------------------------
@@ -921,7 +881,6 @@ TARGETS = (
     Target("packed", _packed, _of_bytes(unpack_minutiae), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES, _of_2011()), _record),
     Target("what", _print_files, lambda folder, files: WhatJob(folder / "x").run(lambda *_: None)),
-    Target("cloud", _clouds, _cloud),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),

@@ -12,7 +12,6 @@ import pytest
 from scipy.io import savemat
 
 from script_folder import VALIDATION, Script, scripts_of
-from splitknit.cli.main import main
 from splitknit_simulator.finger.finger import draw_finger
 
 SIDE, RADIUS = 96, 40.0
@@ -126,6 +125,8 @@ def test_surfaces_against_prints(tmp_path: Path, run: Script, capsys: pytest.Cap
     """Surfaces of 508 ppi and 13 x 15 mm, as tomographs give them, and contact prints of three simulated fingers."""
     down, right = 0.05 * np.mgrid[0:300, 0:260]
     (tmp_path / "prints").mkdir()
+    with scripts_of(VALIDATION / "scanners") as named:
+        result_of_points = named("cloud").result_of_points
     with scripts_of(VALIDATION / "match") as named:
         press = named("pressed_prints").press
         for finger in range(3):
@@ -134,10 +135,8 @@ def test_surfaces_against_prints(tmp_path: Path, run: Script, capsys: pytest.Cap
             place = (right - 6.5 - master.u_mm[0]) / step, (master.v_mm[0] - 23 + down) / step
             ridges = cv2.remap(master.ridge.astype(np.float32), *np.float32(place), cv2.INTER_LINEAR)
             points = np.dstack([right, -down, 0.05 * ridges - 0.01 * (right - 6.5) ** 2])
-            cloud, surface = tmp_path / f"{finger}.xyz", tmp_path / "surfaces" / f"{finger}_1"
-            np.savetxt(cloud, points.reshape(-1, 3), fmt="%.4f")
-            of = ["--unit", "mm", "--up", "z", "--pitch", "0.05"]
-            assert main(["import", str(cloud), *of, "--out", str(surface)]) == 0
+            cloud = points.reshape(-1, 3).astype(np.float32)
+            result_of_points(cloud, 0.05).save(tmp_path / "surfaces" / f"{finger}_1")
             cv2.imwrite(str(tmp_path / "prints" / f"{finger}-1.png"), press(master, 1))
     capsys.readouterr()
     sets = [str(tmp_path / "surfaces"), "--pattern", "{finger}_{sample}", "--against", str(tmp_path / "prints")]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
 
 with scripts_of(VALIDATION / "scanners") as script:
-    focus, laser, stereo, structured_light = map(script, ("focus", "laser", "stereo", "structured_light"))
+    cloud, focus, laser, stereo, structured_light = map(
+        script, ("cloud", "focus", "laser", "stereo", "structured_light")
+    )
     View, cloud_of, on_planes = (getattr(script("views"), name) for name in ("View", "cloud_of", "on_planes"))
 
 SHAPE = (60, 80)
@@ -49,8 +53,8 @@ def test_phases_of_three_periods_give_points_and_their_uncertainty() -> None:
     error = (decoded.row - row)[5:]
     assert error.std() < 0.05
     assert decoded.sigma[5:].mean() == pytest.approx(error.std(), rel=0.2)
-    cloud, sigma = structured_light.scan(camera, projector, decoded)
-    away = np.linalg.norm(cloud.points_mm - truth[5:].reshape(-1, 3), axis=1)
+    points, sigma = structured_light.scan(camera, projector, decoded)
+    away = np.linalg.norm(points - truth[5:].reshape(-1, 3), axis=1)
     assert np.sqrt((away**2).mean()) == pytest.approx(float(np.sqrt((sigma[5:] ** 2).mean())), rel=0.2)
 
 
@@ -71,8 +75,8 @@ def test_a_line_that_passes_is_timed_between_frames() -> None:
     first, step = row.min() - 20.0, 5.0
     count = int((np.ptp(row) + 40) / step)
     frames = (np.exp(-0.5 * ((row - first - k * step) / 6.0) ** 2) for k in range(count))
-    cloud = laser.scan(camera, scanner, laser.peaks(frames), (first, step))
-    np.testing.assert_allclose(cloud.points_mm, truth.reshape(-1, 3), atol=2e-3)
+    points = laser.scan(camera, scanner, laser.peaks(frames), (first, step))
+    np.testing.assert_allclose(points, truth.reshape(-1, 3), atol=2e-3)
 
 
 def test_the_sharpest_picture_tells_the_depth() -> None:
@@ -88,7 +92,7 @@ def test_the_sharpest_picture_tells_the_depth() -> None:
     assert np.nanstd((number - depth)[inner]) < 0.3
     assert sharp.std() > np.mean(stack, axis=0).std()
     camera = view(0, 0, shape=shape)
-    assert np.ptp(focus.scan(camera, number, (1.0, -0.5)).points_mm[:, 2]) == pytest.approx(6.5, abs=0.8)
+    assert np.ptp(focus.scan(camera, number, (1.0, -0.5))[:, 2]) == pytest.approx(6.5, abs=0.8)
 
 
 def test_two_cameras_find_a_hill_with_texture() -> None:
@@ -101,8 +105,8 @@ def test_two_cameras_find_a_hill_with_texture() -> None:
         places = hill(one, shape)
         u, v = (300 + 50 * places[..., k].astype(np.float32) for k in (0, 1))
         pictures.append(cv2.remap(texture, u, v, cv2.INTER_LINEAR) + 0.1)
-    cloud = stereo.scan(pictures, views, np.zeros(3), 2.0)
-    x, y, z = cloud.points_mm.T
+    points = stereo.scan(pictures, views, np.zeros(3), 2.0)
+    x, y, z = points.T
     error = z + 0.02 * (x**2 + y**2)
     assert len(z) > 0.5 * shape[0] * shape[1]
     assert np.median(np.abs(error)) < 0.02
@@ -116,8 +120,8 @@ def test_silhouettes_of_a_cylinder_enclose_it() -> None:
         ray, centre = one.directions(shape)[..., [0, 2]], one.centre_mm[[0, 2]] + [0, 5.0]
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
         masks.append(np.abs(ray[..., 0] * centre[1] - ray[..., 1] * centre[0]) < radius)
-    cloud = stereo.hull(masks, views, np.array([[-6.0, -3.0, -6.0], [6.0, 3.0, 2.0]]), 0.2)
-    x, _, z = cloud.points_mm.T
+    points = stereo.hull(masks, views, np.array([[-6.0, -3.0, -6.0], [6.0, 3.0, 2.0]]), 0.2)
+    x, _, z = points.T
     over = np.hypot(x, z + 5.0)[z > -3.0] - radius
     assert over.min() > -0.1
     assert over.max() < 0.4
@@ -135,4 +139,37 @@ def test_what_cannot_be_decoded_is_refused() -> None:
     with pytest.raises(BadInput, match="two to five"):
         stereo.scan([np.zeros((2, 2), np.float32)], [view(0, 0)], np.zeros(3), 1.0)
     with pytest.raises(BadInput, match="nothing of the finger"):
-        cloud_of(np.full((3, 3), np.nan), "none")
+        cloud_of(np.full((3, 3), np.nan))
+
+
+def test_scattered_points_are_fitted_and_the_hole_stays() -> None:
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-6, 6, 200_000), rng.uniform(-8, 8, 200_000)
+
+    def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        shape = np.sqrt(np.maximum(81.0 - x**2 - np.maximum(y - 5, 0) ** 2, 0.0)) - 4.0
+        return shape + 0.02 * np.cos(2 * np.pi * np.hypot(x, y - 2) / 0.5)
+
+    away = np.hypot(x - 1, y + 3) > 1
+    points = np.stack([x, y, height(x, y)], axis=1)[away].astype(np.float32)
+    below = points * np.float32([1, 1, -1]) - np.float32([0, 0, 3])
+    result = cloud.result_of_points(np.concatenate([points, below]))
+    rows, columns = np.nonzero(result.mask)
+    x_mm, y_mm = points[:, 0].min() + columns * result.pitch_mm, points[:, 1].max() - rows * result.pitch_mm
+    error = result.height_mm[result.mask] - height(x_mm, y_mm)
+    assert np.sqrt((error**2).mean()) < 0.0015
+    assert np.hypot(x_mm - 1, y_mm + 3).min() > 0.9
+    with pytest.raises(BadInput, match="16 at least"):
+        cloud.result_of_points(points[:9])
+    with pytest.raises(BadInput, match="is not a surface"):
+        cloud.result_of_points(rng.uniform(0, 10, (5000, 3)).astype(np.float32))
+
+
+@pytest.mark.parametrize(("up", "turn"), [("x", [2, 0, 1]), ("-y", [0, 2, 1]), ("y", [0, 2, 1])])
+def test_points_are_seen_from_the_axis_that_is_named(up: str, turn: list[int], tmp_path: Path) -> None:
+    points = np.random.default_rng(1).uniform(0, 1, (99, 3))
+    points[:, 2] = points[:, 0] + 3
+    stored = points[:, turn] * ([1, -1, 1] if up == "-y" else [1, 1, 1])
+    np.savetxt(tmp_path / "a.xyz", stored / 25.4)
+    read = cloud.points_of(tmp_path / "a.xyz", up, 25.4)
+    np.testing.assert_allclose(read[:, 2] - read[:, 2].mean(), points[:, 2] - points[:, 2].mean(), atol=1e-5)

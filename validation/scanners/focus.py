@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from views import View, between_neighbours, cloud_of
 
 from splitknit.errors import require
-from splitknit.io.clouds import Cloud
 from splitknit.model import FloatArray
 
 _LEAST = 0.2  # by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
@@ -46,8 +45,8 @@ def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, Fl
     return np.where(known, middle + fraction, np.nan).astype(np.float32), sharp.astype(np.float32)
 
 
-def scan(camera: View, number: FloatArray, heights_mm: tuple[float, float]) -> Cloud:
+def scan(camera: View, number: FloatArray, heights_mm: tuple[float, float]) -> FloatArray:
     """Points of a stack whose picture k is focused on the plane z = heights_mm[0] + k heights_mm[1]."""
     rays, centre = camera.directions((number.shape[0], number.shape[1])), camera.centre_mm
     z = heights_mm[0] + heights_mm[1] * number.astype(np.float64)
-    return cloud_of(centre + ((z - centre[2]) / rays[..., 2])[..., None] * rays, "depth from focus")
+    return cloud_of(centre + ((z - centre[2]) / rays[..., 2])[..., None] * rays)

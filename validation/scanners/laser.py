@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from views import View, between_neighbours, cloud_of, on_planes
 
 from splitknit.errors import require
-from splitknit.io.clouds import Cloud
 from splitknit.model import FloatArray
 
 
@@ -50,6 +49,6 @@ def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatA
     return np.where(known, at + fraction, np.nan).astype(np.float32)
 
 
-def scan(camera: View, laser: View, frame: FloatArray, rows: tuple[float, float]) -> Cloud:
+def scan(camera: View, laser: View, frame: FloatArray, rows: tuple[float, float]) -> FloatArray:
     """Triangulate a sweep: frame k lit the row rows[0] + k rows[1] of the laser's scanner, described as a projector."""
-    return cloud_of(on_planes(camera, laser, rows[0] + rows[1] * frame)[0], "laser line")
+    return cloud_of(on_planes(camera, laser, rows[0] + rows[1] * frame)[0])

@@ -1,7 +1,7 @@
 """The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 24] [--system NAME]`.
 
-Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for ``splitknit
-import``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
+Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for
+``cloud.py``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
 ``tables/``) behind docs/experiments/scanners.md from what is there.
 """
 
@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 import simulated as sim
 import structured_light
+from cloud import result_of_points
 from scipy.stats import beta
 
 import splitknit
 import splitknit_match
 import splitknit_simulator
-from splitknit.io.clouds import Cloud
-from splitknit.methods.cloud import CloudView, result_of_cloud
+from splitknit.model import FloatArray
 from splitknit_simulator.light.skin import diffusion_profile
 
 FINE = 12.0
@@ -67,14 +67,12 @@ SYSTEMS: dict[str, tuple[Callable[[sim.Fingers], sim.Scan], str, int, int, float
 """How, name, parts, price in EUR (both estimated), seconds of capture at 30 frames a second."""
 
 
-def on_grid(cloud: Cloud, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
+def on_grid(points: FloatArray, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
     """A result on the pixels of the thesis's camera: its corners, far below, fix the grid."""
     x, y = (shape[1] - 1) / 2 * pitch, (shape[0] - 1) / 2 * pitch
-    points = cloud.points_mm
     points = points[(np.abs(points[:, 0]) < x) & (np.abs(points[:, 1]) < y) & (np.abs(points[:, 2]) < 30)]
     corners = np.array([[a, b, -40.0] for a in (-x, x) for b in (-y, y)], np.float32)
-    whole = Cloud(np.concatenate([points, corners]).astype(np.float32), cloud.kind)
-    return result_of_cloud(whole, CloudView("z", pitch, 0.0))
+    return result_of_points(np.concatenate([points, corners]).astype(np.float32), pitch, 0.0)
 
 
 def fused(coarse: splitknit.Reconstruction, ridges: splitknit.Reconstruction) -> splitknit.Reconstruction:
@@ -113,7 +111,7 @@ def measure(seed: int, names: list[str], out: Path) -> None:
             continue
         how = SYSTEMS[name][0]
         cloud, light, seconds = how(finger)
-        np.savetxt(out / f"{seed}-{name}.xyz", cloud.points_mm, "%.4f")
+        np.savetxt(out / f"{seed}-{name}.xyz", cloud, "%.4f")
         begun = time.process_time()
         try:
             result = on_grid(cloud, metric.mask.shape, metric.pitch_mm)

@@ -15,7 +15,6 @@ import structured_light
 from numpy.typing import NDArray
 from views import View
 
-from splitknit.io.clouds import Cloud
 from splitknit.model import BoolArray, Camera, FloatArray, Led
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
@@ -39,7 +38,7 @@ PROJECTOR_BLUR_MM, LASER_SIGMA_MM = 0.05, 0.05
 APERTURE_MM = 28.0  # of the lens of depth from focus: f/2.5 at 70 mm
 PERIODS, STEPS = (1300.0, 200.0, 36.0), 6
 Pattern = Callable[[FloatArray], NDArray[np.floating]]  # light by the projector's row
-Scan = tuple[Cloud, float, float]  # with the light on the skin (1: one evenly lit exposure), seconds of computing
+Scan = tuple[FloatArray, float, float]  # with the light on the skin (1: one evenly lit exposure), seconds of computing
 
 
 def turned(about: str, deg: float) -> Array:

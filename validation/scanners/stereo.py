@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from views import View, cloud_of
 
 from splitknit.errors import require
-from splitknit.io.clouds import Cloud
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.surface import Array
 
 _ROUNDS, _LARGEST_STEP_PX = 4, 0.5
 
 
-def scan(pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array, depth_mm: float) -> Cloud:
+def scan(pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array, depth_mm: float) -> FloatArray:
     """Match each camera with its neighbour and collect the points.
 
     `pictures`: two to five (H, W), 0 to 1, in the order of the cameras around the finger, 0 beside the finger; `views`:
@@ -37,7 +36,7 @@ def scan(pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array
     require(2 <= len(pictures) == len(views) <= 5, "stereo takes two to five pictures, each with its view.")
     pairs = zip(pictures, pictures[1:], views, views[1:], strict=False)
     found = [_pair((one, two), (first, second), middle_mm, depth_mm) for one, two, first, second in pairs]
-    return cloud_of(np.concatenate(found), "stereo")
+    return cloud_of(np.concatenate(found))
 
 
 def _pair(
@@ -110,7 +109,7 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
     return np.asarray(disparity, dtype=np.float32), np.asarray((alike > 0.6) & (np.abs(disparity - start) < 2.0))
 
 
-def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float) -> Cloud:
+def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float) -> FloatArray:
     """Upper side of the visual hull: the highest points that lie within all silhouettes.
 
     `masks`: (H, W) silhouettes; what leaves a picture goes on beyond its border; `views`: of the cameras; `box_mm`: (2,
@@ -139,4 +138,4 @@ def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch
         entered = np.isnan(top) & (here > 0)
         top[entered] = height + (steps[2] * here / np.maximum(here - above, 1e-6))[entered]
         above = here
-    return cloud_of(np.stack([grid_x, grid_y, top], axis=-1), "visual hull")
+    return cloud_of(np.stack([grid_x, grid_y, top], axis=-1))

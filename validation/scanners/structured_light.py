@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from views import View, cloud_of, on_planes
 
 from splitknit.errors import require
-from splitknit.io.clouds import Cloud
 from splitknit.model import FloatArray
 
 _NOISE_PX = 7  # side of the square over which the residuals of the sinusoids are averaged
@@ -83,11 +82,11 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
     return Decoded(row.astype(np.float32), sigma.astype(np.float32), modulation)
 
 
-def scan(camera: View, projector: View, decoded: Decoded, largest_mm: float = 0.1) -> tuple[Cloud, FloatArray]:
+def scan(camera: View, projector: View, decoded: Decoded, largest_mm: float = 0.1) -> tuple[FloatArray, FloatArray]:
     """Triangulate decoded rows: points whose standard deviation is below `largest_mm`, and the standard deviation (H,
     W) of each pixel's point along its ray, mm, by noise alone.
     """
     points, slope = on_planes(camera, projector, decoded.row)
     sigma = (slope * decoded.sigma).astype(np.float32)
     points[~(sigma <= largest_mm)] = np.nan
-    return cloud_of(points, "structured light"), sigma
+    return cloud_of(points), sigma

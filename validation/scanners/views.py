@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.io.clouds import Cloud
 from splitknit.model import FloatArray
 from splitknit_simulator.surface import Array
 
@@ -64,11 +63,9 @@ def between_neighbours(before: FloatArray, at: FloatArray, after: FloatArray) ->
     return np.asarray(np.divide(0.5 * (before - after), bend, out=out, where=bend < -1e-6))
 
 
-def cloud_of(points_mm: NDArray[np.floating], kind: str) -> Cloud:
-    """The known ones of points (..., 3) as a cloud, which :func:`splitknit.methods.cloud.result_of_cloud` takes.
-    Raises BadInput if none is known.
-    """
+def cloud_of(points_mm: NDArray[np.floating]) -> FloatArray:
+    """The known ones (N, 3) of points (..., 3). Raises BadInput if none is known."""
     flat: FloatArray = np.asarray(points_mm, dtype=np.float32).reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
     require(len(flat) > 0, "nothing of the finger was measured; check light, exposure and calibration.")
-    return Cloud(flat, kind)
+    return flat

@@ -44,7 +44,7 @@ from patches import (
 
 from splitknit.model import Camera, Led
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
+from splitknit.separation.stacks import Separation, estimate_patterns
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.separation import Checkerboard, Separated
 from splitknit_simulator.light.skin import SkinOptics
@@ -54,7 +54,6 @@ CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
 STEPS = (5, 7, 9)
 """Odd: an even number of shifts shows every checkerboard twice."""
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
-UNBOUNDED = StackSettings(clip_level=None)
 """Simulated radiance does not clip."""
 
 
@@ -68,7 +67,7 @@ def noise_free(patches: dict[str, Patch], checks: Iterable[float], steps: Iterab
             for count in steps:
                 pattern = Checkerboard(check, steps=count)
                 stack = photograph(patch, pattern)
-                common: dict[str, Any] = {"mask": mask, "settings": UNBOUNDED}
+                common: dict[str, Any] = {"mask": mask, "clip_level": None}
                 common |= {"shifts": pattern.shifts_mm(), "period": 2 * check}
                 what = {"surface": name, "check_mm": check, "shifts": count**2, "method": "maximum - minimum"}
                 rows.append({**what, **_judged(checkerboard(stack, **common), truth, mask)})
@@ -121,7 +120,7 @@ def noise(patches: dict[str, Patch], check: float) -> list[dict[str, Any]]:
 
 def _estimates(stack: np.ndarray, check_mm: float, mask: np.ndarray, states: np.ndarray) -> dict[str, Separation]:
     """All estimates from one stack, with the states of its pixels."""
-    common: dict[str, Any] = {"mask": mask, "settings": UNBOUNDED}
+    common: dict[str, Any] = {"mask": mask, "clip_level": None}
     side = check_mm * PX_PER_MM
     found = estimate_patterns(stack, **common)
     return {

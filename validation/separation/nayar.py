@@ -22,12 +22,10 @@ import numpy as np
 from patches import PX_PER_MM, SIZE, Patch, decibels, draw_patches, inner, noisy_images, photograph, truth_of
 
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import StackSettings
 from splitknit_simulator.light.separation import Checkerboard
 
 CHECK_MM = 0.42
 TABLE = Path(__file__).with_name("tables") / "nayar.csv"
-UNBOUNDED = StackSettings(clip_level=None)
 BLOCK = 32
 """Pixels a side of a block of the single image: two checks."""
 
@@ -99,7 +97,7 @@ def by_one_image(image: np.ndarray, block: int, check_px: float) -> np.ndarray:
 def direct_of(kind: str, images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Direct light (h, w, C) by one of the ways."""
     if kind == "checkerboard":
-        return np.asarray(checkerboard(images, mask=mask, settings=UNBOUNDED).direct)
+        return np.asarray(checkerboard(images, mask=mask, clip_level=None).direct)
     if kind == "sinusoid":
         return by_sinusoid(images)[0]
     if kind == "single image":

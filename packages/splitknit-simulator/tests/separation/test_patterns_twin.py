@@ -7,14 +7,12 @@ import pytest
 
 from splitknit.model import Camera, default_rig
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import StackSettings
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
 from splitknit_simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
-UNBOUNDED = StackSettings(clip_level=None)
 """Radiance in the rig's units does not clip."""
 
 
@@ -38,7 +36,7 @@ def decibels(found, truth):
 
 def test_noise_free_skin_is_separated(skin):
     stack, _, direct, global_ = skin
-    parts = checkerboard(stack, settings=UNBOUNDED)
+    parts = checkerboard(stack, clip_level=None)
     assert decibels(parts.direct, direct).min() > 46  # 49.5 to 50.8 measured on a larger patch
     assert decibels(parts.global_, global_).min() > 40
 
@@ -46,8 +44,8 @@ def test_noise_free_skin_is_separated(skin):
 def test_light_that_spreads_needs_the_middle_of_the_checks(skin):
     """States alone give the mean over a check, a fifth too little; the middle of the checks is what the truth means."""
     stack, states, direct, _ = skin
-    mean = checkerboard(stack, patterns=states, settings=UNBOUNDED).direct.mean() / direct.mean()
-    middle = checkerboard(stack, patterns=states, check_px=CHECK_MM * PX_PER_MM, settings=UNBOUNDED)
+    mean = checkerboard(stack, patterns=states, clip_level=None).direct.mean() / direct.mean()
+    middle = checkerboard(stack, patterns=states, check_px=CHECK_MM * PX_PER_MM, clip_level=None)
     assert 0.7 < mean < 0.85
     assert middle.direct.mean() / direct.mean() == pytest.approx(1, abs=0.02)
     assert decibels(middle.direct, direct).min() > 42
@@ -57,10 +55,10 @@ def test_noise_does_not_move_the_middle(skin):
     stack, states, direct, _ = skin
     sigma = 0.03
     noisy = stack + np.random.default_rng(7).normal(0, sigma, stack.shape)
-    keywords = {"patterns": states, "check_px": CHECK_MM * PX_PER_MM, "settings": UNBOUNDED}
+    keywords = {"patterns": states, "check_px": CHECK_MM * PX_PER_MM, "clip_level": None}
     with_noise, without = checkerboard(noisy, **keywords).direct, checkerboard(stack, **keywords).direct
     spread = sigma / np.sqrt(direct.size)
     assert abs(float((with_noise - without).mean())) < 4 * spread
-    plain = checkerboard(noisy, settings=UNBOUNDED).direct
+    plain = checkerboard(noisy, clip_level=None).direct
     assert plain.mean() > 1.2 * direct.mean()
     assert decibels(with_noise, direct).min() > decibels(plain, direct).min() + 4

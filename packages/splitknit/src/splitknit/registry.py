@@ -23,8 +23,7 @@ VERBS = {
     ),
     "import": (
         CORE,
-        "turn photographs and light directions into a capture folder (--images), a point cloud into a result folder, "
-        "or prints of other systems into PNG",
+        "turn photographs and light directions into a capture folder (--images), or prints of other systems into PNG",
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
     "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
@@ -48,6 +47,7 @@ VERBS = {
     "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
+_SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
     "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
     "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
@@ -62,6 +62,9 @@ GONE: dict[str, str] = {
     "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
     "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
     "view --live": "photograph and reconstruct, then view the result.",
+    "import --unit": _SCANNED,
+    "import --up": _SCANNED,
+    "import --pitch": _SCANNED,
     "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
     "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
     "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",

@@ -9,7 +9,7 @@ import pytest
 from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import check_shifts, estimate_patterns
+from splitknit.separation.stacks import estimate_patterns
 
 SIZE = (60, 72)
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
@@ -165,10 +165,6 @@ def refused(words, *arguments, **keywords):
 def test_inconsistent_stacks_are_refused(patterns):
     stack = stack_of(*scene(), patterns)
     noise = np.random.default_rng(5).normal(0, 0.01, stack.shape)
-    twice = [*range(24), 11]
-    refused("images 11 and 24 show the same pattern", stack[twice])
-    refused("images 11 and 24 show the same pattern", (stack[twice] + noise))
-    refused("patterns 11 and 24 are the same", stack[twice], patterns=patterns[twice])
     refused("image 24 shows pattern", (stack + noise)[[*range(24), 11]], patterns=patterns)
     refused("out of order", stack[::-1], patterns=patterns)
     refused("does not show its pattern", stack, patterns=1 - patterns)
@@ -197,25 +193,6 @@ def test_a_region_without_pattern_is_named(patterns):
     assert "row 40, column 0" in message
 
 
-def test_shift_tables():
-    check_shifts(SHIFTS, 25, 10)
-    check_shifts([0, 1, 2], 3, 3)
-    with pytest.raises(BadInput, match=r"the shift \(4, 2\) is missing"):
-        check_shifts([s for s in SHIFTS if s != (4, 2)], 24)
-    with pytest.raises(BadInput, match=r"images 3 and 25 have the same shift \(0, 6\)"):
-        check_shifts([*SHIFTS, (0, 6)], 26)
-    with pytest.raises(BadInput, match="images 0 and 1 have the same shift"):
-        check_shifts([0, 10, 3], 3, 10)
-    with pytest.raises(BadInput, match="25 shifts for 24 images"):
-        check_shifts(SHIFTS, 24)
-    with pytest.raises(BadInput, match="from 2 to 6 at once"):
-        check_shifts([s for s in SHIFTS if s[0] != 4], 20)
-    with pytest.raises(BadInput, match="from 6 to 10 at once"):  # the last row of five
-        check_shifts([s for s in SHIFTS if s[0] != 8], 20, 10)
-    with pytest.raises(BadInput, match="is missing from the grid"):
-        checkerboard(np.ones((24, 4, 4)), shifts=SHIFTS[:-1])
-
-
 def test_background_and_exact_zeros_do_no_harm(patterns):
     """Half of the picture is black: its pixels never change, and that is not a fault of the patterns."""
     direct, global_ = scene()
@@ -224,16 +201,3 @@ def test_background_and_exact_zeros_do_no_harm(patterns):
     parts = checkerboard(stack)
     assert np.all(parts.direct[:, 36:] == 0)
     assert np.all(parts.global_[:, 36:] == 0)
-
-
-def test_an_even_grid_of_shifts_shows_each_pattern_twice():
-    """A checkerboard moved by a check each way is the same again: not a repeated shift, unless one is missing."""
-    shifts = [(2 * i, 2 * j) for i in range(4) for j in range(4)]
-    patterns = checkerboard_patterns(SIZE, 4, shifts)
-    direct, global_ = scene()
-    stack = stack_of(direct, global_, patterns)
-    for known in (None, patterns):
-        parts = checkerboard(stack, patterns=known, shifts=shifts, period=8)
-        assert np.abs(parts.direct - direct).max() < 1e-6
-    refused("images 0 and 10 show the same pattern", stack[:12])
-    refused("patterns 0 and 10 are the same", stack[:12], patterns=patterns[:12])

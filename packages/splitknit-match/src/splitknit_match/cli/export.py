@@ -28,7 +28,7 @@ def import_prints(job: ImportJob, progress: Progress) -> Outcome:
     from splitknit_match.gallery.records import import_records  # verbs import what they need
 
     refuse_given(job, ("nir", "keep", "overwrite"), "goes with `folder`.")
-    job.refuse_photographs((), "goes with `folder`.")
+    job.refuse_photographs("goes with `folder`.")
     facts = import_records(job.files, job.out, job.input_ppi, progress)
     return facts, export_words(facts)
 

@@ -1,43 +1,36 @@
 """``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
-folder of each. Other kinds of input (point clouds, prints) are read by what is registered for them.
+folder of each. Prints are read by what is registered for them.
 """
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.jobs import OF_PHOTOGRAPHS, Photographs
-from splitknit.registry import IMPORTS, MATCH, SIMULATOR, extension
+from splitknit.registry import GONE, IMPORTS, MATCH, extension
 from splitknit.verbs import AnyPath, Help, InputPpi, Job, Overwrite, Progress, path, refuse_given
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-_OF_CLOUDS = ("unit", "up", "pitch_mm")
 _OF_RIGS = "white and near-infrared photographs of a rig"
 _PRINTS = "prints of other systems"
-_SURFACES = "point clouds and meshes"
-_ABOUT_SURFACES = (
-    "one FILE (.ply, .xyz, .obj, .stl; needs trimesh) becomes a result folder; `material` is skin, a finger, "
-    "unless given, and `tip_direction_deg` counts from the top of the view"
-)
+_SURFACES = (".ply", ".xyz", ".obj", ".stl")
 
 
 @dataclass(frozen=True, slots=True)
 class ImportJob(Job):
-    """Turn photographs and light directions into a capture folder (`folder`), a point cloud into a result folder, or
-    prints of other systems into PNG.
-    """
+    """Turn photographs and light directions into a capture folder (`folder`), or prints of other systems into PNG."""
 
     # fmt: off
     files: Annotated[tuple[AnyPath, ...], Help(
         "WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; ISO "
         "19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take all "
-        "of them as they are; PLY, XYZ, OBJ, STL: see point clouds",
+        "of them as they are",
         "FILE", positional=True, group=_PRINTS)] = ()
     _: KW_ONLY
     photographs: Annotated[Photographs, Help("photographs")] = field(default_factory=Photographs)
@@ -53,20 +46,10 @@ class ImportJob(Job):
         "right, such as right_middle,right_index", "WHICH")] = None
     overwrite: Overwrite = False
     input_ppi: Annotated[InputPpi, Help(InputPpi.__metadata__[0].text, "N", group=_PRINTS)] = None
-    unit: Annotated[Literal["um", "mm", "cm", "in", "m"] | None, Help(
-        "of the coordinates (default: mm)", group=_SURFACES, about=_ABOUT_SURFACES)] = None
-    up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Help(
-        "axis that points to the viewer: x, y, z, or -x as --up=-x (default: found by normals or by the shape)",
-        "AXIS", group=_SURFACES)] = None
-    pitch_mm: Annotated[float | None, Help(
-        "of the grid (default: the cloud's own, or as its points carry it)",
-        "MM", option="--pitch", group=_SURFACES)] = None
     # fmt: on
 
     def run(self, progress: Progress) -> Outcome:
         """Find what kind of input it is, and import it."""
-        from splitknit.io.clouds import CLOUDS  # verbs import what they need
-
         images = self.photographs.folder
         both = images is not None and bool(self.files)
         require(not both, "photographs (`folder` DIR) and prints (FILE ...) are imported one after the other.")
@@ -76,18 +59,13 @@ class ImportJob(Job):
             require(len(self.files) < 2, "`fingers` takes one capture, or `folder` of one.")
             self._check_rig_captures()
             return _import_fingers(self, progress)
-        if any(path(file).suffix.lower() in CLOUDS for file in self.files):
-            require(len(self.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
-            return self._extended("cloud", "the import of point clouds", SIMULATOR, progress)
-        refuse_given(self, _OF_CLOUDS, f"goes with a point cloud ({', '.join(CLOUDS)}).")
+        cloud = next((file for file in self.files if path(file).suffix.lower() in _SURFACES), None)
+        require(cloud is None, f"'{cloud}' is a surface: {GONE['import --unit']}")
         if images is None:
-            return self._extended("prints", "the import of prints", MATCH, progress)
+            found: Outcome = extension(IMPORTS, "prints", "the import of prints", MATCH)(self, progress)
+            return found
         self._check_rig_captures()
         return _import_photos(self, progress)
-
-    def _extended(self, name: str, what: str, distribution: str, progress: Progress) -> Outcome:
-        found: Outcome = extension(IMPORTS, name, what, distribution)(self, progress)
-        return found
 
     def _check_rig_captures(self) -> None:
         """Refuse options that lack their partner."""
@@ -100,10 +78,10 @@ class ImportJob(Job):
         material = self.photographs.material or ("skin" if skin else None)
         return replace(self.photographs, nir=self.nir, material=material)
 
-    def refuse_photographs(self, kept: tuple[str, ...], why: str) -> None:
-        """Refuse what is known of photographs, but for `kept`."""
+    def refuse_photographs(self, why: str) -> None:
+        """Refuse what is known of photographs."""
         names = (*OF_PHOTOGRAPHS, "tip_direction_deg", "light_frame", "px_per_mm", "ridge_period_mm")
-        refuse_given(self.photographs, [name for name in names if name not in kept], why)
+        refuse_given(self.photographs, names, why)
 
 
 def _import_fingers(job: ImportJob, progress: Progress) -> Outcome:

@@ -31,6 +31,9 @@ differ by 10 %. Standard deviation of brightness as it is stated, at best, in th
 _EXPONENTS = np.geomspace(0.55, 1.8, 9)
 _FLANKS, _SOME = 0.6, 700
 """Quantile of the pixels, by how much they change with the light, from which they show the tone; how many will do."""
+_DRIFT, _ALONE, _DRIFT_ERRORS = 0.03, 0.6, 3.0
+"""Change of a light's brightness from which it has drifted; the part of all gains that it explains alone, and its own
+standard errors, at least: gloss, shadows and scattering move the gains of several images a little."""
 _AWAY = 0.9
 """Part of the half width of a finger, from its axis, on which its height is fitted."""
 
@@ -104,6 +107,22 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
     slope = product / square
     rest = sum(float(((gain - slope * level) ** 2).sum()) for level, gain in pairs)
     return 1.0 + slope, slope / float(np.sqrt((rest / freedom + _STATED**2) / square))
+
+
+def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
+    """The light (L,) whose brightness alone explains the `gains` of :func:`image_gains`, and its relative brightness.
+
+    Beside the patterns of `directions` (L, 3) that a tilt of the surface makes; None where no single light has changed.
+    """
+    basis = np.linalg.qr(np.column_stack([np.ones(len(gains)), directions[:, :2]]))[0]
+    beside = np.eye(len(gains)) - basis @ basis.T
+    rest, own = beside @ gains, np.diag(beside)
+    explained = rest**2 / own
+    k = int(np.argmax(explained))
+    change, total = float(rest[k] / own[k]), float(rest @ rest)
+    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / own[k])
+    sure = explained[k] > _ALONE * total and abs(change) > _DRIFT_ERRORS * error
+    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > _DRIFT else None
 
 
 def shading_exponent(stack: Any, vectors: Any) -> float:

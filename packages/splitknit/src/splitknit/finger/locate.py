@@ -10,10 +10,8 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, Note, require
-from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask, finger_masks
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
@@ -39,7 +37,7 @@ from splitknit.imaging.band import (
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
 from splitknit.steps import IN_MEMORY
@@ -258,10 +256,6 @@ def _quality(
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
             words += motion_warnings(motion, names)
-        if "radiometry" in capture.rig.provenance and len(stack) >= 5:
-            drift, said = _drift(capture, band, stack, lights, inside)
-            found["light_drift"] = drift
-            words += said
         begin = f"{name} band: "
         return found, [text.after(begin) if isinstance(text, Note) else begin + text for text in words]
 
@@ -269,21 +263,6 @@ def _quality(
         found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
     quality = {name: figures for name, (figures, _) in found.items()}
     return quality, tuple(text for _, words in found.values() for text in words)
-
-
-def _drift(
-    capture: Capture, band: Band, stack: FloatArray, lights: NDArray[np.float64], outline: BoolArray
-) -> tuple[dict[str, Any] | None, list[str]]:
-    """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
-    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.spectral]
-    groups = band.lights
-    names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in groups]
-    try:
-        drift = led_drift(stack, lights, outline)
-    except BadInput:  # too little of the finger is lit by all of them: nothing can be said
-        return None, []
-    facts = {"gain": [float(v) for v in drift.gain], "error": [float(v) for v in drift.error]}
-    return facts, drift_words(drift, names)
 
 
 def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splitknit.diagnosis.response import (
+    Array,
     blue_over_red,
     clipped_part,
     colour_spread,
+    drifted_light,
     height_over_half_width,
     image_gains,
     shading_exponent,
@@ -51,6 +53,10 @@ FLAT = (
     "night mode of the camera, light of the room or haze has flattened it, or the LEDs stand elsewhere than stated; "
     "store RAW or linear images, and add an ambient one."
 )
+DRIFTED = (
+    "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card again (splitknit "
+    "calibrate radiometry)."
+)
 _BLUE, _CLIPPED, _COLOURS = 1.3, 0.2, 0.02
 """Blue over red light, part of the finger that is clipped in one colour of an image, and standard deviation of the
 colours' gains, from which they are doubted: at most 0.63, 0.06 (once 0.13), 0.001 on 180 sound fingers in all
@@ -89,7 +95,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
     inside[finger.window] = finger.inside
     inside = inside[::every, ::every]
     core = erode(inside, _DEPTH_MM / (every * capture.rig.camera.pitch_mm))
-    toned, found = [], list[ResponseDoubt]()
+    toned, names, found = [], [], list[ResponseDoubt]()
     exponent, height = float("nan"), float("nan")
     for name in ("white", "nir"):
         band = capture.bands.get(name)
@@ -113,6 +119,7 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         strength = np.linalg.norm(at, axis=1)
         level = strength * (band.exposure if len(band.exposure) == len(strength) else 1.0)
         toned.append((gains.mean(axis=0), at / strength[:, None], level))
+        names.append(band.image_names)
         if coloured:
             exponent = shading_exponent(stack[1:][..., core], vectors[..., core])
             height = height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm)
@@ -129,7 +136,17 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         other = "linear" if capture.encoding == "srgb" else "srgb"
         if doubt_of_response(replace(capture, encoding=other), finger, others=False) is None:
             return replace(doubt, words=ENCODING.format(capture.encoding, other))
-    return doubt
+    return doubt or (_doubt_of_drift(names, toned) if "radiometry" in capture.rig.provenance else None)
+
+
+def _doubt_of_drift(names: list[tuple[str, ...]], toned: list[tuple[Array, Array, Array]]) -> ResponseDoubt | None:
+    """Whether the brightness of one LED is no longer that of the rig's calibration."""
+    for files, (gains, directions, _) in zip(names, toned, strict=True):
+        drift = drifted_light(gains, directions) if np.isfinite(gains).all() else None
+        if drift is not None:
+            percent, word = 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
+            return ResponseDoubt(DRIFTED.format(files[drift[0]], percent, word), False, False)
+    return None
 
 
 def _coarse_surface(

@@ -19,15 +19,13 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.stacks import (
-    DEFAULTS,
+    CLIP_LEVEL,
     EDGE,
     Separation,
-    StackSettings,
     by_rows,
+    check_change,
     check_contrast,
     check_patterns,
-    check_repeats,
-    check_shifts,
     light_stack,
     mean_brightness,
 )
@@ -40,10 +38,8 @@ def checkerboard(
     dark: float = 0.0,
     patterns: Any = None,
     check_px: float | None = None,
-    shifts: Any = None,
-    period: Any = None,
     mask: Any = None,
-    settings: StackSettings = DEFAULTS,
+    clip_level: float | None = CLIP_LEVEL,
 ) -> Separation:
     """Separate direct from global light.
 
@@ -55,17 +51,16 @@ def checkerboard(
     With `patterns` and `check_px`, for matter in which light spreads: least squares of L = a + b s + c m, where m is s
     averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|, evaluated where the pixel lies
     nearest to the middle of a lit and of a dark check. These places are known: no bias by noise. Raises BadInput if the
-    stack is inconsistent: a shift missing or repeated, pixels never lit or never dark, saturated or black images, sizes
-    that differ, NaN, images that do not show their patterns.
+    stack is inconsistent: pixels never lit or never dark, saturated or black images, sizes that differ, NaN, images
+    that do not show their patterns.
 
     stack : (N, H, W) or (N, H, W, C), N >= 2, linear light, black level removed; all patterns have the same `alpha`
     alpha : fraction of the source that is lit, in (0, 1]
     dark : brightness of the unlit part over the lit one, in [0, 1); zero where a "black" image was subtracted
     patterns : (N, H, W) in [0, 1], state P of the pattern at each camera pixel: 1 lit, 0 dark
     check_px : side of a check on the camera's pixels, for skin; without, global light is the same under all shifts
-    shifts : (N,) or (N, 2), of each image's pattern: a full grid, each shift once
-    period : number or pair, of the pattern in the units of `shifts`, which are then compared modulo it
     mask : (H, W) bool
+    clip_level : of :func:`splitknit.separation.stacks.light_stack`
 
     Source: S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
     illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
@@ -80,13 +75,11 @@ def checkerboard(
     mean_brightness(alpha, dark)
     require(check_px is None or patterns is not None, "check_px needs patterns, the states of the pixels.")
     require(check_px is None or 1 <= check_px <= 1e4, f"check_px must be at least 1, but it is {check_px}.")
-    if shifts is not None:
-        check_shifts(shifts, len(stack), period)
-    images = light_stack(stack, least=2, mask=mask, settings=settings)
+    images = light_stack(stack, mask, clip_level)
     if patterns is None:
         low, high = images.light.min(axis=0), images.light.max(axis=0)
         check_contrast(low, high, images.mask)
-        check_repeats(images.light, images.mask)
+        check_change(images.light)
         return images.separation(low, high, alpha, dark)
     states = check_patterns(patterns, images)
     if check_px is None:

@@ -1,8 +1,7 @@
 """What ``splitknit separate`` does: a folder of images under patterns in, direct and global light out.
 
 Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full scale of the files, NaN
-outside the mask), 8-bit previews of both, and ``report.json``. The folder of images is described in
-:mod:`splitknit.separation.pattern_folder`.
+outside the mask), 8-bit previews of both, and ``report.json``.
 
 Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png`` (16 bits, linear) of
 light K, ``specular.png`` of all lights, and ``report.json``.
@@ -12,7 +11,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,15 +26,16 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader, image_size, write_image
 from splitknit.io.photos import encoding_of, read_photo
-from splitknit.io.plain import photographs_in
+from splitknit.io.plain import natural_order, photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.io.images import write_float_tiff
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.binary import checkerboard
-from splitknit.separation.pattern_folder import ESTIMATE, PatternFolder, read_pattern_folder
-from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
+from splitknit.separation.stacks import Separation, estimate_patterns
 
+ESTIMATE = "estimate"
+_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
 _RIDGES = 45  # periods of ridges that a picture of a finger is about long
@@ -44,26 +44,48 @@ _LIT = 0.1  # figures of the report are over pixels brighter than this part of t
 
 
 def separate_to_folder(
-    folder: Path, out: Path, *, changes: Mapping[str, Any] | None = None, progress: Progress = no_progress
+    folder: Path,
+    out: Path,
+    *,
+    alpha: float = 0.5,
+    dark: float = 0.0,
+    patterns: str | None = None,
+    encoding: str = "linear",
+    check_px: float | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Separate the images in `folder`, write all results into `out`, return the facts of ``report.json`` and more.
 
-    `changes` replace fields of :class:`splitknit.separation.pattern_folder.PatternFolder` (``None`` changes nothing).
+    `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or ``estimate``.
     Raises BadInput naming the file or the folder at fault; nothing is left half-written.
     """
     started = time.perf_counter()
-    plan = read_pattern_folder(folder, changes)
+    patterns = ESTIMATE if patterns is None and check_px is not None else patterns  # of use only with states
+    small = f"states can be found in the images where checks have 5 pixels or more, but check_px is {check_px}"
+    require(patterns != ESTIMATE or (check_px or 5) >= 5, f"{folder}: {small}; give the states as patterns.")
     check_target(out, MARKER, "an earlier separation", keep=folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
-        light = _read_light(plan, folder)
+        light = read_light(folder, None if patterns in (None, ESTIMATE) else Path(patterns), encoding)
         progress("separating", 0.5)
+        common: dict[str, Any] = {"mask": light.mask, "clip_level": light.clip_level}
         try:
-            parts = _separate(plan, light)
+            states = estimate_patterns(light.stack, **common) if patterns == ESTIMATE else light.patterns
+            parts = checkerboard(light.stack, alpha=alpha, dark=dark, patterns=states, check_px=check_px, **common)
         except BadInput as error:
-            raise BadInput(f"{folder}: {_with_names(str(error), plan)}") from error
+            raise BadInput(f"{folder}: {_with_names(str(error), light.names)}") from error
         progress("writing", 0.8)
-        facts = _write(parts, plan, light, target)
+        given = patterns if patterns in (None, ESTIMATE) else "given"
+        choices = {"encoding": encoding, "alpha": alpha, "dark": dark, "patterns": given, "check_px": check_px}
+        origin = provenance({"separate": choices}, light.hashes)
+        files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
+        for name, part in (("direct", parts.direct), ("global", parts.global_)):
+            write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
+            write_image(target / f"{name}.png", _light_picture(part))
+        facts = {**origin, **_figures(parts, light), "files": [*files, "report.json"]}
+        if patterns is not None and check_px is None:
+            low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
+            facts["warnings"].append(f"global light was taken to be the same under all shifts; {low}")
         facts["total_s"] = time.perf_counter() - started
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
@@ -124,36 +146,12 @@ def separate_polarised_folders(
     return {**facts, "out": str(out)}
 
 
-def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
-    common: dict[str, Any] = {"mask": light.mask, "settings": StackSettings(clip_level=light.clip_level)}
-    patterns = light.patterns
-    if plan.patterns == ESTIMATE:
-        patterns = estimate_patterns(light.stack, **common)
-    grid: dict[str, Any] = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period}
-    return checkerboard(light.stack, alpha=plan.alpha, patterns=patterns, **grid, **common)
-
-
-def _with_names(message: str, plan: PatternFolder) -> str:
+def _with_names(message: str, names: Sequence[str]) -> str:
     """Let what stages refuse, which know numbers only, name the files."""
-
-    def named(found: re.Match[str]) -> str:
-        numbers = [found.group(2)] + ([found.group(3)] if found.group(3) else [])
-        known = [f"{n} ({plan.images[int(n)].name})" if int(n) < len(plan.images) else n for n in numbers]
-        return found.group(1) + " and ".join(known)
-
-    return re.sub(r"(images? )(\d+)(?: and (\d+))?", named, message)
+    return re.sub(r"image (\d+)", lambda found: f"{found[0]} ({names[int(found[1])]})", message)
 
 
-def _write(parts: Separation, plan: PatternFolder, light: _PatternLight, target: Path) -> dict[str, Any]:
-    origin = provenance({"separate": plan.settings()}, light.hashes)
-    files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
-    for name, part in (("direct", parts.direct), ("global", parts.global_)):
-        write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
-        write_image(target / f"{name}.png", _light_picture(part))
-    return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
-
-
-def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> dict[str, Any]:
+def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
     known = np.isfinite(grey)
@@ -161,23 +159,15 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
     require(bool(lit.any()), "nothing is lit; the images are black.")
     direct, global_ = parts.direct[lit], parts.global_[lit]
     negative = float((global_ < 0).mean())
-    warnings = []
-    if negative > 0.05:
-        dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
-        warnings.append(f"{dark}: check alpha, dark and the black image.")
-    if plan.patterns is not None and plan.check_px is None:
-        low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
-        warnings.append(f"global light was taken to be the same under all shifts; {low}")
+    dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
     white = None
     if light.white is not None and light.white.shape == total.shape:
-        truth = light.white[lit]
-        ratio = total[lit] / np.where(truth > 0, truth, np.nan)
-        ratio = ratio[np.isfinite(ratio)]
-        if ratio.size:
-            white = {"median_ratio": float(np.median(ratio)), "median_error": float(np.median(np.abs(ratio - 1)))}
+        ratio = total[lit] / np.where(light.white[lit] > 0, light.white[lit], np.nan)
+        error = float(np.nanmedian(np.abs(ratio - 1)))
+        white = {"median_ratio": float(np.nanmedian(ratio)), "median_error": error}
     return {
         "method": "checkerboard",
-        "images": [file.name for file in plan.images],
+        "images": list(light.names),
         "image_size": list(light.stack.shape[1:3]),
         "result_size": list(parts.direct.shape[:2]),
         "direct": {"median": float(np.median(direct)), "p99": float(np.quantile(direct, 0.99))},
@@ -185,7 +175,7 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
         "direct_share": float(np.median(direct / np.maximum(total[lit], 1e-9))),
         "negative_global_share": negative,
         "against_white": white,
-        "warnings": warnings,
+        "warnings": [f"{dark}: check alpha, dark and the black image."] if negative > 0.05 else [],
     }
 
 
@@ -200,13 +190,14 @@ def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
 
 
-# The images of a pattern folder as linear light.
+# The images of a folder under patterns, as linear light.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PatternLight:
+class PatternLight:
     """The images of a folder as linear light without the black level."""
 
+    names: tuple[str, ...]  # of the images
     stack: FloatArray  # (N, H, W) or (N, H, W, 3)
     white: FloatArray | None  # (H, W) or (H, W, 3)
     patterns: FloatArray | None  # (N, H, W) given states
@@ -215,44 +206,53 @@ class _PatternLight:
     hashes: dict[str, str]  # SHA-256 by name
 
 
-def _read_light(plan: PatternFolder, folder: Path) -> _PatternLight:
-    """Read all files of a plan; hashes go by names relative to the folder, wherever that lies."""
-    images = list(plan.images)
-    states = list(plan.patterns) if isinstance(plan.patterns, tuple) else []
+def read_light(folder: Path, states: Path | None = None, encoding: str = "linear") -> PatternLight:
+    """Read all images of a folder, and of a folder of `states`, in the order of their names (``a_2`` before ``a_10``),
+    those called ``black``, ``white`` and ``mask`` apart; hashes go by names relative to the folder, wherever that lies.
+    """
+    for place in (folder, *([] if states is None else [states])):
+        what = "of images" if place == folder else f"of patterns (nor the word '{ESTIMATE}')"
+        require(place.is_dir(), f"'{place}' is not a folder {what}.")
+    document = folder / "separation.json"
+    require(not document.exists(), f"'{document}' is not read any more; give its fields as options, and remove it.")
+    files = _images_in(folder)
+    roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "white", "mask")}
+    images = [file for file in files if file not in roles.values()]
+    require(len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does.")
     with StackReader() as reader:
         size, by = image_size(images[0]), str(images[0])
         pixels = reader.start(images, size, by)
-        named = {"black": plan.black, "white": plan.white, "mask": plan.mask}
-        singles = {role: reader.start([file], size, by)[0] for role, file in named.items() if file is not None}
-        state_pixels = reader.start(states, size, by) if states else None
+        singles = {role: reader.start([file], size, by)[0] for role, file in roles.items()}
+        state_pixels = None if states is None else reader.start(_images_in(states), size, by)
         hashes = reader.finish()
-    shape: tuple[int, ...] = pixels.shape[1:]
-    black = _as(linear_image(singles["black"], plan.encoding), shape) if "black" in singles else np.float32(0.0)
+    channels = pixels.shape[3]
+
+    def single(role: str) -> FloatArray:
+        light = linear_image(singles[role], encoding)
+        return light if light.shape[2] == channels else light.mean(axis=-1, keepdims=True)
+
+    black = single("black") if "black" in singles else np.zeros(1, dtype=np.float32)
     stack = np.empty(pixels.shape, dtype=np.float32)
     for k, image in enumerate(pixels):
-        stack[k] = linear_image(image, plan.encoding) - black
-    white = None
-    if "white" in singles:
-        white = _as(linear_image(singles["white"], plan.encoding), shape) - black
-    table = decode_table(pixels.dtype, plan.encoding)
-    grey = shape[2] == 1
-    return _PatternLight(
-        stack[..., 0] if grey else stack,
-        white if white is None or not grey else white[..., 0],
-        None
-        if state_pixels is None
-        else np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels]),
-        mask_from_image(singles["mask"], str(plan.mask)) if "mask" in singles else None,
+        stack[k] = linear_image(image, encoding) - black
+    white = single("white") - black if "white" in singles else None
+    table = decode_table(pixels.dtype, encoding)
+    some = 0 if channels == 1 else slice(None)
+    patterns = None
+    if state_pixels is not None:
+        patterns = np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels])
+    named = {Path(name): value for name, value in hashes.items()}
+    return PatternLight(
+        tuple(file.name for file in images),
+        stack[..., some],
+        None if white is None else white[..., some],
+        patterns,
+        mask_from_image(singles["mask"], str(roles["mask"])) if "mask" in singles else None,
         float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
-        {
-            Path(name).relative_to(folder).as_posix() if Path(name).is_relative_to(folder) else Path(name).name: value
-            for name, value in hashes.items()
-        },
+        {(p.relative_to(folder).as_posix() if p.is_relative_to(folder) else p.name): v for p, v in named.items()},
     )
 
 
-def _as(light: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """`light` (H, W, C) with the number of channels of `shape`."""
-    if light.shape[2] == shape[2]:
-        return light
-    return np.asarray(np.broadcast_to(light.mean(axis=-1, keepdims=True), shape))
+def _images_in(folder: Path) -> list[Path]:
+    files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
+    return sorted(files, key=lambda file: (natural_order(file.stem), file.name))

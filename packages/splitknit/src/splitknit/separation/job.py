@@ -24,7 +24,7 @@ class SeparateJob(Job):
 
     # fmt: off
     folders: Annotated[tuple[AnyPath, ...], Help(
-        "folder of images, with or without separation.json; or 'polarised PARALLEL CROSSED', two folders of the same "
+        "folder of images under patterns; or 'polarised PARALLEL CROSSED', two folders of the same "
         "photographs through parallel and crossed films: specular and diffuse light", "FOLDER", positional=True)]
     _: KW_ONLY
     out: Annotated[AnyPath, Help("folder to write the results into", "DIR")]
@@ -44,10 +44,11 @@ class SeparateJob(Job):
         from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
 
         folders, out = [Path(one) for one in self.folders], path(self.out)
-        changes = {name: getattr(self, name) for name in (*_OF_PATTERNS, "encoding")}
+        given = {name: getattr(self, name) for name in (*_OF_PATTERNS, "encoding")}
+        given = {name: value for name, value in given.items() if value is not None}
         if len(folders) == 1:
-            return separate_to_folder(folders[0], out, changes=changes, progress=progress)
-        plain = all(changes[name] is None for name in _OF_PATTERNS)
+            return separate_to_folder(folders[0], out, **given, progress=progress)
+        plain = not set(given) & set(_OF_PATTERNS)
         good = len(folders) == 3 and str(folders[0]) == "polarised" and plain
         fault = "name one folder of images under patterns, or 'polarised PARALLEL CROSSED',"
         require(good, f"{fault} with `out` and `encoding` alone.")

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 
 _MAX_CLIPPED = 0.02  # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
 LIT_LEVEL = 0.1
@@ -30,21 +28,9 @@ LIT_LEVEL = 0.1
 cannot resolve."""
 MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
 _MAX_CONSTANT = 0.05  # more such pixels than this, among the bright ones, and the stack is refused
-_REPEAT = 0.02  # images that differ by less than this part of the usual power of differences show one pattern twice
 _BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
+CLIP_LEVEL = 0.99  # linear light from which on a value of a file counts as clipped
 EDGE = 0.1  # where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
-
-
-@dataclass(frozen=True, slots=True)
-class StackSettings(Checked):
-    """When a stack is refused."""
-
-    clip_level: Annotated[float | None, Limits(0, above=True)] = 0.99
-    """Linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond 1 show
-    that the stack is not a file's [0, 1] scale, and nothing is looked for."""
-
-
-DEFAULTS = StackSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,14 +73,15 @@ class LightStack:
         return Separation(*map(self.shaped, parts))
 
 
-def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
+def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LEVEL) -> LightStack:
     """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H, W).
 
-    Raises BadInput if there are fewer than `least` images, sizes differ, values are not finite, or an image is black or
-    overexposed.
+    `clip_level`: linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond
+    1 show that the stack is not a file's [0, 1] scale, and nothing is looked for. Raises BadInput if there are fewer
+    than two images, sizes differ, values are not finite, or an image is black or overexposed.
     """
     images = [np.asarray(image) for image in stack]
-    require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
+    require(len(images) >= 2, f"at least 2 images are needed, but there are {len(images)}.")
     first = images[0].shape
     for k, image in enumerate(images):
         cure = "all must be of one size and kind."
@@ -107,11 +94,11 @@ def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSett
         light[k] = image[..., None] if grey else image
         require(bool(np.isfinite(light[k]).all()), f"image {k} contains NaN or infinite values.")
     where = check_mask(mask, first[:2])
-    _check_exposure(light, where, settings)
+    _check_exposure(light, where, clip_level)
     return LightStack(light, where, grey)
 
 
-def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings) -> None:
+def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None) -> None:
     peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
     usual = float(np.median(peaks))
     require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
@@ -120,10 +107,10 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings)
     cure = "its pattern lights nothing, capture it again or leave it out."
     require(bool(peaks[k] > _BLACK_IMAGE * usual), f"{fault}; {cure}")
     brightest = light.max(axis=(0, -1))
-    if settings.clip_level is None or float(brightest.max()) > 1.0001:
+    if clip_level is None or float(brightest.max()) > 1.0001:
         return
-    fraction = float((brightest[mask] >= settings.clip_level).mean())
-    fault = f"{percent(fraction)} of the pixels are saturated (linear value {settings.clip_level:g} or more)"
+    fraction = float((brightest[mask] >= clip_level).mean())
+    fault = f"{percent(fraction)} of the pixels are saturated (linear value {clip_level:g} or more)"
     require(fraction <= _MAX_CLIPPED, f"{fault} in their brightest image; capture again with a shorter exposure.")
 
 
@@ -158,7 +145,7 @@ def percent(fraction: float) -> str:
     return f"{100 * fraction:.1f} %" if fraction >= 0.001 or fraction == 0 else f"{100 * fraction:.1g} %"
 
 
-# Whether a stack can hold what its patterns are to show: pixels that change, and no pattern twice.
+# Whether a stack can hold what its patterns are to show: pixels that change.
 
 
 def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
@@ -176,69 +163,23 @@ def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
     raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {cure}")
 
 
-def check_repeats(light: FloatArray, mask: BoolArray) -> None:
-    """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
-
-    They differ by noise alone, which is independent from pixel to pixel: the covariance of the difference with itself,
-    moved by a pixel or two, shows patterns.
-    """
-    power, covariance, count = _differences(light, mask)
-    pairs = np.triu_indices(len(light), 1)
-    level = float(np.mean(np.square(light.mean(axis=0, dtype=np.float64)[mask])))
-    reference = float(np.median(covariance[pairs]))
+def check_change(light: FloatArray) -> None:
+    """Refuse a stack whose images differ by noise alone, which is independent from pixel to pixel."""
+    rows = light[:, :: max(1, light[0, ..., 0].size // 60_000)].mean(axis=-1, dtype=np.float64)
+    change = rows - rows.mean(axis=0)
+    power = float((change * change).mean())
+    covariance = max(abs(float((change[..., away:] * change[..., :-away]).mean())) for away in (1, 2))
     require(
-        reference > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
+        covariance > 3.0 / np.sqrt(change[0].size) * power,
         "the images differ by noise at most: the patterns never light the scene; check the projector, or whether "
         "the direct light is too weak to be seen.",
     )
-    similar = np.zeros(covariance.shape, dtype=np.bool_)
-    similar[pairs] = covariance[pairs] <= _REPEAT * reference
-    twins = odd_twins(similar)
-    if twins is not None:
-        fault = f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated,"
-        raise BadInput(f"{fault} and another one may be missing; capture the stack again or remove one of them.")
-
-
-def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
-    """Return the first pair that is `similar` (N, N, upper triangle), or None if all have as many twins.
-
-    In a full grid of an even number of shifts every checkerboard has a twin, a check away each way; one captured twice
-    by mistake has a twin where others have none.
-    """
-    number = (similar | similar.T).sum(axis=0)
-    if bool((number == number[0]).all()):
-        return None
-    image = int(np.argmax(number > number.min()))
-    first, second = np.argwhere((similar | similar.T)[image])[0][0], image
-    return int(min(first, second)), int(max(first, second))
-
-
-def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Power and covariance, moved by a pixel or two, of the images' differences (N, N); number of pixels."""
-    height, width = light.shape[1:3]
-    rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, 60_000 // width))).astype(int))
-    change = light.mean(axis=-1, dtype=np.float64)
-    change -= change.mean(axis=0)
-    change *= mask
-    here = change[:, rows]
-    covariance = np.zeros((len(light), len(light)))
-    for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2)):
-        there = change[:, np.minimum(rows + down, height - 1)][:, :, np.minimum(np.arange(width) + right, width - 1)]
-        covariance = np.maximum(covariance, np.abs(difference_products(here, there)))
-    return difference_products(here, here), covariance, here[0].size
-
-
-def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of (here_i - here_j) (there_i - there_j) for all pairs of images (N, N)."""
-    product = here.reshape(len(here), -1) @ there.reshape(len(there), -1).T
-    own = np.diag(product)
-    return np.asarray((own[:, None] + own[None, :] - product - product.T) / here[0].size)
 
 
 _DECIDED = 1 - 2 * 0.2  # part of half the range of its neighbours beyond which a pixel's state is decided
 
 
-def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings = DEFAULTS) -> FloatArray:
+def estimate_patterns(stack: Any, *, mask: Any = None, clip_level: float | None = CLIP_LEVEL) -> FloatArray:
     """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5 undecided.
 
     A pixel's state is read from the mean of its *neighbours* (a Gaussian of one pixel without its centre), relative
@@ -247,7 +188,7 @@ def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings =
     faintest pixels; there it falls short, towards zero, where maximum and minimum would invent direct light. Checks
     must be wider than about five pixels.
     """
-    images = light_stack(stack, least=2, mask=mask, settings=settings)
+    images = light_stack(stack, mask, clip_level)
     kernel = cv2.getGaussianKernel(9, 1.0, cv2.CV_64F)
     around = kernel @ kernel.T
     around[4, 4] = 0.0
@@ -261,40 +202,6 @@ def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings =
     states[means >= middle + _DECIDED * half] = 1.0
     states[means <= middle - _DECIDED * half] = 0.0
     return states
-
-
-def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
-    """Refuse a table of shifts that is not a full grid with each shift once, one for each of `count` images."""
-    table = np.asarray(shifts, dtype=np.float64)
-    table = table[:, None] if table.ndim == 1 else table
-    good = table.ndim == 2 and table.shape[1] in (1, 2) and bool(np.isfinite(table).all())
-    require(good, f"shifts must have the shape (N,) or (N, 2) and be finite, but it has {np.shape(shifts)}.")
-    fault = f"there are {len(table)} shifts for {count} images"
-    require(len(table) == count, f"{fault}: a shift or an image is missing or extra.")
-    if period is not None:
-        length = np.broadcast_to(np.asarray(period, dtype=np.float64), (table.shape[1],))
-        require(bool((length > 0).all()), f"period must be positive, but it is {period}.")
-        table = np.mod(np.round(table, 6), length)
-    table = np.round(table, 6)
-    seen: dict[tuple[float, ...], int] = {}
-    for k, row in enumerate(map(tuple, table.tolist())):
-        require(row not in seen, f"images {seen.get(row)} and {k} have the same shift {_words(row)}; remove one.")
-        seen[row] = k
-    axes = [np.unique(column) for column in table.T]
-    for row in product(*(axis.tolist() for axis in axes)):
-        require(row in seen, f"the shift {_words(row)} is missing from the grid of shifts; capture it too.")
-    for k, axis in enumerate(axes):
-        ends = axis if period is None else np.append(axis, axis[0] + length[k])  # the last step leads to the first
-        gaps = np.diff(ends)
-        if gaps.size > 1:
-            gap = int(np.argmax(gaps))
-            fault = f"the shifts step by {np.median(gaps):g}, but from {ends[gap]:g} to {ends[gap + 1]:g} at once"
-            cure = "the shifts between are missing; capture them too."
-            require(bool(gaps[gap] < 1.5 * np.median(gaps)), f"{fault}: {cure}")
-
-
-def _words(row: tuple[float, ...]) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in row) + ")"
 
 
 def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
@@ -326,10 +233,6 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     number = np.maximum(decided.sum(axis=0), 1)
     known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)
-    apart = difference_products(known, known)
-    twins = odd_twins(np.triu(apart <= 1e-4, 1))
-    if twins is not None:
-        raise BadInput(f"patterns {twins[0]} and {twins[1]} are the same: a shift is repeated; remove one of them.")
     likeness = (seen @ known.T) / np.maximum(np.linalg.norm(known, axis=1), 1e-12)
     likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
     best = np.argmax(likeness, axis=1)
