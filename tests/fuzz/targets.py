@@ -39,7 +39,7 @@ from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.images import decode_image, encode_image, image_size, read_image
+from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
 from splitknit.io.light_list import read_intensities, read_named_lights
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
@@ -48,7 +48,6 @@ from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, wr
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.io.images import write_float_tiff
 from splitknit.jobs import read_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network

@@ -107,15 +107,15 @@ def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
     ("data", "words"),
     [
         (b"", "is empty"),
-        (b"nothing", "none of JPEG"),
-        (b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff", "claims 16777216 x 16777216"),
-        (b"RIFF\x20\0\0\0WEBPVP8L\x0a\0\0\0\x2f\xff\x3f\0\0", "cannot be decoded"),
+        (b"nothing", "is not a PNG, TIFF or JPEG"),
+        (b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff", "damaged"),
+        (b"RIFF\x20\0\0\0WEBPVP8L\x0a\0\0\0\x2f\xff\x3f\0\0", "damaged"),
         (
             b"RIFF\x14\0\0\0WEBPVP8L\x08\0\0\0\x2f\x0f\xe7\xc3\x09\0\0\0",
-            "10000 x 10000 pixels in 28 bytes, .* not a photo",
+            "10000 x 10000 .* cannot be in 28",
         ),
-        (b"BM" + bytes(26) + b"\x18\0\0\0" + bytes(24), "cannot be decoded"),
-        (b"BM" + bytes(16) + b"\xff\xff\0\0\xff\x0f\0\0\x01\0\x18\0" + bytes(24), "claims|MB|truncated"),
+        (b"BM" + bytes(26) + b"\x18\0\0\0" + bytes(24), "damaged"),
+        (b"BM" + bytes(16) + b"\xff\xff\0\0\xff\x0f\0\0\x01\0\x18\0" + bytes(24), "damaged"),
         (b"\0\0\0\x18ftypheic" + bytes(40), "cannot be decoded|pip install"),
     ],
 )

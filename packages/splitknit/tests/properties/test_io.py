@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from png_files import PNG, chunk, png_of
 from splitknit.errors import BadInput
-from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.images import decode_image as decode_png
+from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.provenance import canonical_json
 
 FUZZ = settings(max_examples=150, derandomize=True, deadline=None)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
 _SIMULATED = "population.json"
@@ -70,7 +70,7 @@ def _hash(folder: Path) -> str:
     file = folder / _SIMULATED
     if not file.is_file():
         return hashlib.sha256(b"enrolment").hexdigest()
-    return Fields(read_json(file)[0], str(file)).text("settings_sha256")
+    return text_of(read_json(file)[0], "settings_sha256", str(file))
 
 
 # Which captures are compared, in blocks: a block of one session with a block of a later one.

@@ -12,7 +12,7 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file, make_folder
-from splitknit.io.fields import MAX_JSON_BYTES, as_number, parse_json
+from splitknit.io.fields import MAX_JSON_BYTES, parse_json
 from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
 from splitknit.settings import differing
 from splitknit_match.batch.chunks import SUFFIX, Table, read_chunk
@@ -104,7 +104,7 @@ class Store:
         for file in sorted((self.folder / "timings" / case).glob("*.json")):
             damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
             times = _json(file, damaged)
-            require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
+            require(isinstance(times, dict) and all(isinstance(one, (int, float)) for one in times.values()), damaged)
             found |= {name: float(value) for name, value in times.items()}
         return found
 

@@ -13,7 +13,7 @@ from splitknit import BadInput
 from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.csv_table import csv_text, plain_text
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
 from splitknit_match.gallery.enrol import LARGEST_RAW, content_of
@@ -88,8 +88,8 @@ def _read_about(folder: Path) -> dict[str, Any]:
     file = folder / FACTS_FILE
     require(file.is_file(), f"'{folder}' is not an export of a gallery: it holds no {FACTS_FILE}.")
     document, _ = read_json(file)
-    fields = Fields(document, str(file))
-    sound = fields.text("format") == _FORMAT and re.fullmatch("[0-9a-f]{64}", fields.text("settings_sha256"))
+    known = text_of(document, "format", str(file)) == _FORMAT
+    sound = known and re.fullmatch("[0-9a-f]{64}", text_of(document, "settings_sha256", str(file)))
     versions = document.get("version"), document.get("template_version")
     require(
         bool(sound) and all(type(one) is int for one in versions),

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 from splitknit import BadInput, Led, __version__, read_capture, read_result, reconstruct
-from splitknit.errors import naming, require
+from splitknit.errors import naming, refusing, require
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
@@ -245,10 +245,11 @@ def _surface(
 
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Item:
     picture, view = read_print_folder(source)
-    about = Fields(read_json(source / "report.json")[0], f"{source}: report.json")
-    method, text, impression = about.text("method"), {}, "live_plain"
+    about = read_json(source / "report.json")[0]
+    method, text, impression = text_of(about, "method", f"{source}: report.json"), {}, "live_plain"
     if method != "file":  # that was a print of a finger's contact already
-        pitch_mm = Fields(about.get("source"), f"{source}: report.json", "source").number("pitch_mm", 1e-4, 1.0)
+        with refusing(f"{source}: report.json states no source.pitch_mm; make the print again."):
+            pitch_mm = float(about["source"]["pitch_mm"])
         text, impression = _contactless(method, pitch_mm), "contactless"
     if view is not None:
         view = dataclasses.replace(view, impression=impression)

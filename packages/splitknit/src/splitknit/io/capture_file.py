@@ -44,11 +44,17 @@ class _BandFields(Struct):
     polarisation: Literal["", "parallel", "crossed"] = ""
 
 
+class _BandsFields(Struct, forbid_unknown_fields=True):
+    white: _BandFields
+    white_crossed: _BandFields | None = None
+    nir: _BandFields | None = None
+
+
 class _CaptureFields(Struct):
     format: Literal["splitknit-capture"]
     version: Literal[1]
     rig: str
-    bands: dict[Literal["white", "white_crossed", "nir"], _BandFields]
+    bands: _BandsFields
     encoding: Literal["linear", "srgb"] = "linear"
     material: Literal["skin", "opaque"] = "skin"
     tip_direction_deg: Annotated[float, Meta(ge=-360, le=360)] | None = None
@@ -107,9 +113,9 @@ def read_plan(document_file: Path) -> CapturePlan:
     return CapturePlan(capture, rig_file, bands, mask, {document_file: data, rig_file: rig_data})
 
 
-def _bands(bands: Any, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
-    require("white" in bands, f"{name}: bands.white is missing; every capture has images under white light.")
-    plans = {key: _band(bands[key], folder, rig, key, name) for key in BANDS if key in bands}
+def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
+    stated = {key: band for key in BANDS if (band := getattr(bands, key)) is not None}
+    plans = {key: _band(band, folder, rig, key, name) for key, band in stated.items()}
     if "white_crossed" in plans:
         check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
         same = plans["white"].exposed == plans["white_crossed"].exposed

@@ -28,7 +28,7 @@ def read_json(path: Path, damaged: str | None = None) -> tuple[dict[str, Any], b
 
 
 def read_document(path: Path, kind: type[T]) -> tuple[T, bytes]:
-    """Read a JSON file of a `kind` that msgspec knows; return it and its bytes. Raises BadInput as :func:`converted`."""
+    """Read a JSON file of a `kind` that msgspec knows; return it and its bytes; BadInput as :func:`converted`."""
     data = read_bytes(path, MAX_JSON_BYTES)
     return converted(parse_json(data, str(path)), kind, str(path)), data
 
@@ -54,8 +54,15 @@ def converted(document: Any, kind: type[T], name: str) -> T:
         raise BadInput(f"{name}: {f'{key}: ' if key else ''}{what.rstrip('.')}; correct the file.") from error
 
 
+def text_of(document: dict[str, Any], key: str, name: str) -> str:
+    """The text of a key that a document must have. Raises BadInput naming file and key."""
+    text = document.get(key)
+    require(isinstance(text, str), f"{name}: {key}: expected str; correct the file.")
+    return str(text)
+
+
 def inside(folder: Path, value: str, file: str, field: str) -> Path:
-    """Path `value`, relative to `folder`, in `field` of `file`. Raises BadInput if empty, absolute, or beyond the folder."""
+    """Path `value`, relative to `folder`, in `field` of `file`; BadInput if empty, absolute, or beyond the folder."""
     what = f"{file}: {field}"
     require(bool(value.strip()), f"{what} must be the name of a file, but it is empty.")
     leaves = f"{what} leaves the capture folder: {value[:60]!a}; name a file inside it."

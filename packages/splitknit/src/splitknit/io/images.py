@@ -28,7 +28,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import write_file
 from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray

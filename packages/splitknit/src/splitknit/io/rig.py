@@ -164,7 +164,7 @@ def _check_films(films: Films, count: int, where: str) -> None:
     each = len(films.leak) == len(films.brightness) == leds and len(films.angle_deg) in (0, leds)
     require(each, f"{where} must have a leak, a brightness and an angle_deg for each of the {leds} LEDs.")
     require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
-    bright = all(len(row) == 3 and 0.01 <= min(row) and max(row) <= 100 for row in films.brightness)
+    bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
     require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")
     require(0.9 <= films.scale <= 1.1, f"{where}.scale must be a number from 0.9 to 1.1.")
 
