@@ -40,7 +40,7 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
-from splitknit.io.light_list import read_intensities, read_named_lights
+from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
@@ -347,7 +347,7 @@ def _plain_images() -> list[Files]:
 
 
 def _plain_capture(folder: Path, files: Files) -> None:
-    lights = read_named_lights(folder / "lights.txt")[0]
+    lights = read_light_list(folder / "lights.txt").lights
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()

@@ -27,7 +27,7 @@ from objects import scanned, sphere
 from splitknit.finger.locate import reduced
 from splitknit.imaging.band import linear_stack
 from splitknit.io.images import read_image
-from splitknit.io.light_list import read_named_lights
+from splitknit.io.light_list import read_light_list
 from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.frames import LightFit, fit_lights
@@ -78,7 +78,7 @@ def scenes(data: Path) -> Iterator[Scene]:
     phalange = data / "blender_finger" / "phalange"
     stack = np.maximum(_small([phalange / f"light_{k:02d}.png" for k in range(12)]) - 71.0, 0.0)
     inside = _small([phalange / "mask.png"])[0] > 127
-    yield Scene("sculpted phalange (rendered)", stack, read_named_lights(phalange / "lights.txt")[0], inside)
+    yield Scene("sculpted phalange (rendered)", stack, read_light_list(phalange / "lights.txt").lights, inside)
     for name in ("BGA-001", "Flat-001"):
         files = [data / "elastomer" / name / f"image{k:02d}.png" for k in range(7, 13)]
         stack = _small(files)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 
 from splitknit import Capture, Rig, read_capture, read_rig, write_rig
 from splitknit.errors import naming, require
-from splitknit.io.fields import inside, read_document
+from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
@@ -193,8 +193,8 @@ class _Exposure(Struct):
 
 
 class _Document(Struct, forbid_unknown_fields=True):
-    format: Literal["splitknit-radiometry"]
-    version: Literal[1]
+    format: Annotated[str, Meta(pattern="^(splitknit-radiometry)$")]
+    version: Version1
     exposures: tuple[_Exposure, ...] = ()
 
 

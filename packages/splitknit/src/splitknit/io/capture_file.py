@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from splitknit.errors import BadInput, check_lights, naming, require
-from splitknit.io.fields import inside, read_document, read_json
+from splitknit.io.fields import Version1, inside, read_document, read_json
 from splitknit.io.rig import rig_from_json
 from splitknit.model import Band, Capture, Rig, spectral_band
 
@@ -41,7 +41,7 @@ class _BandFields(Struct):
     leds: list[_Index | Annotated[tuple[_Index, ...], Meta(min_length=1, max_length=10_000)]]
     ambient: str | _Image | None = None
     flat: list[str] | None = None
-    polarisation: Literal["", "parallel", "crossed"] = ""
+    polarisation: Annotated[str, Meta(pattern="^(parallel|crossed|)$")] = ""
 
 
 class _BandsFields(Struct, forbid_unknown_fields=True):
@@ -51,12 +51,12 @@ class _BandsFields(Struct, forbid_unknown_fields=True):
 
 
 class _CaptureFields(Struct):
-    format: Literal["splitknit-capture"]
-    version: Literal[1]
+    format: Annotated[str, Meta(pattern="^(splitknit-capture)$")]
+    version: Version1
     rig: str
     bands: _BandsFields
-    encoding: Literal["linear", "srgb"] = "linear"
-    material: Literal["skin", "opaque"] = "skin"
+    encoding: Annotated[str, Meta(pattern="^(linear|srgb)$")] = "linear"
+    material: Annotated[str, Meta(pattern="^(skin|opaque)$")] = "skin"
     tip_direction_deg: Annotated[float, Meta(ge=-360, le=360)] | None = None
     mask: str | None = None
     truth: str | None = None

@@ -1,17 +1,21 @@
-"""JSON documents written by people, checked by msgspec: a refusal names the file, the key and what was expected."""
+"""JSON documents written by people, checked by msgspec: a refusal names the file, the key and what was expected.
+
+Words to choose from are stated as a pattern, ``^(linear|srgb)$``, which msgspec shows and a Literal it does not.
+"""
 
 from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
 
 T = TypeVar("T")
+Version1 = Annotated[int, msgspec.Meta(ge=1, le=1)]
 MAX_JSON_BYTES = 16_000_000
 """A document of 16 MB takes up to 0.5 GB once parsed; the largest written here, minutiae in space, have 10 MB."""
 
@@ -50,6 +54,7 @@ def converted(document: Any, kind: type[T], name: str) -> T:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:
         what, _, place = str(error).replace("`", "").partition(" - at ")
+        what = re.sub(r"str matching regex '\^\((.*)\)\$'", r"\1", what).replace("|", " or ")
         key = re.sub(r"^key in ", "", place).removeprefix("$").removeprefix(".")
         raise BadInput(f"{name}: {f'{key}: ' if key else ''}{what.rstrip('.')}; correct the file.") from error
 

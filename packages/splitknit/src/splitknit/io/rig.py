@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -15,7 +15,7 @@ from msgspec.structs import asdict as fields_of
 
 from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
-from splitknit.io.fields import converted, read_json
+from splitknit.io.fields import Version1, converted, read_json
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.model import Camera, Films, Led, Mirror, Rig, camera_without_scale
 
@@ -33,7 +33,7 @@ class _CameraFields(Struct):
     image_size: tuple[_Side, _Side]
     px_per_mm: Annotated[float, Meta(ge=1e-3, le=1e5)] | None
     height_mm: Annotated[float, Meta(ge=1e-3, le=1e6)] | None = None
-    model: Literal["orthographic", "perspective"] = "orthographic"
+    model: Annotated[str, Meta(pattern="^(orthographic|perspective)$")] = "orthographic"
     matrix: _Matrix | None = None
     distortion: tuple[_Number, ...] | None = None
     shading: Annotated[tuple[_Number, ...], Meta(max_length=4)] = ()
@@ -51,8 +51,8 @@ class _LedFields(Struct):
 
 
 class _RigFields(Struct):
-    format: Literal["splitknit-rig"]
-    version: Literal[1]
+    format: Annotated[str, Meta(pattern="^(splitknit-rig)$")]
+    version: Version1
     camera: _CameraFields
     leds: Annotated[list[_LedFields], Meta(min_length=1, max_length=10_000)]
     mirrors: tuple[Mirror, ...] = ()
