@@ -114,8 +114,7 @@ def read_plan(document_file: Path) -> CapturePlan:
 
 
 def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
-    stated = {key: band for key in BANDS if (band := getattr(bands, key)) is not None}
-    plans = {key: _band(band, folder, rig, key, name) for key, band in stated.items()}
+    plans = {key: _band(band, folder, rig, key, name) for key in BANDS if (band := getattr(bands, key)) is not None}
     if "white_crossed" in plans:
         check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
         same = plans["white"].exposed == plans["white_crossed"].exposed

@@ -137,7 +137,7 @@ def check_size(rows: int, columns: int, bytes_each: int, name: str, max_pixels: 
 
 
 def _pillow_header(data: bytes, name: str) -> Header:
-    opener = next((opener for start, opener in _OPENERS.items() if data.startswith(start)), None)
+    opener: Any = next((opener for start, opener in _OPENERS.items() if data.startswith(start)), None)
     what = "is not a PNG, TIFF or JPEG image" if data else "is empty"
     require(opener is not None, f"{name} {what}; export it again as 8- or 16-bit PNG.")
     damaged = f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it again."
@@ -148,12 +148,12 @@ def _pillow_header(data: bytes, name: str) -> Header:
         exif = Image.Exif()
         exif.load(info.get("exif"))
         orientation = exif.get(_ORIENTATION, 1)
-    grey, dtype, encoding = picture.mode in _GREY, np.dtype(np.uint8), ""
+    grey, dtype, encoding = picture.mode in _GREY, np.dtype("u1"), ""
     require(
         grey or picture.mode in _COLOUR, f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both."
     )
     if data.startswith(PNG):  # Pillow has no modes of 16 bits but grey
-        grey, dtype, encoding = data[25] in (0, 4), np.dtype(np.uint16 if data[24] == 16 else np.uint8), _encoding(info)
+        grey, dtype, encoding = data[25] in (0, 4), np.dtype("u2" if data[24] == 16 else "u1"), _encoding(info)
     ppi = info.get("dpi")
     return Header(
         rows,

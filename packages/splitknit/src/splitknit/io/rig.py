@@ -6,6 +6,7 @@ import json
 import math
 import os
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -150,8 +151,8 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     and the field.
     """
     fields = converted(document, _RigFields, name)
-    camera = naming(name, lambda: _camera(fields.camera))
-    leds = tuple(naming(f"{name}: leds[{k}]", lambda led=led: _led(led)) for k, led in enumerate(fields.leds))
+    camera = naming(name, partial(_camera, fields.camera))
+    leds = tuple(naming(f"{name}: leds[{k}]", partial(_led, led)) for k, led in enumerate(fields.leds))
     if fields.films is not None:
         _check_films(fields.films, len(leds), f"{name}: films")
     return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, fields.films))

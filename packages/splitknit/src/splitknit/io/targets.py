@@ -89,7 +89,6 @@ def check_picture(out: Path | None, photographs: Path | None = None) -> None:
 
 def _format_of(file: Path) -> object:
     try:
-        document, _ = read_json(file)
+        return read_json(file)[0].get("format")
     except BadInput:
         return None
-    return document.get("format") if isinstance(document, dict) else None
