@@ -11,6 +11,7 @@ import hashlib
 import io
 import logging
 import os
+import struct
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
@@ -182,14 +183,13 @@ def _tiff_header(data: bytes, name: str) -> Header:
     damaged = f"{name} is not a sound TIFF file: its tags are damaged; export it again."
     with refusing(damaged), _QUIET:
         page: Any = tifffile.TiffFile(io.BytesIO(data)).pages.first
-        tags = {tag.code: tag.value for tag in page.tags}
+        orientation = page.tags.valueof(_ORIENTATION, 1)
         rows, columns, samples = int(page.imagelength), int(page.imagewidth), int(page.samplesperpixel)
         stored = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         counted = len(stored) == np.prod(page.chunked)
         dtype = page.dtype
         ends = max((offset + length for offset, length in stored), default=0)
-        orientation = tags.get(_ORIENTATION, 1)
-        ppi = _tiff_ppi(tags)
+        ppi = _tiff_ppi(page)
         photometric, planes = int(page.photometric), int(page.planarconfig or 1)
         text = page.description[:_TEXT_BYTES]
     require(page.imagedepth == 1 and min(rows, columns) > 0, f"{name} is not a single flat image; save it as PNG.")
@@ -206,11 +206,14 @@ def _tiff_header(data: bytes, name: str) -> Header:
     return Header(rows, columns, channels, dtype.newbyteorder("="), orientation, ppi, "", {"": text}, page)
 
 
-def _tiff_ppi(tags: Mapping[int, Any]) -> tuple[float, float] | None:
-    """Resolution along columns and rows by the tags; None where it is not stated."""
-    (x, x_of), (y, y_of) = tags.get(_X_RESOLUTION, (0, 0)), tags.get(_Y_RESOLUTION, (0, 0))
-    scale = {2: 1.0, 3: _CM_PER_INCH}.get(int(tags.get(_RESOLUTION_UNIT, 2)), 0.0)
-    return (scale * x / x_of, scale * y / y_of) if x and x_of and y and y_of and scale else None
+def _tiff_ppi(page: Any) -> tuple[float, float] | None:
+    """Resolution along columns and rows by the tags; None where it is not stated, or not soundly."""
+    with contextlib.suppress(ValueError, TypeError, ZeroDivisionError, OSError, struct.error):
+        (x, x_of), (y, y_of) = page.tags.valueof(_X_RESOLUTION), page.tags.valueof(_Y_RESOLUTION)
+        scale = {2: 1.0, 3: _CM_PER_INCH}.get(int(page.tags.valueof(_RESOLUTION_UNIT, 2)), 0.0)
+        ppi = scale * x / x_of, scale * y / y_of
+        return ppi if min(ppi) > 0 else None
+    return None
 
 
 def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
