@@ -201,10 +201,14 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
         bright = read_intensities(beside, len(rig.leds))
     if bright is None:
         return table, rig, found.names, None
-    mean = bright.mean(axis=1) / bright.mean()
-    leds = tuple(replace(led, intensity=float(one)) for led, one in zip(rig.leds, mean, strict=True))
-    rig = replace(rig, leds=leds, provenance={**rig.provenance, "intensities": "stated"})
-    return table, rig, found.names, bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
+    colours = bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
+    return table, _as_bright(rig, bright / bright.mean()), found.names, colours
+
+
+def _as_bright(rig: Rig, bright: NDArray[np.float64]) -> Rig:
+    """The rig with the brightness (L, 1 or 3) of its lights."""
+    leds = [replace(led, intensity=float(own.mean())) for led, own in zip(rig.leds, bright, strict=True)]
+    return replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
 
 
 def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
@@ -346,8 +350,7 @@ def capture_of_arrays(
     if bright is not None:
         good = bright.shape[1] in {1, 3} and bool(np.isfinite(bright).all()) and float(bright.min()) > 0
         require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
-        leds = [replace(led, intensity=float(one.mean())) for led, one in zip(rig.leds, bright, strict=True)]
-        rig = replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
+        rig = _as_bright(rig, bright)
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
     encoding, why = "linear", "was assumed"
     if kind == np.uint8:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from splitknit.errors import BadInput, open_file, require
-from splitknit.io.capture_file import CAPTURE_FORMAT
+from splitknit.io.capture import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
 from splitknit.io.images import PNG, TIFFS
 from splitknit.io.rig import RIG_FORMAT
