@@ -93,12 +93,6 @@ def test_what_is_written_is_read_back(
     assert (tmp_path / "d" / "capture.json").read_bytes() == (tmp_path / "c" / "capture.json").read_bytes()
 
 
-def test_threads_do_not_change_anything(folder: Path) -> None:
-    one, four = (read_capture(folder, threads=n) for n in (1, 4))
-    assert_same(one, four)
-    assert one.hashes == four.hashes
-
-
 def test_the_least_document_and_unknown_fields(folder: Path) -> None:
     def least(document: Any) -> None:
         white = document["bands"]["white"]
@@ -162,18 +156,6 @@ def test_exposure_of_the_ambient_image(
         assert read_capture(folder).bands["white"].ambient_exposure == expected
 
 
-@pytest.mark.parametrize("ambient_channels", [1, 3])
-@pytest.mark.parametrize("channels", [1, 3])
-def test_ambient_and_images_may_differ_in_colour(
-    channels: int, ambient_channels: int, tmp_path: Path, build_capture: Build
-) -> None:
-    capture = build_capture(channels=channels)
-    dark = np.ones((40, 30, ambient_channels), np.uint16)
-    white = replace(capture.bands["white"], ambient=dark)
-    write_capture(replace(capture, bands={"white": white}), tmp_path / "c")
-    assert read_capture(tmp_path / "c").bands["white"].ambient is not None
-
-
 def test_masks(folder: Path) -> None:
     mask = np.zeros((40, 30), np.uint8)
     mask[10:20, 5:9] = 1
@@ -200,13 +182,10 @@ Change = Callable[[Any], Any]
         (lambda d: d.pop("format"), "missing required field format"),
         (lambda d: d.update(format="splitknit-rig"), "format: "),
         (lambda d: d.update(version=2), "version: "),
-        (lambda d: d.update(version=True), "version: "),
         (lambda d: d.update(rig={"leds": []}), "rig: Expected str, got object"),
         (lambda d: d.update(rig="no.json"), r"no\.json does not exist"),
         (lambda d: d.update(encoding="log"), "encoding: Expected linear or srgb"),
-        (lambda d: d.update(tip_direction_deg=True), "tip_direction_deg: "),
         (lambda d: d.update(tip_direction_deg=10**400), "tip_direction_deg: |not valid JSON"),
-        (lambda d: d.update(subject=[]), "subject: "),
         (lambda d: d.update(truth="no.npz"), r"no\.npz, the truth that .* does not exist"),
         (lambda d: d["bands"].pop("white"), "bands: .*missing required field white"),
         (lambda d: d["bands"].update(uv={}), "bands: .*unknown field uv"),
@@ -219,12 +198,9 @@ Change = Callable[[Any], Any]
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2]), "4 images but 3 entries"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), r"leds\[3\] names LED 99, but the rig has 8"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, -1]), r"leds\[3\]: "),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 3.5]), r"leds\[3\]: "),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, []]), r"leds\[3\]: "),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, [3, 3]]), r"leds\[3\] names an LED twice"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 4]), "is a 'nir' LED in the rig, not 'white'"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 2]), "same direction"),
-        (lambda d: d["bands"]["white"]["images"].__setitem__(0, 7), r"images\[0\]: "),
         (lambda d: d["bands"]["white"]["images"].__setitem__(0, {}), r"images\[0\]: .*field file"),
         (lambda d: d["bands"]["white"]["images"].__setitem__(0, "white_1.png"), r"names 'white_1\.png' twice"),
         (
@@ -307,17 +283,6 @@ def test_names_that_are_no_names(name: str, folder: Path) -> None:
     edit(folder / "capture.json", lambda document: document.update(mask=name))
     with pytest.raises(BadInput):
         read_capture(folder)
-
-
-def test_folders_inside_and_a_linked_capture_are_fine(folder: Path) -> None:
-    (folder / "sub").mkdir()
-    (folder / "white_0.png").rename(folder / "sub" / "first.png")
-    edit(
-        folder / "capture.json",
-        lambda d: d["bands"]["white"]["images"].__setitem__(0, "./sub/../sub/first.png"),
-    )
-    (folder.parent / "link").symlink_to(folder)
-    assert "sub/../sub/first.png" in read_capture(folder.parent / "link").hashes
 
 
 def test_missing_things(tmp_path: Path, folder: Path) -> None:
@@ -441,17 +406,13 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
     [
         (lambda d: d.pop("camera"), "missing required field camera"),
         (lambda d: d["camera"].pop("px_per_mm"), "camera: .*field px_per_mm"),
-        (lambda d: d["camera"].update(px_per_mm=0), r"camera\.px_per_mm: "),
         (lambda d: d["camera"].update(px_per_mm=False), r"camera\.px_per_mm: .*got bool"),
-        (lambda d: d["camera"].update(height_mm="140"), r"camera\.height_mm: "),
-        (lambda d: d["camera"].update(image_size=[22]), r"camera\.image_size: "),
         (lambda d: d["camera"].update(image_size=[22, -1]), r"camera\.image_size\[1\]: "),
         (lambda d: d["camera"].update(image_size=[10**6, 10**6]), "pixels that are read"),
         (lambda d: d["camera"].update(model="fisheye"), r"camera\.model: "),
         (lambda d: d["camera"].update(model="perspective"), "a perspective camera needs .*distortion"),
         (lambda d: d["camera"].update(shading=[-1.5]), r"shading leaves no light"),
         (lambda d: d["leds"][0].update(aim=[0, 0, 1]), r"leds\[0\].*aim must point towards"),
-        (lambda d: d["leds"][0].update(aim=[0, 1]), r"leds\[0\]\.aim: .*length 3"),
         (lambda d: d["camera"].update(distortion=[0] * 6), r"a list of 4, 5"),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]), r"camera\.matrix: .*length 3"),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0], [1, 0, 1]]), "last row"),
@@ -463,14 +424,12 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         ),
         (lambda d: d.update(provenance=3), r"^[^:]*: provenance: "),
         (lambda d: d.update(leds=[]), "leds: "),
-        (lambda d: d.update(leds=[3]), r"leds\[0\]: Expected object"),
         (lambda d: d["leds"][0].update(band=""), r"leds\[0\]\.band: "),
         (lambda d: d["leds"][0].pop("position_mm"), r"leds\[0\]: .*either position_mm"),
         (lambda d: d["leds"][0].update(direction=[0, 0, 1]), r"leds\[0\]: .*not both"),
         (lambda d: d["leds"][0].update(position_mm=[1, 2, 1e300]), r"leds\[0\]\.position_mm\[2\]: "),
         (lambda d: d["leds"][0].update(position_mm=[1, 2, -3]), "above the finger plane"),
         (lambda d: d["leds"][0].update(intensity=0), r"leds\[0\]\.intensity: "),
-        (lambda d: d["leds"][0].update(lobe_exponent=-1), r"leds\[0\]\.lobe_exponent: "),
         (lambda d: d.update(leds=[{"band": "white", "direction": [3, 4, 5]}]), "unit vector"),
         (lambda d: d.update(leds=[{"band": "white", "direction": [0, 0.6, -0.8]}]), "away from the camera"),
     ],

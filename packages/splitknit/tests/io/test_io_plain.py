@@ -308,14 +308,6 @@ def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch
         np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
 
 
-def test_much_memory_is_announced_before_it_is_taken(tmp_path: Path, monkeypatch: Any) -> None:
-    ball_photographs(tmp_path, srgb_code)
-    monkeypatch.setattr("splitknit.io.plain._LARGE_MEGAPIXELS", 0.01)
-    said: list[str] = []
-    capture_from_photographs(tmp_path, announce=said.append)
-    assert said[0].startswith("8 photographs of 0.0 megapixels need about ") and "`max_megapixels`" in said[0]
-
-
 def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")

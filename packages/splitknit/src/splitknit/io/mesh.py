@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.model import BoolArray, FloatArray
 
@@ -21,22 +20,14 @@ def surface_mesh(
 
     Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z. Returns
     vertices (N, 3) float32, mm, in the order of the rows; faces (M, 3) int32; index (H, W) int32 of each pixel's
-    vertex, -1 without: ``values[index >= 0]`` are in the order of the vertices. Raises BadInput if the shapes do not
-    fit. `x_mm, y_mm`: (H, W), or broadcastable to it such as (W,) and (H, 1); `z_mm`: (H, W), NaN where there is no
-    surface; `mask`: (H, W) bool, or None for everywhere; pixels whose z is not finite are left out in any case.
+    vertex, -1 without: ``values[index >= 0]`` are in the order of the vertices. `x_mm, y_mm`: (H, W), or broadcastable
+    to it such as (W,) and (H, 1); `z_mm`: (H, W), NaN where there is no surface; `mask`: (H, W) bool, or None for
+    everywhere; pixels whose z is not finite are left out in any case.
     """
-    z_mm = np.asarray(z_mm, dtype=np.float32)
-    require(z_mm.ndim == 2, f"z_mm must be (H, W), but it is {z_mm.shape}.")
-    valid = np.isfinite(z_mm)
-    if mask is not None:
-        require(np.shape(mask) == z_mm.shape, f"mask must be {z_mm.shape}, but it is {np.shape(mask)}.")
-        valid &= np.asarray(mask, dtype=np.bool_)
+    valid = np.isfinite(z_mm) if mask is None else np.isfinite(z_mm) & mask
     index, _, pieces = triangulate(valid)
-    vertices = np.empty((np.count_nonzero(valid), 3), dtype=np.float32)
-    for axis, values in enumerate((x_mm, y_mm, z_mm)):
-        with refusing(f"{'xyz'[axis]}_mm {np.shape(values)} does not fit z_mm {z_mm.shape}."):
-            vertices[:, axis] = np.broadcast_to(np.asarray(values), z_mm.shape)[valid]
-    return vertices, np.concatenate(list(pieces)), index
+    places = [np.broadcast_to(values, valid.shape)[valid] for values in (x_mm, y_mm, z_mm)]
+    return np.stack(places, axis=1).astype(np.float32), np.concatenate(list(pieces)), index
 
 
 def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDArray[np.int32]]]:
