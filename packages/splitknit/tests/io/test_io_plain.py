@@ -64,11 +64,6 @@ def test_plain_images_become_a_capture(plain: Path) -> None:
     np.testing.assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
 
 
-def test_an_image_as_background(plain: Path) -> None:
-    band = convert(plain, background=plain / "dark.png").bands["white"]
-    np.testing.assert_allclose(linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 20) / 255, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -89,12 +84,6 @@ def test_an_image_as_background(plain: Path) -> None:
 def test_refusals(options: dict[str, Any], words: str, plain: Path) -> None:
     with pytest.raises(BadInput, match=words):
         convert(plain, **options)
-
-
-def test_images_of_another_size(plain: Path) -> None:
-    write_image(plain / "2.png", np.ones((24, 35), np.uint8))
-    with pytest.raises(BadInput, match=r"2\.png has 24 x 35 pixels.* expected by .*0\.png"):
-        convert(plain)
 
 
 @pytest.mark.parametrize(

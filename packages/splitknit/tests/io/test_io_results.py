@@ -50,15 +50,6 @@ def test_triangles_face_the_camera_and_cover_the_mask() -> None:
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
 
-def test_meshes_of_odd_sizes() -> None:
-    for shape in ((1, 1), (1, 5), (5, 1), (2, 2)):
-        vertices, faces, _ = surface_mesh(np.arange(shape[1]), np.arange(shape[0])[::-1, None], np.zeros(shape))
-        assert vertices.shape == (shape[0] * shape[1], 3)
-        assert len(faces) == 2 * (shape[0] - 1) * (shape[1] - 1)
-    vertices, faces, _ = surface_mesh(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3), bool))
-    assert vertices.shape == faces.shape == (0, 3)
-
-
 def test_a_mesh_is_not_held_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitknit.io.mesh._CHUNK", 1 << 13)
     result, _ = finger(px_per_mm=50.0)

@@ -11,13 +11,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
-from splitknit.io.fields import parse_json, read_json
+from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
 from splitknit.io.mesh import bands, triangulate, write_ply_pieces
 from splitknit.io.npz import read_npz, write_npz
@@ -31,7 +33,19 @@ LARGEST_MM = 1000.0  # longest side of a result's frame
 _NEEDS_TRIMESH = "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
-_DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."
+
+
+class _Origin(Struct):
+    inputs: dict[str, str] = {}
+
+
+class _Report(Struct):
+    preset: str = ""
+    warnings: tuple[str, ...] = ()
+    settings: dict[str, Any] = {}
+    quality: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
+    timings_s: dict[str, Any] = {}
 
 
 def read_result(path: str | os.PathLike[str]) -> Reconstruction:
@@ -67,33 +81,18 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
     optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "whole", "provenance")
     arrays = read_fields(file, names, optional, unscaled=True)
-    origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
-    facts: dict[str, Any] = {}
+    stated = parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file))
+    origin = converted(stated, _Origin, f"{file}: provenance")
+    report = _Report()
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
     if (folder / "report.json").is_file():
-        facts = _object(read_json(folder / "report.json", _DAMAGED.format(folder))[0], folder)
+        report, _ = read_document(folder / "report.json", _Report)
     if (folder / "albedo.png").is_file():
         grey = read_image(folder / "albedo.png")
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
         albedo = np.where(arrays["mask"], level, np.float32(np.nan))
-    warnings = facts.get("warnings", [])
-    require(isinstance(warnings, list), _DAMAGED.format(folder))
-    names = ("settings", "quality", "facts", "timings_s")
-    known: dict[str, Any] = {name: _object(facts.get(name, {}), folder) for name in names}
-    return Reconstruction(
-        **arrays,
-        albedo=albedo,
-        preset=str(facts.get("preset", "")),
-        warnings=tuple(str(warning) for warning in warnings),
-        hashes=_object(origin.get("inputs", {}), file),
-        **known,
-    )
-
-
-def _object(value: Any, where: Path) -> dict[str, Any]:
-    require(isinstance(value, dict), _DAMAGED.format(where))
-    return dict(value)
+    return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **asdict(report))
 
 
 def read_fields(
