@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.io.light_list import read_named_lights
+from splitknit.io.light_list import read_light_list
 from splitknit.photometric.frames import FRAMES, fit_lights
 
 pytestmark = pytest.mark.external
@@ -29,7 +29,7 @@ def images_of(data_dir: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.nda
     else:
         folder = data_dir / "blender_finger" / "phalange"
         files, mask, dark = [folder / f"light_{k:02d}.png" for k in range(12)], folder / "mask.png", 71.0
-        directions = read_named_lights(folder / "lights.txt")[0]
+        directions = read_light_list(folder / "lights.txt").lights
     read = [cv2.imread(str(file), cv2.IMREAD_ANYDEPTH) for file in (*files, mask)]
     stack = np.stack(read[:-1]).astype(np.float32)
     return np.maximum(stack - dark, 0) / stack.max(), directions, read[-1] > 127

@@ -36,8 +36,8 @@ from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.images import decode_image, encode_image, image_size, read_image
-from splitknit.io.light_list import read_intensities, read_named_lights
+from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
+from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
@@ -45,7 +45,6 @@ from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, 
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.io.tiff import write_float_tiff
 from splitknit.jobs import read_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
@@ -339,7 +338,7 @@ def _plain_images() -> list[Files]:
 
 
 def _plain_capture(folder: Path, files: Files) -> None:
-    lights = read_named_lights(folder / "lights.txt")[0]
+    lights = read_light_list(folder / "lights.txt").lights
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()

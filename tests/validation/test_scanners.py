@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
+from splitknit.errors import BadInput
 
 with scripts_of(VALIDATION / "scanners") as script:
     cloud, focus, laser, stereo, structured_light = map(

@@ -24,7 +24,7 @@ import numpy as np
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput, require
-from splitknit.io.light_list import read_named_lights
+from splitknit.io.light_list import read_light_list
 from splitknit.io.npz import read_npz
 from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
@@ -105,7 +105,7 @@ def sphere(folder: Path) -> Object:
     masks = sorted(folder.glob("*.mask.png"))
     require(len(masks) == 1, f"'{folder}' must hold one *.mask.png.")
     lights_file = folder / "lights.txt"
-    lights = read_named_lights(lights_file if lights_file.is_file() else folder.parent / "lights.txt")[0]
+    lights = read_light_list(lights_file if lights_file.is_file() else folder.parent / "lights.txt").lights
     stem = masks[0].name.removesuffix(".mask.png")
     options = PhotographOptions(masks[0], encoding="linear")
     capture = capture_from_photographs(folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, options).capture

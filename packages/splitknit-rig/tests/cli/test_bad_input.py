@@ -172,7 +172,7 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
     "two lights in one place": (of_rig(twice), ("leds", "same direction")),
     "light that is not a number": (
         lambda folder: (folder / "rig.json").write_text((folder / "rig.json").read_text().replace("140.0", "NaN", 2)),
-        ("rig.json", "NaN"),
+        ("rig.json", "not valid JSON"),
     ),
     "light below the finger": (
         of_rig(lambda document: document["leds"][3].update(position_mm=[1.0, 2.0, -5.0])),

@@ -39,7 +39,7 @@ Folder = Annotated[
 class ReadPhotographsJob(PhotographOptions):
     """Read photographs of one object under one light after the other, taken by any camera, as a capture.
 
-    What was assumed of them (their encoding, lights that were averaged) is logged by the logger
+    What was assumed of them (such as their encoding) is logged by the logger
     ``splitknit.jobs``.
 
     Returns

@@ -11,8 +11,7 @@ import pytest
 
 from checkerboards import checkerboard_patterns
 from splitknit.cli.main import main
-from splitknit.io.images import read_image, write_image
-from splitknit.io.tiff import write_float_tiff
+from splitknit.io.images import read_image, write_float_tiff, write_image
 from written_files import read_light_tiff
 
 SIZE = (40, 50)

@@ -11,7 +11,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
-from splitknit.io.light_list import read_named_lights
+from splitknit.io.light_list import read_light_list
 from splitknit.io.plain import PhotographOptions, capture_from_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
@@ -30,7 +30,7 @@ def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray
 
 def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
-    lights = read_named_lights(folder / "lights.txt")[0]
+    lights = read_light_list(folder / "lights.txt").lights
     options = PhotographOptions(mask=folder / "mask.png", background=71, encoding="linear")
     capture = capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
     write_capture(capture, tmp_path / "capture")
@@ -45,7 +45,7 @@ def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
 
 def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "psm_spheres"
-    lights = read_named_lights(folder / "lights.txt")[0]
+    lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)
     options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
     capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
@@ -65,7 +65,7 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
 
 
 def test_the_mirrors_lights_are_places_not_directions(data_dir: Path) -> None:
-    assert read_named_lights(data_dir / "blender_finger" / "with_mirrors" / "lights.txt")[0].shape == (7, 3)
+    assert read_light_list(data_dir / "blender_finger" / "with_mirrors" / "lights.txt").lights.shape == (7, 3)
     assert read_image(data_dir / "blender_finger" / "with_mirrors" / "light_00.png").shape == (2000, 3000, 3)
 
 

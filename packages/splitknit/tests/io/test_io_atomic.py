@@ -203,22 +203,6 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link"}
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_file_may_be_kept_from_replacing_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
-) -> None:
-    def no_links(self: Path, target: Path) -> None:
-        raise OSError(95, "Operation not supported")
-
-    if not links:
-        monkeypatch.setattr(Path, "hardlink_to", no_links)
-    with atomic_file(tmp_path / "file", overwrite=False) as stream:
-        stream.write(b"one")
-    with pytest.raises(BadInput, match="cannot write"), atomic_file(tmp_path / "file", overwrite=False) as stream:
-        stream.write(b"two")
-    assert visible(tmp_path) == {"file": "one"}
-
-
 @pytest.mark.parametrize(("group", "for_file", "for_folder"), [("", 0o600, 0o700), ("1", 0o640, 0o750)])
 def test_what_is_written_is_private(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, for_file: int, for_folder: int

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import lzma
-import struct
 import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,10 +79,8 @@ def test_a_bomb_is_refused_before_memory_is_taken(tmp_path: Path) -> None:
         npy(HEAD.replace("3,", "9999999999, 9999999999,"), b"\0" * 12),
         npy(HEAD.replace("3,", "-3,"), b"\0" * 12),
         npy(HEAD.replace("<f4", "|O"), b"\0" * 12),
-        npy(HEAD.replace("'<f4'", "[('a', '<f4')]"), b"\0" * 12),
         npy(HEAD.replace("(3,)", "(9**9**9,)"), b"\0" * 12),
         npy("(" * 100, b""),
-        npy(HEAD, b"\0" * 12, b"\3\0"),
         b"\x93NUMPY",
         b"",
     ],
@@ -94,63 +92,31 @@ def test_headers_that_do_not_fit_are_refused(tmp_path: Path, content: bytes) -> 
 
 def test_archives_of_other_kinds_are_refused(tmp_path: Path) -> None:
     sound = npy(HEAD, b"\0" * 12)
-    with pytest.warns(UserWarning, match="Duplicate"):
-        archive(tmp_path / "twice.npz", ("a.npy", sound), ("a.npy", sound))
-    archive(tmp_path / "lzma.npz", ("a.npy", sound), method=zipfile.ZIP_LZMA)
-    archive(tmp_path / "many.npz", *((f"{k}.npy", sound) for k in range(1001)))
     locked = bytearray(archive(tmp_path / "locked.npz", ("a.npy", sound)).read_bytes())
     locked[6] |= 1
     locked[locked.index(b"PK\1\2") + 8] |= 1
-    (tmp_path / "locked.npz").write_bytes(locked)
     changed = bytearray(archive(tmp_path / "changed.npz", ("a.npy", sound), method=zipfile.ZIP_STORED).read_bytes())
     changed[changed.index(sound) + len(sound) - 1] ^= 1
-    (tmp_path / "changed.npz").write_bytes(changed)
-    (tmp_path / "none.npz").write_bytes(lzma.compress(sound))
-    for name in ("twice", "lzma", "many", "locked", "changed", "none"):
-        with pytest.raises(BadInput, match=f"{name}.npz cannot be read as arrays"):
-            read_npz(tmp_path / f"{name}.npz")
-
-
-def test_an_archive_is_the_same_on_any_number_of_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    heights = np.full((700, 1000), np.nan, dtype=np.float32)
-    heights[100:600, 333:777] = rng.standard_normal((500, 444), dtype=np.float32)
-    inside = 4 * 500 * 444
-    files = []
-    for cores in (1, 4):
-        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
-        write_npz(tmp_path / f"{cores}.npz", {"heights": heights, "counts": np.arange(600_000) % 7})
-        files.append((tmp_path / f"{cores}.npz").read_bytes())
-    assert files[0] == files[1]
-    with zipfile.ZipFile(tmp_path / "1.npz") as stream:
-        assert stream.testzip() is None
-        packed = {one.filename: one.compress_size for one in stream.infolist()}
-    assert packed["heights.npy"] < inside  # NaN beside a finger take no room
-    assert packed["counts.npy"] < 0.05 * 8 * 600_000  # what shrinks is still deflated
-    with np.load(tmp_path / "1.npz") as found:
-        np.testing.assert_array_equal(found["heights"], heights)
-    np.testing.assert_array_equal(read_npz(tmp_path / "1.npz")["heights"], heights)
-
-
-def test_a_long_list_of_files_takes_no_memory(tmp_path: Path) -> None:
-    entry = struct.pack("<4sHHHHHHIIIHHHHHII", b"PK\1\2", 20, 20, 0, 0, 0, 33, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0) + b"%02x"
-    listed = entry * 100_000
-    end = struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, len(listed), 0, 0)
-    (tmp_path / "a.npz").write_bytes(listed + end)
-    tracemalloc.start()
-    try:
-        with pytest.raises(BadInput, match="damaged"):
+    for data in (locked, changed, lzma.compress(sound), b"", changed[:-30]):
+        (tmp_path / "a.npz").write_bytes(data)
+        with pytest.raises(BadInput, match=r"a\.npz cannot be read as arrays"):
             read_npz(tmp_path / "a.npz")
-        assert tracemalloc.get_traced_memory()[1] < 1_000_000
-    finally:
-        tracemalloc.stop()
 
 
-def test_files_of_an_archive_that_lie_on_each_other_are_refused(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
-        for k in range(3):
-            archive.writestr(f"{k}.npy", b"0" * 1000)
-            archive.infolist()[k].header_offset = 0
-        archive.infolist()[2].compress_size = 3000
-    with pytest.raises(BadInput, match="damaged"):
-        read_npz(tmp_path / "a.npz")
+def test_an_archive_is_the_same_each_time_and_states_no_date(tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz", ARRAYS)
+    first = (tmp_path / "a.npz").read_bytes()
+    write_npz(tmp_path / "a.npz", ARRAYS)
+    assert (tmp_path / "a.npz").read_bytes() == first
+    with zipfile.ZipFile(tmp_path / "a.npz") as stream:
+        assert stream.testzip() is None
+        assert {member.date_time for member in stream.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"), [({"a/b": 1}, "named"), ({"": 1}, "named"), ({"a": np.array([None])}, "objects")]
+)
+def test_what_is_not_stored_is_refused(tmp_path: Path, arrays: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        write_npz(tmp_path / "a.npz", arrays)
+    assert list(tmp_path.iterdir()) == []

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, read_capture, reconstruct
-from splitknit.errors import BadExposure
+from splitknit.errors import BadExposure, require
 from splitknit.finger.ridges import surface_print
-from splitknit.io.png import decode_png
+from splitknit.io.images import decode_image
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import provenance, settings_hash
 from splitknit.model import surface_of
@@ -117,7 +117,11 @@ def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
     rows = []
     for capture, data in zip(table["capture"].tolist(), table["print"].tolist(), strict=True):
         name = f"the print of '{capture}' in '{file}'"
-        minutiae = extract(decode_png(data, name)[..., 0].astype(np.uint8)) if data else no_minutiae()
+        minutiae = no_minutiae()
+        if data:
+            pixels = decode_image(data, name)
+            require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+            minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
         packed = pack_minutiae(minutiae)
         rows.append({"capture": capture, "acquired": minutiae.acquired, "minutiae": packed})
     origin = read_origin(file) | {"kind": "minutiae", "kind_version": _MINUTIAE_VERSION}

@@ -11,7 +11,7 @@ import numpy as np
 
 from splitknit.errors import refusing, require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
 PAIRS = 2048
@@ -65,7 +65,7 @@ def _hash(folder: Path) -> str:
     file = folder / "population.json"
     if not file.is_file():
         return hashlib.sha256(b"enrolment").hexdigest()
-    return Fields(read_json(file)[0], str(file)).text("settings_sha256")
+    return text_of(read_json(file)[0], "settings_sha256", str(file))
 
 
 def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Comparisons:

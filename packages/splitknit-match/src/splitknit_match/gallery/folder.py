@@ -13,7 +13,7 @@ from splitknit import BadInput
 from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.csv_table import csv_text, plain_text
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
 from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, check_person
@@ -78,8 +78,7 @@ def _read_settings(folder: Path) -> str:
     file = folder / FACTS_FILE
     require(file.is_file(), f"'{folder}' is not an export of a gallery: it holds no {FACTS_FILE}.")
     document, _ = read_json(file)
-    fields = Fields(document, str(file))
-    form, settings_sha256 = fields.text("format"), fields.text("settings_sha256")
+    form, settings_sha256 = (text_of(document, key, str(file)) for key in ("format", "settings_sha256"))
     sound = form == _FORMAT and re.fullmatch("[0-9a-f]{64}", settings_sha256) is not None
     require(sound, f"'{file}' is damaged, or not of an export; export the gallery again.")
     versions = document.get("version"), document.get("template_version")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, open_file, require
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json
 from splitknit.model import Surface, no_progress, surface_of
 from splitknit.verbs import Progress
 from splitknit_match.matching.minutiae import at_500_ppi
@@ -229,8 +229,8 @@ def _print_folder(folder: Path) -> Side:
 
     picture, view = read_print_folder(folder)
     report = folder / "report.json"
-    about = Fields(read_json(report)[0] if report.is_file() else {}, str(report))
-    measured = about.text("method", "file") != "file" and not about.has("scale")  # by a calibrated camera
+    about = read_json(report)[0] if report.is_file() else {}
+    measured = about.get("method", "file") != "file" and about.get("scale") is None  # by a calibrated camera
     doubt = "" if measured else resolution_doubt(picture)
     return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
 

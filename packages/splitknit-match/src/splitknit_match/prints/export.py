@@ -16,7 +16,7 @@ from splitknit import BadInput, Led, read_capture, read_result, reconstruct
 from splitknit.errors import naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import read_json, text_of
 from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
@@ -164,7 +164,7 @@ def _of_surface(source: Path, name: str, job: ExportJob, hashes: dict[str, str])
 
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Finger:
     picture, view = read_print_folder(source)
-    method = Fields(read_json(source / "report.json")[0], f"{source}: report.json").text("method")
+    method = text_of(read_json(source / "report.json")[0], "method", f"{source}: report.json")
     impression = "live_plain" if method == "file" else "contactless"  # of a print of a finger's contact
     if view is not None:
         view = dataclasses.replace(view, impression=impression)

@@ -10,10 +10,8 @@ from typing import Literal
 
 from splitknit import BadInput
 from splitknit.errors import open_file, require
-from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE
-from splitknit.io.png import SIGNATURE as PNG
+from splitknit.io.images import BMP, JPEG, PNG, TIFFS
 from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
-from splitknit.io.tiff import SIGNATURES as TIFF_SIGNATURES
 from splitknit_match.records import finger_image, iso39794, itl, wsq_image
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, MAX_RECORD_BYTES, what_bytes_are
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
@@ -141,9 +139,9 @@ FORMATS: dict[str, PrintFormat] = {
     form.name: form
     for form in (
         _picture("png", ".png", (PNG[:4],), _as_png),
-        _picture("tiff", ".tiff", TIFF_SIGNATURES, _as_tiff),
-        _picture("jpeg", ".jpg", (JPEG_SIGNATURE,)),
-        _picture("bmp", ".bmp", (BMP_SIGNATURE,)),
+        _picture("tiff", ".tiff", TIFFS, _as_tiff),
+        _picture("jpeg", ".jpg", (JPEG,)),
+        _picture("bmp", ".bmp", (BMP,)),
         PrintFormat("wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq, _as_wsq, _MAX_WSQ),
         PrintFormat(
             "iso-19794-4",

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from msgspec import Meta, Struct
 
 from splitknit import Capture, Rig, read_capture, read_rig, write_rig
 from splitknit.errors import naming, require
-from splitknit.io.fields import Fields, inside, read_json
+from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
@@ -183,8 +184,18 @@ def rounded(value: float) -> float:
 
 
 DOCUMENT = "radiometry.json"
-FORMAT, VERSION = "splitknit-radiometry", 1
-_KNOWN = {"format", "version", "exposures"}
+
+
+class _Exposure(Struct):
+    file: str
+    exposure_s: Annotated[float, Meta(ge=1e-9, le=1e6)]
+    gain: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+
+
+class _Document(Struct, forbid_unknown_fields=True):
+    format: Annotated[str, Meta(pattern="^(splitknit-radiometry)$")]
+    version: Version1
+    exposures: tuple[_Exposure, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,22 +211,13 @@ def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
     file = folder / DOCUMENT
     if not file.is_file():
         return _RadiometryPlan()
-    fields = Fields(read_json(file)[0], str(file))
-    fields.format(FORMAT, VERSION)
-    dark = f"{file}: dark frames are not measured any more; state the black level in the rig file, and remove 'dark'."
-    require(not fields.has("dark"), dark)
-    unknown = sorted(set(fields.keys()) - _KNOWN)
-    require(not unknown, f"{file}: the field '{unknown[0] if unknown else ''}' is not known; correct or remove it.")
+    document, _ = read_document(file, _Document)
     exposures = []
-    if fields.has("exposures"):
-        for k, item in enumerate(fields.items("exposures")):
-            entry = Fields(item, str(file), f"exposures[{k}]")
-            time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
-            exposures.append((inside(folder, entry.get("file"), str(file), entry.path("file")), time))
-        require(
-            len(exposures) >= MIN_EXPOSURES,
-            f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",
-        )
+    for k, entry in enumerate(document.exposures):
+        image = inside(folder, entry.file, str(file), f"exposures[{k}].file")
+        exposures.append((image, entry.exposure_s * entry.gain))
+    few = f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed."
+    require(len(exposures) == 0 or len(exposures) >= MIN_EXPOSURES, few)
     files = [one for one, _ in exposures]
     for k, image in enumerate(files):
         require(files.index(image) == k, f"{file} names {image.name} twice; every image serves once.")

@@ -67,17 +67,17 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 
 
 @contextlib.contextmanager
-def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[BinaryIO]:
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
-    Parent folders are created. Raises BadInput if `path` is a folder or a device, exists while `overwrite` is false, is
-    or lies behind a link inside a folder that the user named, or cannot be written.
+    Parent folders are created. Raises BadInput if `path` is a folder or a device, is or lies behind a link inside a
+    folder that the user named, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
         # the renaming would take the place of /dev/null, where one may do that
         require(target.is_file() or not target.exists(), f"'{target}' is a device or a pipe; name a file to write.")
-    within = overwrite and any(folder in _AT_WORK for folder in target.parents)  # it appears with its folder
+    within = any(folder in _AT_WORK for folder in target.parents)  # it appears with its folder
     place = _in_place(target) if within else _temporary(target)
     with _parents(target), _refuse_os_errors(target), place as new, new.open("wb") as stream:
         yield stream
@@ -85,28 +85,13 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
         new.chmod(private_modes()[0])
         if _WINDOWS:  # where no open file is renamed
             stream.close()
-        if overwrite:
-            new.replace(target)
-        else:
-            _place(new, target)
+        new.replace(target)
 
 
 def write_file(path: str | os.PathLike[str], data: bytes) -> None:
     """Write `data` as the whole of a file; see :func:`atomic_file`."""
     with atomic_file(path) as stream:
         stream.write(data)
-
-
-def _place(temporary: Path, target: Path) -> None:
-    """Rename, unless there is a file of that name; a link fails then, unlike a renaming."""
-    try:
-        target.hardlink_to(temporary)
-    except FileExistsError:
-        raise
-    except OSError:  # a disk without links
-        if target.exists():
-            raise
-        temporary.rename(target)
 
 
 def private_modes() -> tuple[int, int]:

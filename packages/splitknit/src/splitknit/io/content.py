@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from math import ceil, sqrt
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +29,6 @@ _SATURATED_AREA = 0.005
 _GREY = 0.7
 """Part of what is not black that is not white either, from which a mask is a picture: up to 0.12 of 360 drawn masks
 sharp, of JPEG or noisy; 5 of 240 feathered or enlarged ones are above it; 0.72 and more of 272 photographs."""
-_PURE = 0.4, 0.6
-"""Channels of a pure colour are below and above these parts of the full scale; JPEG blurs the colour of thin lines."""
-_LINE_PX, _LINE = 6.0, 0.03
-"""A drawn line is at most as wide as these pixels and this part of the side of its inside."""
 _SAMPLE_PIXELS = 200_000
 """About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
 
@@ -117,32 +112,9 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     shown, between = bright > 0.1 * top, (bright > 0.1 * top) & (bright < 0.9 * top)
     part = float(between.sum()) / float(shown.sum())
     grey = f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either"
-    remedy = "paint the object white and all else black, or draw a closed line of one pure colour around it."
+    remedy = "paint the object white and all else black."
     require(part < _GREY, f"{grey}; {remedy}")
     return mask
-
-
-def drawn_outline(pixels: PixelArray) -> BoolArray | None:
-    """Inside (H, W) of a thin closed line of a pure colour in a picture (H, W, C), or of a white one on black, without
-    the line. None where there is none, or it encloses less than twice its own area.
-    """
-    full, best = float(np.iinfo(pixels.dtype).max), None
-    on, off = pixels > _PURE[1] * full, pixels < _PURE[0] * full
-    grey = float((~(on.all(axis=2) | off.all(axis=2))).mean())
-    for hue in np.ndindex(*(2,) * pixels.shape[2]):
-        line = np.logical_and.reduce([(on if lit else off)[..., k] for k, lit in enumerate(hue)])
-        if not any(hue) or not line.any() or (all(hue) and grey > float(line.mean())):
-            continue  # black is none, nor is white in a picture
-        line = cv2.dilate(np.pad(line, 2).astype(np.uint8), np.ones((3, 3), np.uint8))  # JPEG leaves gaps
-        _, parts, stats, _ = cv2.connectedComponentsWithStats(line, connectivity=8)
-        line = (parts == 1 + int(np.argmax(stats[1:, 2] * stats[1:, 3]))).astype(np.uint8)
-        _, parts = cv2.connectedComponents(1 - line, connectivity=4)
-        inside = np.asarray((parts != parts[0, 0]) & (line == 0))[2:-2, 2:-2]
-        area, width = float(inside.sum()), 2.0 * float(cv2.distanceTransform(line, cv2.DIST_L2, 5).max())
-        thin = area > 2.0 * float(line.sum()) and width < _LINE_PX + _LINE * np.sqrt(area)
-        if thin and (best is None or area > float(best.sum())):
-            best = inside
-    return best
 
 
 def _sample(image: PixelArray) -> NDArray[Any]:

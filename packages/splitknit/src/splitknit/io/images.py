@@ -1,36 +1,81 @@
-"""Images in and out: 8- or 16-bit PNG, TIFF and JPEG, grey or RGB, as (H, W, C) integers."""
+"""Pictures in and out: 8- or 16-bit PNG, TIFF and JPEG, grey or RGB, as (H, W, C) integers.
+
+Pillow and tifffile read what a file states, so that sizes are known before memory is taken; OpenCV decodes the pixels,
+but for those of uncompressed TIFF files.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import io
+import logging
 import os
-import re
-from collections.abc import Iterator, Sequence
+import struct
+import threading
+import warnings
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.WebPImagePlugin import WebPImageFile
 
-from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io import png, tiff
+from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import write_file
-from splitknit.io.png import check_held, check_size
+from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray
 from splitknit.steps import large_array, let_go
 
+MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
+"""Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file can claim any."""
+_DECODED_BYTES = 400_000_000
+"""Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
+_LARGEST_RATIO = 50_000  # bytes that one of the file can become: of a WEBP or a palette of one bit, the densest
+_MAPPED_BYTES = 1_000_000_000
+"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
+STACK_BYTES = 4_000_000_000  # bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
+_MAX_SCANS = 100  # of a JPEG file: each costs a pass through the whole image; a progressive image has about ten
+
+PNG, JPEG, WEBP, BMP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"BM"
+"""First bytes of files."""
+TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_OPENERS: dict[bytes, Any] = {PNG: PngImageFile, JPEG: JpegImageFile, WEBP: WebPImageFile, BMP: BmpImageFile}
+_GREY, _COLOUR = {"1", "L", "LA", "I;16"}, {"P", "PA", "RGB", "RGBA", "RGBX"}  # Pillow's modes
+_ORIENTATION, _X_RESOLUTION, _Y_RESOLUTION, _RESOLUTION_UNIT = 274, 282, 283, 296  # tags of TIFF and EXIF
+_ALPHA = (1, 2)  # associated or not, of the tag ExtraSamples
+_CM_PER_INCH = 2.54
+_TEXT_BYTES = 1_000_000
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # else it writes to stderr
+
 
 @dataclass(frozen=True, slots=True)
-class _ImageInfo:
-    """A file's header on its image once decoded."""
+class Header:
+    """What an image file states; headers are equal where the decoded images have one shape and type."""
 
     rows: int
     columns: int
     channels: int
+    """1 or 3, without alpha."""
     dtype: np.dtype[Any]
+    orientation: int = field(default=1, compare=False)
+    """EXIF's, 1 to 8; 1 = stored as it is seen."""
+    ppi: tuple[float, float] | None = field(default=None, compare=False)
+    """Pixels per inch along columns and rows."""
+    encoding: str = field(default="", compare=False)
+    """``srgb`` or ``linear`` where a PNG file states it."""
+    text: Mapping[str, str] = field(default_factory=dict, compare=False)
+    page: Any = field(default=None, compare=False)
+    """Of tifffile, the first of a TIFF file."""
 
     @property
     def words(self) -> str:
@@ -39,11 +84,189 @@ class _ImageInfo:
         return f"{self.rows} x {self.columns} {colour}, {self.dtype.itemsize * 8} bits"
 
 
-MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
-"""Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file can claim any."""
-_MAPPED_BYTES = 1_000_000_000
-"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
-STACK_BYTES = 4_000_000_000  # bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
+class _Quiet:
+    """While any thread is inside, nothing reaches the process's stderr: libpng and libjpeg print what they refuse, and
+    Pillow warns of it.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._undo = threading.Lock(), 0, contextlib.ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._undo.enter_context(warnings.catch_warnings(action="ignore"))
+                with contextlib.suppress(OSError):  # closed
+                    stderr = os.dup(2)
+                    self._undo.callback(os.close, stderr)
+                    self._undo.callback(os.dup2, stderr, 2)
+                    with open(os.devnull, "wb") as null:  # noqa: PTH123 - a device
+                        os.dup2(null.fileno(), 2)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._undo.close()
+
+
+_QUIET = _Quiet()
+
+
+def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
+    """What a PNG, TIFF, JPEG, WEBP or BMP file states, before memory is taken.
+
+    Raises BadInput, with `name`, if the header is damaged, the file of another kind, or the image larger than
+    `max_pixels` or 400 MB once decoded.
+    """
+    header = _tiff_header(data, name) if data.startswith(TIFFS) else _pillow_header(data, name)
+    decoded = check_size(header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels)
+    claim = f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
+    require(decoded <= _LARGEST_RATIO * len(data), f"{claim}, which cannot be in {len(data)} bytes; copy it again.")
+    return header
+
+
+def check_size(rows: int, columns: int, bytes_each: int, name: str, max_pixels: int = MAX_PIXELS) -> int:
+    """The bytes of an image once decoded, refused if it has too many, or no pixel; `bytes_each`: of a pixel."""
+    size = f"{name} claims {rows} x {columns} pixels"
+    require(0 < rows * columns <= max_pixels, f"{size}, more than the {max_pixels} that are read.")
+    decoded = rows * columns * bytes_each
+    large = f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read; reduce the image."
+    require(decoded <= _DECODED_BYTES, large)
+    return decoded
+
+
+def _pillow_header(data: bytes, name: str) -> Header:
+    opener: Any = next((opener for start, opener in _OPENERS.items() if data.startswith(start)), None)
+    what = "is not a PNG, TIFF or JPEG image" if data else "is empty"
+    require(opener is not None, f"{name} {what}; export it again as 8- or 16-bit PNG.")
+    damaged = f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it again."
+    with refusing(damaged), _QUIET:
+        picture = opener(io.BytesIO(data))
+        columns, rows = picture.size
+        info = picture.info
+        exif = Image.Exif()
+        exif.load(info.get("exif"))
+        orientation = exif.get(_ORIENTATION, 1)
+    grey, dtype, encoding = picture.mode in _GREY, np.dtype("u1"), ""
+    require(
+        grey or picture.mode in _COLOUR, f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both."
+    )
+    if data.startswith(PNG):  # Pillow has no modes of 16 bits but grey
+        grey, dtype, encoding = data[25] in (0, 4), np.dtype("u2" if data[24] == 16 else "u1"), _encoding(info)
+    ppi = info.get("dpi")
+    return Header(
+        rows,
+        columns,
+        1 if grey else 3,
+        dtype,
+        orientation if orientation in range(1, 9) else 1,
+        (float(ppi[0]), float(ppi[1])) if ppi and min(ppi) > 0 else None,
+        encoding,
+        {str(key): value for key, value in info.items() if isinstance(value, str)},
+    )
+
+
+def _encoding(info: Mapping[Any, Any]) -> str:
+    """Encoding by a PNG file's chunks sRGB, gAMA and iCCP."""
+    gamma = float(info.get("gamma", 0.0))
+    if "srgb" in info or (gamma != 1.0 and ("icc_profile" in info or 0.4 < gamma < 0.5)):
+        return "srgb"
+    return "linear" if gamma == 1.0 else ""
+
+
+def _tiff_header(data: bytes, name: str) -> Header:
+    """Of a flat grey or RGB image of 8 or 16 bits or floats, whose strips or tiles lie in the file, side by side."""
+    import tifffile  # slow
+
+    damaged = f"{name} is not a sound TIFF file: its tags are damaged; export it again."
+    with refusing(damaged), _QUIET:
+        page: Any = tifffile.TiffFile(io.BytesIO(data)).pages.first
+        orientation = page.tags.valueof(_ORIENTATION, 1)
+        rows, columns, samples = int(page.imagelength), int(page.imagewidth), int(page.samplesperpixel)
+        stored = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+        counted = len(stored) == np.prod(page.chunked)
+        dtype = page.dtype
+        ends = max((offset + length for offset, length in stored), default=0)
+        ppi = _tiff_ppi(page)
+        photometric, planes = int(page.photometric), int(page.planarconfig or 1)
+        text = page.description[:_TEXT_BYTES]
+    require(page.imagedepth == 1 and min(rows, columns) > 0, f"{name} is not a single flat image; save it as PNG.")
+    known = dtype is not None and dtype.name in ("uint8", "uint16", "float32", "float64")
+    kinds = f"{name} has samples of the type {dtype} ({page.bitspersample} bits)"
+    require(known, f"{kinds}; save it as 8- or 16-bit unsigned integers.")
+    grey, colour = photometric in (0, 1) and samples == 1, photometric == 2 and samples in (3, 4)
+    flat = f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB."
+    require((grey or colour) and (samples == 1 or planes == 1), flat)
+    require(counted and sum(length for _, length in stored) <= len(data), damaged)
+    require(ends <= len(data), f"{name} is truncated: the TIFF file ends within the image; copy it again.")
+    orientation = orientation if orientation in range(1, 9) else 1
+    channels = 1 if grey else 3
+    return Header(rows, columns, channels, dtype.newbyteorder("="), orientation, ppi, "", {"": text}, page)
+
+
+def _tiff_ppi(page: Any) -> tuple[float, float] | None:
+    """Resolution along columns and rows by the tags; None where it is not stated, or not soundly."""
+    with contextlib.suppress(ValueError, TypeError, ZeroDivisionError, OSError, struct.error):
+        (x, x_of), (y, y_of) = page.tags.valueof(_X_RESOLUTION), page.tags.valueof(_Y_RESOLUTION)
+        scale = {2: 1.0, 3: _CM_PER_INCH}.get(int(page.tags.valueof(_RESOLUTION_UNIT, 2)), 0.0)
+        ppi = scale * x / x_of, scale * y / y_of
+        return ppi if min(ppi) > 0 else None
+    return None
+
+
+def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
+    """Pixels (H, W, C) as stored, in the order red, green, blue, with alpha behind them where there is some; BadInput
+    where a part is missing or damaged.
+    """
+    page = header.page
+    if page is None:
+        _check_whole(data, name)
+        pixels = decoded(data, name)
+        return pixels[..., ::3] if header.channels == 1 and pixels.shape[2] == 4 else pixels
+    if page.compression == 1:
+        damaged = f"{name} is damaged: a part of its image is missing; copy it again."
+        with refusing(damaged), _QUIET:
+            pixels = page.asarray(maxworkers=1).reshape(header.rows, header.columns, -1)
+    else:
+        pixels = decoded(data, name)
+    colours = page.samplesperpixel == header.channels or (page.extrasamples or (0,))[0] in _ALPHA
+    pixels = pixels if colours else pixels[..., : header.channels]
+    turned = page.compression != 1 and header.dtype == np.uint8  # by OpenCV
+    inverted = page.photometric == 0 and not turned and header.dtype.kind == "u"
+    return np.asarray(np.iinfo(header.dtype).max - pixels) if inverted else pixels
+
+
+def _check_whole(data: bytes, name: str) -> None:
+    """Refuse PNG and JPEG files of which a part is missing, or damaged where there are checksums."""
+    if data.startswith(PNG):
+        damaged = f"{name} is truncated or damaged: the checksums of the PNG file do not match; copy it again."
+        with refusing(damaged), _QUIET:
+            PngImageFile(io.BytesIO(data)).verify()
+    elif data.startswith(JPEG):
+        scan = data.rfind(b"\xff\xda")
+        whole = 0 <= scan < data.rfind(b"\xff\xd9")
+        require(whole, f"{name} is truncated: the JPEG file ends within the image; copy it again.")
+        many = f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again."
+        require(data.count(b"\xff\xda") <= _MAX_SCANS, many)
+
+
+def decoded(data: bytes, name: str) -> NDArray[Any]:
+    """Pixels (H, W, C) that OpenCV decodes of a file whose header was checked, in the order red, green, blue, alpha.
+    Raises BadInput where it cannot.
+    """
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it would print is refused here
+    damaged = f"{name} is damaged: its image data cannot be decoded; copy it again, or save it as PNG."
+    image: Any = None
+    with refusing(damaged), _QUIET:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    require(image is not None, damaged)
+    if image.ndim == 2:
+        return np.asarray(image[..., None])
+    if image.dtype == np.float64:
+        return np.asarray(image[..., [2, 1, 0, 3][: image.shape[2]]])
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA))
 
 
 def read_image(path: str | os.PathLike[str]) -> PixelArray:
@@ -63,38 +286,23 @@ def read_image(path: str | os.PathLike[str]) -> PixelArray:
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Rows and columns of an image file, without decoding it."""
-    info = _image_info(read_bytes(path, MAX_BYTES), str(path))
-    return info.rows, info.columns
+    header = read_header(read_bytes(path, MAX_BYTES), str(path))
+    return header.rows, header.columns
 
 
-def _image_info(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> _ImageInfo:
-    """Size, channels and type by the header; BadInput, with `name`, if it is damaged, of an unknown format, or claims
-    more than `max_pixels`, 400 MB once decoded, or what the file can hold.
-    """
-    if data.startswith(png.SIGNATURE[:4]):
-        header = png.png_header(data, name)
-        info = _ImageInfo(header.rows, header.columns, header.channels, header.dtype)
-    elif data.startswith(_JPEG_SIGNATURE):
-        info = _jpeg_header(data, name)
-    elif data.startswith(tiff.SIGNATURES):
-        page = tiff.tiff_header(data, name)
-        info = _ImageInfo(page.rows, page.columns, page.channels, page.dtype.newbyteorder("="))
-    else:
-        what = "is empty" if not data else "is not a PNG, TIFF or JPEG image"
-        raise BadInput(f"{name} {what}; export it again as 8- or 16-bit PNG.")
-    large = f"{name} claims {info.rows} x {info.columns} pixels, more than the {max_pixels} that are read."
-    require(info.rows * info.columns <= max_pixels, large)
-    return info
+def decode_image(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> PixelArray:
+    """Decode the bytes of an image file; see :func:`read_image`."""
+    return _plain_pixels(data, read_header(data, name, max_pixels), name)
 
 
-def decode_image(data: bytes, name: str, out: PixelArray | None = None, max_pixels: int = MAX_PIXELS) -> PixelArray:
-    """Decode the bytes of an image file, into `out` (H, W, C) where given; see :func:`read_image`."""
-    info = _image_info(data, name, max_pixels)
-    if data.startswith(png.SIGNATURE):
-        return png.decode_png(data, name, out)
-    if data.startswith(_JPEG_SIGNATURE):
-        return png.placed(png.decoded(data, name), out, info, name)
-    return tiff.decode_tiff(data, name, out)
+def _plain_pixels(data: bytes, header: Header, name: str) -> PixelArray:
+    """(H, W, C) without alpha, as the header states."""
+    kind = f"{name} holds {header.dtype}; save it as 8- or 16-bit unsigned integers."
+    require(header.dtype.kind == "u", kind)
+    image = decode_pixels(data, header, name)[..., : header.channels]
+    same = image.shape == (header.rows, header.columns, header.channels) and image.dtype == header.dtype
+    require(same, f"{name} is stored in a way that is not read; save it as 8- or 16-bit PNG, grey or RGB.")
+    return np.ascontiguousarray(image)
 
 
 def cores() -> int:
@@ -121,35 +329,36 @@ class StackReader:
 
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
         """The stack (L, H, W, C) that :meth:`finish` fills; `expected_by`: who wants `size` (rows, columns)."""
-        first = read_bytes(files[0], MAX_BYTES)
-        info = _image_info(first, str(files[0]))
-        _check_size(info, size, str(files[0]), expected_by)
-        self._bytes += len(files) * size[0] * size[1] * info.channels * info.dtype.itemsize
+        like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
+        _check_size(like, size, str(files[0]), expected_by)
+        self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
         large = f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES}"
         require(self._bytes <= STACK_BYTES, f"{large} that are read at once; reduce them, or name fewer.")
-        shape = (len(files), *size, info.channels)
-        stack = large_array(shape, info.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=info.dtype)
-        for k, file in enumerate(files):
-            data = first if k == 0 else None
-            job = self._pool.submit(self._read, file, data, info, str(files[0]), stack[k], expected_by)
-            self._jobs.append((str(file), job))
+        shape = (len(files), *size, like.channels)
+        stack = large_array(shape, like.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=like.dtype)
+
+        def read(k: int) -> str:
+            name, data = str(files[k]), read_bytes(files[k], MAX_BYTES)
+            header = read_header(data, name)
+            _check_size(header, size, name, expected_by)
+            differ = f"{name} is {header.words}, but {files[0]} is {like.words}"
+            require(header == like, f"{differ}; all images of a band must agree.")
+            stack[k] = _plain_pixels(data, header, name)
+            let_go(stack)
+            return hashlib.sha256(data).hexdigest()
+
+        self._jobs += [(str(file), self._pool.submit(read, k)) for k, file in enumerate(files)]
         return stack
 
     def finish(self) -> dict[str, str]:
         """Wait for all files; return the SHA-256 of each by its path. The first file at fault is the one reported."""
         return {name: job.result() for name, job in self._jobs}
 
-    def _read(  # noqa: PLR0917 - the job of one thread
-        self, file: Path, data: bytes | None, like: _ImageInfo, first: str, out: PixelArray, expected_by: str
-    ) -> str:
-        name = str(file)
-        data = read_bytes(file, MAX_BYTES) if data is None else data
-        info = _image_info(data, name)
-        _check_size(info, (like.rows, like.columns), name, expected_by)
-        require(info == like, f"{name} is {info.words}, but {first} is {like.words}; all images of a band must agree.")
-        decode_image(data, name, out)
-        let_go(out)
-        return hashlib.sha256(data).hexdigest()
+
+def _check_size(header: Header, size: tuple[int, int], name: str, expected_by: str) -> None:
+    expected = f"{size[0]} x {size[1]} are expected by {expected_by}."
+    differs = f"{name} has {header.rows} x {header.columns} pixels (rows x columns), but {expected}"
+    require((header.rows, header.columns) == size, differs)
 
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
@@ -172,7 +381,7 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
         # 1 % of 16 bits and 10 % of 8 bits, and takes as long again. Both are read faster so.
         return png_bytes(array, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER_UP)
     require(suffix in (".tif", ".tiff"), f"images are written as .png, .tif or .tiff, not as '{suffix}'.")
-    return tiff.encode_tiff(array)
+    return encode_tiff(array)
 
 
 def png_bytes(image: NDArray[Any], strategy: int, row_filter: int) -> bytes:
@@ -181,85 +390,45 @@ def png_bytes(image: NDArray[Any], strategy: int, row_filter: int) -> bytes:
     return cv2.imencode(".png", image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), how)[1].tobytes()
 
 
-def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by: str) -> None:
-    expected = f"{size[0]} x {size[1]} are expected by {expected_by}."
-    other = f"{name} has {info.rows} x {info.columns} pixels (rows x columns), but {expected}"
-    require((info.rows, info.columns) == size, other)
+def encode_tiff(image: NDArray[Any], description: str | None = None, ppi: float | None = None) -> bytes:
+    """Uncompressed TIFF of (H, W) or (H, W, 3); equal input gives equal bytes."""
+    import tifffile  # slow
+
+    stream = io.BytesIO()
+    tifffile.imwrite(
+        stream,
+        image,
+        photometric="minisblack" if image.ndim == 2 else "rgb",
+        description=description,
+        resolution=None if ppi is None else (ppi, ppi),
+        resolutionunit=None if ppi is None else "INCH",
+        software="splitknit",
+        metadata=None,
+        byteorder="<",
+    )
+    return stream.getvalue()
 
 
-# JPEG files: the structure is checked before the decoder sees them.
-#
-# JPEG has no checksums, so that a changed byte inside the image data cannot be distinguished from a picture; what can
-# be found is a file that ends early, has a damaged header, or is of a kind that is not supported.
-#
-# Source: ITU-T T.81 (1992), annex B: markers and segments.
+def write_float_tiff(
+    path: str | os.PathLike[str],
+    values: NDArray[np.floating],
+    unit: str,
+    metadata: Mapping[str, Any] | None = None,
+    pitch_mm: float | None = None,
+) -> None:
+    """Write floats (H, W) or (H, W, 3), NaN where nothing is known, as an uncompressed float32 TIFF.
 
-_JPEG_SIGNATURE = b"\xff\xd8\xff"
-_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
-APP1 = 0xE1  # second byte of the marker of a segment that may hold EXIF data
-_FRAMES = frozenset({0xC0, 0xC1, 0xC2})
-_MAX_SCANS = 100  # each scan costs a pass through the whole image; a progressive image has about ten
-_BLOCK_PIXELS = 64
-_OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
-
-
-def _jpeg_header(data: bytes, name: str) -> _ImageInfo:
-    """Size of a JPEG file's frame, all segments walked; BadInput if it is damaged, cut short or of a kind not read."""
-    truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
-    frame: _ImageInfo | None = None
-    finest, position, scans = 0.0, 2, 0
-    while True:
-        require(position + 2 <= len(data), truncated)
-        require(data[position] == 0xFF, f"{name} is damaged: a JPEG marker is missing; copy it again.")
-        marker = data[position + 1]
-        if marker == 0xFF:  # a fill byte
-            position += 1
-            continue
-        if marker == 0xD9:
-            break
-        require(position + 4 <= len(data), truncated)
-        length = int.from_bytes(data[position + 2 : position + 4], "big")
-        require(length >= 2, f"{name} is damaged: a JPEG segment has an impossible length; copy it again.")
-        require(position + 2 + length <= len(data), truncated)
-        require(marker not in _OTHER_FRAMES, f"{name} is a kind of JPEG that is not supported; save it as PNG.")
-        if marker in _FRAMES:
-            require(frame is None, f"{name} is damaged: it has two JPEG frames.")
-            frame, finest = _frame(data[position + 4 : position + 2 + length], name)
-        position += 2 + length
-        if marker == 0xDA:
-            scans += 1
-            require(scans <= _MAX_SCANS, f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.")
-            found = _MARKER_IN_SCAN.search(data, position)
-            if found is None:
-                raise BadInput(truncated)
-            position = found.end() - 2
-    if frame is None or scans == 0:
-        raise BadInput(f"{name} is damaged: the JPEG file holds no image; copy it again.")
-    check_size(frame.rows, frame.columns, frame.channels, name)
-    check_held(frame.rows, frame.columns, finest / _BLOCK_PIXELS / 8, len(data), name)
-    return frame
-
-
-def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Second byte of the marker, start and end of each segment of a sound JPEG file, before its first scan."""
-    place = 2
-    while (marker := data[place + 1]) != 0xDA:
-        end = place + (1 if marker == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big"))
-        yield marker, place, end
-        place = end
-
-
-def _frame(body: bytes, name: str) -> tuple[_ImageInfo, float]:
-    """The frame header, and the finest channel's part of the pixels; each of its 8 x 8 blocks takes a bit or more."""
-    require(len(body) >= 6, f"{name} is damaged: its JPEG frame header is incomplete; copy it again.")
-    rows, columns = int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big")
-    require(body[0] == 8, f"{name} has {body[0]} bits a sample; a JPEG file must have 8.")
-    require(body[5] in (1, 3), f"{name} has {body[5]} channels (CMYK?); save it as grey or RGB.")
-    require(rows > 0 and columns > 0, f"{name} is damaged: its JPEG frame header gives no size; copy it again.")
-    require(len(body) == 6 + 3 * body[5], f"{name} is damaged: its JPEG frame header is incomplete; copy it again.")
-    sampling = [(body[place] >> 4, body[place] & 15) for place in range(7, len(body), 3)]
-    across, down = (max(factors) for factors in zip(*sampling, strict=True))
-    possible = all(1 <= factor <= 4 for pair in sampling for factor in pair)
-    require(possible, f"{name} is damaged: its JPEG channels have an impossible sampling; copy it again.")
-    info = _ImageInfo(rows, columns, body[5], np.dtype(np.uint8))
-    return info, max(x * y for x, y in sampling) / (across * down)
+    The description tag is a JSON object with ``unit`` (such as ``mm``, ``pixel`` or ``linear light, 1 = full scale``),
+    ``pitch_mm`` (exact; None where unknown: no resolution is stated then), and everything in `metadata`, what JSON can
+    hold; pixels per inch are in the resolution tags. Equal input gives equal bytes. Raises BadInput if the array
+    or the pitch is of another kind, or the file cannot be written.
+    """
+    image = np.ascontiguousarray(values, dtype=np.float32)
+    good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
+    require(good, f"a field to write must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
+    description = {**(metadata or {}), "unit": unit}
+    if pitch_mm is not None:
+        require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
+        description["pitch_mm"] = float(pitch_mm)
+    ppi = None if pitch_mm is None else 10.0 * _CM_PER_INCH / float(pitch_mm)
+    write_file(path, encode_tiff(image, canonical_json(description), ppi))

@@ -1,4 +1,4 @@
-"""Triangles from a grid of pixels, and files of them: STL and PLY, in pieces."""
+"""Triangles from a grid of pixels, and binary PLY files of them, in pieces, so that millions need little memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.model import BoolArray, FloatArray
 
@@ -21,22 +20,14 @@ def surface_mesh(
 
     Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z. Returns
     vertices (N, 3) float32, mm, in the order of the rows; faces (M, 3) int32; index (H, W) int32 of each pixel's
-    vertex, -1 without: ``values[index >= 0]`` are in the order of the vertices. Raises BadInput if the shapes do not
-    fit. `x_mm, y_mm`: (H, W), or broadcastable to it such as (W,) and (H, 1); `z_mm`: (H, W), NaN where there is no
-    surface; `mask`: (H, W) bool, or None for everywhere; pixels whose z is not finite are left out in any case.
+    vertex, -1 without: ``values[index >= 0]`` are in the order of the vertices. `x_mm, y_mm`: (H, W), or broadcastable
+    to it such as (W,) and (H, 1); `z_mm`: (H, W), NaN where there is no surface; `mask`: (H, W) bool, or None for
+    everywhere; pixels whose z is not finite are left out in any case.
     """
-    z_mm = np.asarray(z_mm, dtype=np.float32)
-    require(z_mm.ndim == 2, f"z_mm must be (H, W), but it is {z_mm.shape}.")
-    valid = np.isfinite(z_mm)
-    if mask is not None:
-        require(np.shape(mask) == z_mm.shape, f"mask must be {z_mm.shape}, but it is {np.shape(mask)}.")
-        valid &= np.asarray(mask, dtype=np.bool_)
+    valid = np.isfinite(z_mm) if mask is None else np.isfinite(z_mm) & mask
     index, _, pieces = triangulate(valid)
-    vertices = np.empty((np.count_nonzero(valid), 3), dtype=np.float32)
-    for axis, values in enumerate((x_mm, y_mm, z_mm)):
-        with refusing(f"{'xyz'[axis]}_mm {np.shape(values)} does not fit z_mm {z_mm.shape}."):
-            vertices[:, axis] = np.broadcast_to(np.asarray(values), z_mm.shape)[valid]
-    return vertices, np.concatenate(list(pieces)), index
+    places = [np.broadcast_to(values, valid.shape)[valid] for values in (x_mm, y_mm, z_mm)]
+    return np.stack(places, axis=1).astype(np.float32), np.concatenate(list(pieces)), index
 
 
 def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDArray[np.int32]]]:
@@ -72,46 +63,7 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
     return (slice(start, min(start + step, shape[0])) for start in range(0, shape[0], step))
 
 
-# Binary STL of an indexed mesh, in pieces, so that millions of triangles need little memory.
-#
-# STL knows no unit; the header states that it is the millimetre, which printing programs assume.
-
-_RECORD = np.dtype(
-    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")]
-)  # one triangle of a binary file
-_HEADER_BYTES = 80
 _CHUNK = 1 << 16
-
-
-def check_mesh(
-    vertices_mm: FloatArray, faces: NDArray[Any], normals: Any = None, intensity: NDArray[Any] | None = None
-) -> None:
-    """Raise BadInput if the arrays of a mesh do not fit, or a face refers to a vertex that is not there."""
-    count = len(vertices_mm)
-    shapes = {"vertices_mm": (count, 3), "faces": (len(faces), 3), "normals": (count, 3), "intensity": (count,)}
-    for array, (name, shape) in zip((vertices_mm, faces, normals, intensity), shapes.items(), strict=True):
-        fits = array is None or np.shape(array) == shape
-        require(fits, f"{name} must have the shape {shape}, but it has {np.shape(array)}.")
-    fits = faces.size == 0 or (int(faces.min()) >= 0 and int(faces.max()) < count)
-    require(fits, f"faces refer to vertices that are not there (0 to {count - 1}).")
-
-
-def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
-    """The bytes of a file, in order, of `vertices_mm` (N, 3) and `faces` (M, 3), counter-clockwise seen from outside;
-    `title`: in the header behind ``splitknit, unit mm``. Raises BadInput if shapes or faces do not fit.
-    """
-    check_mesh(vertices_mm, faces)
-    vertices = np.asarray(vertices_mm, dtype=np.float32)
-    header = f"splitknit, unit mm {title}".encode("ascii", "replace")
-    yield header[:_HEADER_BYTES].ljust(_HEADER_BYTES, b" ") + np.uint32(len(faces)).astype("<u4").tobytes()
-    for start in range(0, len(faces), _CHUNK):
-        corners = vertices[faces[start : start + _CHUNK]]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(across, axis=1, keepdims=True)
-        records = np.zeros(len(corners), dtype=_RECORD)
-        records["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
-        records["corners"] = corners
-        yield records.tobytes()
 
 
 # Binary PLY: vertices in mm with normals, quality as intensity.
@@ -125,33 +77,19 @@ _VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality",
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
-def write_ply(  # noqa: PLR0917 - a mesh is these arrays
+def write_ply(
     path: str | os.PathLike[str],
-    vertices_mm: FloatArray,
-    normals: FloatArray,
-    intensity: NDArray[np.uint8] | FloatArray,
-    faces: NDArray[np.int32] | None = None,
+    vertices: tuple[FloatArray, FloatArray, FloatArray],
+    faces: NDArray[np.int32],
     comments: Sequence[str] = (),
 ) -> None:
     """Write a surface as binary little-endian PLY.
 
-    `vertices_mm`: (N, 3), mm; `normals`: (N, 3), unit length; `intensity`: (N,) uint8, or float in [0, 1], stored as
-    the property ``quality`` in [0, 1]; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside, or
-    None for a cloud of points; `comments`: single lines for the header (units, provenance). Raises BadInput if the
-    shapes do not fit, a face refers to a vertex that is not there, a comment has several lines, or the file cannot be
-    written.
+    `vertices`: places (N, 3) in mm, unit normals (N, 3) and the property ``quality`` (N,) in [0, 1]; `faces`: (M, 3)
+    indices of vertices, counter-clockwise seen from outside; `comments`: single lines of ASCII for the header (units,
+    provenance). Raises BadInput if the file cannot be written.
     """
-    corners = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
-    count = len(vertices_mm)
-    shade: NDArray[Any] = np.asarray(intensity)
-    check_mesh(vertices_mm, corners, normals, shade)
-    plain = all(text.isascii() and text.isprintable() for text in comments)
-    require(plain, "a comment in a PLY file must be one line of printable ASCII.")
-    scale = np.float32(1.0 / 255.0) if shade.dtype == np.uint8 else np.float32(1.0)
-    parts = [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
-    points = ((vertices_mm[part], normals[part], shade[part] * scale) for part in parts)
-    faces_in_parts = (corners[start : start + _CHUNK] for start in range(0, len(corners), _CHUNK))
-    write_ply_pieces(path, (count, points), (len(corners), faces_in_parts), comments)
+    write_ply_pieces(path, (len(vertices[0]), [vertices]), (len(faces), [faces]), comments)
 
 
 def write_ply_pieces(
@@ -160,9 +98,7 @@ def write_ply_pieces(
     faces: tuple[int, Iterable[NDArray[Any]]],
     comments: Sequence[str],
 ) -> None:
-    """Write what :func:`write_ply` writes. `vertices`: how many, and pieces of them: places (n, 3) in mm, normals (n,
-    3), intensity (n,) in [0, 1]; `faces`: how many, and pieces (m, 3). Raises BadInput on writing.
-    """
+    """Write what :func:`write_ply` writes. `vertices`: how many, and pieces of them; `faces`: the same."""
     header = [
         "ply",
         "format binary_little_endian 1.0",

@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
-from splitknit.io import png, tiff
-from splitknit.io.images import APP1, MAX_BYTES, MAX_PIXELS, decode_image, jpeg_segments
-from splitknit.io.png import check_size, png_header
+from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.io.images import MAX_BYTES, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -28,11 +26,8 @@ SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 """What cameras and telephones write with a tone curve."""
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
-JPEG_SIGNATURE, BMP_SIGNATURE = b"\xff\xd8\xff", b"BM"
 _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
-_PIXELS_PER_BYTE = 16384
-"""Pixels per byte of a WEBP file, at most (38 bytes can claim any number): photographs have up to 100, masks 4000."""
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's ``flip`` as EXIF's orientation
 
 
@@ -68,21 +63,16 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix shows camera RAW."""
     if Path(name).suffix.lower() in RAW_SUFFIXES:
         pixels, orientation = _raw(data, name, room)
-    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        pixels, orientation = _webp(data, name, room)
     elif data[4:8] == b"ftyp":
         pixels, orientation = _heic(data, name, room), 1  # its turns are part of the picture, and undone with it
-    elif data.startswith(BMP_SIGNATURE):
-        pixels, orientation = _bmp(data, name, room), 1
-    elif data.startswith(tiff.SIGNATURES):
-        pixels, orientation = _tiff(data, name, room)
-    elif data.startswith((png.SIGNATURE[:4], JPEG_SIGNATURE)):
-        pixels = png.png_pixels(data, name) if data.startswith(png.SIGNATURE[:4]) else decode_image(data, name)
-        _check_room(pixels.nbytes, name, room)
-        orientation = tiff.exif_orientation(exif_data(data), name)
     else:
-        what = "is empty" if not data else f"is none of {FORMATS}"
-        raise BadInput(f"{name} {what}; export it as PNG or TIFF.")
+        header = read_header(data, name)
+        _check_room(header.rows * header.columns * header.channels * header.dtype.itemsize, name, room)
+        pixels, orientation = decode_pixels(data, header, name), header.orientation
+    if pixels.dtype.kind == "f":
+        finite = bool(np.isfinite(pixels).all() and np.abs(pixels).max() < 1e30)
+        require(finite, f"{name} holds values that are not finite; export it again without them.")
+        pixels = pixels.astype(np.float32)
     pixels, opaque = _upright(pixels, orientation), None
     if pixels.shape[2] in (2, 4):  # with alpha
         clear = pixels[..., -1] > (0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2)
@@ -118,10 +108,8 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
 
 
 def _of_eight_bits(file: Path) -> bool:
-    """Whether a file has 8 bits a value; what a PNG states is read without its pixels."""
-    if file.suffix.lower() == ".png":
-        return bool(png_header(file.read_bytes(), str(file)).dtype == np.uint8)
-    return read_photo(file).pixels.dtype == np.uint8
+    """Whether a file has 8 bits a value."""
+    return read_header(read_bytes(file, MAX_BYTES), str(file)).dtype == np.uint8
 
 
 def _stated_encoding(file: Path) -> str:
@@ -129,15 +117,7 @@ def _stated_encoding(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:
         return "srgb" if suffix in SRGB_SUFFIXES else "linear"
-    with open_file(file, MAX_BYTES) as (stream, _):
-        head = stream.read(1 << 16).partition(b"IDAT")[0]
-    if not head.startswith(png.SIGNATURE):
-        return ""
-    gamma = head.find(b"gAMA")
-    value = int.from_bytes(head[gamma + 4 : gamma + 8], "big") / 1e5 if gamma > 0 else 0.0
-    if b"sRGB" in head or b"iCCP" in head or 0.4 < value < 0.5:
-        return "linear" if value == 1.0 and b"sRGB" not in head else "srgb"
-    return "linear" if value == 1.0 else ""
+    return read_header(read_bytes(file, MAX_BYTES), str(file)).encoding if suffix == ".png" else ""
 
 
 def _check_room(needed: int, name: str, room: int | None) -> None:
@@ -147,9 +127,6 @@ def _check_room(needed: int, name: str, room: int | None) -> None:
 
 def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | None) -> None:
     """Refuse sizes that are impossible or too large, before anything is decoded."""
-    require(rows > 0 and columns > 0, _UNREADABLE.format(name))
-    large = f"{name} claims {rows} x {columns} pixels, more than the {MAX_PIXELS} that are read."
-    require(rows * columns <= MAX_PIXELS, large)
     check_size(rows, columns, bytes_each, name)
     _check_room(rows * columns * bytes_each, name, room)
 
@@ -163,74 +140,6 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     if orientation in (2, 3, 6, 7):
         pixels = pixels[:, ::-1]
     return np.ascontiguousarray(pixels)
-
-
-def exif_data(data: bytes) -> bytes:
-    """EXIF data of a sound JPEG file (segment APP1) or PNG file (chunk eXIf); empty where there are none."""
-    if data.startswith(JPEG_SIGNATURE):
-        found = (_exif(data[start + 4 : end]) for marker, start, end in jpeg_segments(data) if marker == APP1)
-    else:
-        found = (content for kind, content in png.chunks_of(data) if kind == b"eXIf")
-    return next(filter(None, found), b"")
-
-
-def _exif(data: bytes) -> bytes:
-    """EXIF data without the word before them; nothing where it is missing."""
-    return data.removeprefix(b"Exif\0\0") if data.startswith(b"Exif\0\0") else b""
-
-
-def _tiff(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
-    page = tiff.tiff_page(data, name)
-    orientation = tiff.exif_orientation(data, name)
-    _check_room(page.rows * page.columns * page.channels * page.dtype.itemsize, name, room)
-    if page.dtype.kind != "f":
-        tiff.tiff_header(data, name)
-        return tiff.page_pixels(data, page, name), orientation
-    values = tiff.page_pixels(data, page, name)
-    finite = bool(np.isfinite(values).all() and np.abs(values).max() < 1e30)
-    require(finite, f"{name} holds values that are not finite; export it again without them.")
-    return values.astype(np.float32), orientation
-
-
-def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
-    """Uncompressed BMP of 8, 24 or 32 bits."""
-    words = np.frombuffer(data[14:54].ljust(40, b"\0"), "<i4")
-    bits, compression = int(words[3]) >> 16, int(words[4])
-    known = len(data) >= 54 and bits in (8, 24, 32) and compression in (0, 3)
-    require(known, f"{name} is a kind of BMP that is not read (compressed, or of few colours); save it as PNG.")
-    columns, rows = int(words[1]), abs(int(words[2]))
-    _checked(rows, columns, 3, name, room)
-    require(rows * columns * bits // 8 <= len(data), f"{name} is truncated: the BMP file ends within the image.")
-    image = png.decoded(data, name)
-    require(image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
-    return _plain(image)
-
-
-def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
-    rows, columns = _webp_size(data, name)
-    _checked(rows, columns, 4, name, room)
-    empty = f"{name} claims {rows} x {columns} pixels in {len(data)} bytes, which is not a photograph; save it as PNG."
-    require(rows * columns <= _PIXELS_PER_BYTE * len(data), empty)
-    pixels = png.decoded(data, name)
-    require(pixels.shape[:2] == (rows, columns), _UNREADABLE.format(name))
-    place, exif = 12, b""
-    while place + 8 <= len(data) and not exif:
-        length = int.from_bytes(data[place + 4 : place + 8], "little")
-        exif = data[place + 8 : place + 8 + length] if data[place : place + 4] == b"EXIF" else b""
-        place += 8 + length + length % 2
-    return pixels, tiff.exif_orientation(_exif(exif) or exif, name)
-
-
-def _webp_size(data: bytes, name: str) -> tuple[int, int]:
-    """Rows and columns from the first chunk (RFC 9649, sections 2.5 to 2.7)."""
-    kind, body = data[12:16], data[20:30].ljust(10, b"\0")
-    if kind == b"VP8X":
-        return 1 + int.from_bytes(body[7:10], "little"), 1 + int.from_bytes(body[4:7], "little")
-    if kind == b"VP8L":
-        bits = int.from_bytes(body[1:5], "little")
-        return 1 + (bits >> 14 & 0x3FFF), 1 + (bits & 0x3FFF)
-    require(kind == b"VP8 ", f"{name} is damaged: its WEBP header is incomplete; copy it again.")
-    return int.from_bytes(body[8:10], "little") & 0x3FFF, int.from_bytes(body[6:8], "little") & 0x3FFF
 
 
 def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:

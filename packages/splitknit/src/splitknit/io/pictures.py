@@ -23,15 +23,6 @@ BLUE = (0, 114, 178)
 SKY = (86, 180, 233)
 """Colours that stay apart for colour-blind readers (Okabe and Ito 2008)."""
 
-_CIVIDIS = np.array(
-    [
-        (0, 34, 78), (8, 51, 112), (53, 69, 108), (79, 87, 108), (102, 105, 112), (125, 124, 120),
-        (148, 142, 119), (174, 163, 113), (200, 184, 102), (229, 207, 82), (254, 232, 56),
-    ],
-    dtype=np.float64,
-)  # fmt: skip
-"""Eleven stops of the cividis map (Nunez, Anderton and Renslow 2018)."""
-
 _DIVERGING = np.array([(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10)], dtype=np.float64)
 """Blue for low, white for zero, orange for high."""
 
@@ -137,10 +128,11 @@ def _warp_linear(image: FloatArray, source_from_target: NDArray[np.float64], siz
 
 def colour(values: FloatArray, low: float, high: float, *, diverging: bool = False) -> ColourArray:
     """Colour `values` between `low` and `high`: cividis, or blue-white-orange where zero matters."""
-    stops = _DIVERGING if diverging else _CIVIDIS
-    positions = np.linspace(0.0, 255.0, len(stops))
-    table = np.stack([np.interp(np.arange(256), positions, stops[:, c]) for c in range(3)], axis=1)
     index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(np.uint8)
+    if not diverging:
+        return np.asarray(cv2.applyColorMap(index, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)
+    positions = np.linspace(0.0, 255.0, len(_DIVERGING))
+    table = np.stack([np.interp(np.arange(256), positions, _DIVERGING[:, c]) for c in range(3)], axis=1)
     return np.asarray(np.round(table).astype(np.uint8)[index])
 
 

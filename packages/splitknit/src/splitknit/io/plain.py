@@ -26,7 +26,7 @@ from splitknit.imaging.band import (
 from splitknit.imaging.light_field import few_lights
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
 from splitknit.imaging.response import FEWEST, shading_is_srgb
-from splitknit.io.content import check_contents, drawn_outline, mask_from_image
+from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.photographs import PhotographOptions
@@ -44,11 +44,9 @@ from splitknit.model import (
     PixelArray,
     Rig,
     camera_without_scale,
-    vector_at_origin,
 )
 from splitknit.steps import IN_MEMORY, large_array, let_go
 
-_SAME_DEG = 0.5  # lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
@@ -91,10 +89,11 @@ def capture_from_photographs(
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
-    Photographs under one light (directions within 0.5 deg) are averaged; those of floats are brought to 16 bits by one
-    factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF data,
-    their number is not that of the lights, the lights do not determine a normal or their file names a photograph that
-    is not there, an image is black or overexposed. `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
+    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are missing, damaged, of
+    different sizes or turned differently by their EXIF data, their number is not that of the lights, the lights do not
+    determine a normal or their file names a photograph that is not there, an image is black or overexposed.
+
+    `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
     or RAW files, all of one size, in the order of their names; or a pattern of their names, such as
     ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
     (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
@@ -202,10 +201,14 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
         bright = read_intensities(beside, len(rig.leds))
     if bright is None:
         return table, rig, found.names, None
-    mean = bright.mean(axis=1) / bright.mean()
-    leds = tuple(replace(led, intensity=float(one)) for led, one in zip(rig.leds, mean, strict=True))
-    rig = replace(rig, leds=leds, provenance={**rig.provenance, "intensities": "stated"})
-    return table, rig, found.names, bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
+    colours = bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
+    return table, _as_bright(rig, bright / bright.mean()), found.names, colours
+
+
+def _as_bright(rig: Rig, bright: NDArray[np.float64]) -> Rig:
+    """The rig with the brightness (L, 1 or 3) of its lights."""
+    leds = [replace(led, intensity=float(own.mean())) for led, own in zip(rig.leds, bright, strict=True)]
+    return replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
 
 
 def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
@@ -347,8 +350,7 @@ def capture_of_arrays(
     if bright is not None:
         good = bright.shape[1] in {1, 3} and bool(np.isfinite(bright).all()) and float(bright.min()) > 0
         require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
-        leds = [replace(led, intensity=float(one.mean())) for led, one in zip(rig.leds, bright, strict=True)]
-        rig = replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
+        rig = _as_bright(rig, bright)
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
     encoding, why = "linear", "was assumed"
     if kind == np.uint8:
@@ -359,7 +361,7 @@ def capture_of_arrays(
             codes = codes.reshape(len(stack), -1) / np.float32(255.0)
             curved = shading_is_srgb(codes, rig.light_vectors(), known=not rig.intensities_assumed)
         encoding, why = "linear" if curved is False else "srgb", "was assumed" if curved is None else "fits the shading"
-    pixels, _, _ = _as_integers(stack, None, 0.0, [[k] for k in range(len(stack))])
+    pixels, _, _ = _as_integers(stack, None, 0.0)
     count = len(pixels)
     coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
     band = Band(
@@ -396,14 +398,12 @@ def _assembled(  # noqa: PLR0917
     require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
     counts = f"{len(rig.leds)} lights for {len(files)} images"
     require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
-    groups = _same_lights(rig)
-    leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
-    check_lights(replace(rig, leds=leds).light_vectors())
+    check_lights(rig.light_vectors())
     encoding, notes = _encoding(files, rig, options)
     reading = _Reading(different, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
     unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
-    require(camera.scale_known or all(led.position_mm is None for led in leds), unknown)
+    require(camera.scale_known or all(led.position_mm is None for led in rig.leds), unknown)
     if announce is not None and (cost := reading.cost()):
         announce(cost)
     stack, turn, hashes = reading.stack()
@@ -416,10 +416,9 @@ def _assembled(  # noqa: PLR0917
     inside, how = _inside(options.mask, reading, hashes)
     notes += [how] if how else []
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
-    count, series = len(groups), len(stack) // len(files)
-    groups += [[len(files) + k for k in group] for group in groups] if series == 2 else []
-    flat, hashes = _flat_of(options, groups[:count], encoding, hashes)
-    pixels, ambient, black = _as_integers(stack, ambient, black, groups)
+    count, series = len(files), len(stack) // len(files)
+    flat, hashes = _flat_of(options, count, encoding, hashes)
+    pixels, ambient, black = _as_integers(stack, ambient, black)
     notes += reading.notes()
     band = Band(
         name="white",
@@ -430,19 +429,19 @@ def _assembled(  # noqa: PLR0917
         ambient=ambient,
         shading=camera.shading,
         flat=flat,
-        files=tuple(str(files[group[0]]) for group in groups[:count]),
+        files=tuple(map(str, files)),
         polarisation="parallel" if series == 2 else "",
     )
     bands = {"white": band}
     if series == 2:
-        names = tuple(str(every[group[0] % len(every)]) for group in groups[count:])
+        names = tuple(map(str, crossed or files))
         other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
         bands["white_crossed"] = other
         parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
         notes += [NOT_SPECULAR] if crossed_mean >= parallel else []
     check_contents(bands.values())
     capture = Capture(
-        rig=replace(rig, camera=camera, leds=leds),
+        rig=replace(rig, camera=camera),
         bands=bands,
         encoding=reading.encoding_after,
         material=options.material or ("opaque" if options.nir is None else "skin"),  # by near-infrared light a finger
@@ -450,7 +449,7 @@ def _assembled(  # noqa: PLR0917
         mask=inside,
         hashes=hashes,
     )
-    return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
+    return capture, [*notes, *_notes(capture, turn)]
 
 
 def _inside(
@@ -472,10 +471,7 @@ def _inside(
     if pixels.dtype.kind == "f":
         pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
     note = "" if white is None else f"the mask is what is not transparent in {name}."
-    enclosed = drawn_outline(pixels)
-    if enclosed is not None:
-        note = f"{name} shows a closed line: the mask is what it encloses."
-    white = mask_from_image(pixels, name) if enclosed is None else enclosed
+    white = mask_from_image(pixels, name)
     small = reading.reduced(replace(photo, pixels=white.astype(np.uint8)[..., None] * np.uint8(255)), Path(name))
     return mask_from_image(small, name), note
 
@@ -493,14 +489,13 @@ def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Pa
 
 
 def _flat_of(
-    options: PhotographOptions, groups: Sequence[Sequence[int]], encoding: str, hashes: dict[str, str]
+    options: PhotographOptions, count: int, encoding: str, hashes: dict[str, str]
 ) -> tuple[PixelArray | None, dict[str, str]]:
     """Flat images on the coarse grid, as stored, None where none are given; `hashes` and the SHA-256 of their files."""
     if options.flat is None:
         return None, hashes
-    flat, own = read_flat(Path(options.flat), sum(map(len, groups)), encoding)
+    flat, own = read_flat(Path(options.flat), count, encoding)
     hashes = hashes | own
-    flat = np.stack([flat[list(group)].mean(axis=0) for group in groups])
     code = srgb_code(flat) if encoding == "srgb" else flat
     return np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16), hashes
 
@@ -546,40 +541,10 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
     return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
 
 
-def _notes(capture: Capture, files: Sequence[Path], groups: Sequence[Sequence[int]], turn: int) -> list[str]:
+def _notes(capture: Capture, turn: int) -> list[str]:
     notes = [UNKNOWN_SCALE] if not capture.rig.camera.scale_known else []
     turned = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
-    notes += [turned] if turn != 1 else []
-    together = [" + ".join(files[k].name for k in group) for group in groups if len(group) > 1]
-    notes += [f"photographs under the same light were averaged: {some_of(together, 4)}."] if together else []
-    return notes + few_lights(capture.rig.light_vectors())
-
-
-def _together(leds: Sequence[Led]) -> Led:
-    """The light of several photographs that are averaged: the mean direction of distant ones, else the first place."""
-    intensity = float(np.mean([led.intensity for led in leds]))
-    if leds[0].direction is None or len(leds) == 1:
-        return replace(leds[0], intensity=intensity)
-    mean = np.mean([vector_at_origin(replace(led, intensity=1.0)) for led in leds], axis=0)
-    x, y, z = mean / np.linalg.norm(mean)
-    return replace(leds[0], direction=(float(x), float(y), float(z)), intensity=intensity)
-
-
-def _same_lights(rig: Rig) -> list[list[int]]:
-    """Photographs under one light together, in the order of the first of them."""
-    vectors = rig.light_vectors()
-    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    groups: list[list[int]] = []
-    for k, unit in enumerate(units):
-        same = [group for group in groups if unit @ units[group[0]] > np.cos(np.deg2rad(_SAME_DEG))]
-        if same:
-            same[0].append(k)
-        else:
-            groups.append([k])
-    near = f"within {_SAME_DEG:g} deg they are one light, and photographs under it are averaged"
-    few = f"three different light directions are needed at least, but there are {len(groups)} ({near})."
-    require(len(groups) >= 3, few)
-    return groups
+    return notes + ([turned] if turn != 1 else []) + few_lights(capture.rig.light_vectors())
 
 
 def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[str]]:
@@ -749,9 +714,9 @@ def _kind(pixels: NDArray[Any]) -> str:
 
 
 def _as_integers(
-    stack: NDArray[Any], ambient: NDArray[Any] | None, black: float, groups: Sequence[Sequence[int]]
+    stack: NDArray[Any], ambient: NDArray[Any] | None, black: float
 ) -> tuple[PixelArray, PixelArray | None, float]:
-    """Integers with their ambient image and black level; photographs under one light are averaged."""
+    """Integers with their ambient image and black level."""
     floats = stack.dtype.kind == "f"
     mixed = "the background image is of floats and the photographs are not, or the reverse; save both in one format."
     require(ambient is None or (ambient.dtype.kind == "f") == floats, mixed)
@@ -760,16 +725,11 @@ def _as_integers(
     below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0
     require(below < _NEGATIVE, f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them.")
     require(0.0 <= black < top, f"the background must lie between 0 and {top:g}, but it is {black:g}.")
-    if not floats and len(groups) == len(stack):
+    if not floats:
         return stack, ambient, black
-    factor = 65535.0 * (_BRIGHTEST if floats else 1.0) / top
+    factor = 65535.0 * _BRIGHTEST / top
 
     def scaled(values: NDArray[Any]) -> NDArray[np.uint16]:
         return np.clip(np.rint(values * factor), 0, 65535).astype(np.uint16)
 
-    pixels = np.stack([scaled(np.asarray(np.mean(stack[group], axis=0, dtype=np.float64))) for group in groups])
-    if ambient is not None and not floats:
-        ambient = np.rint(ambient * (65535.0 / float(np.iinfo(ambient.dtype).max))).astype(np.uint16)
-    elif ambient is not None:
-        ambient = scaled(ambient)
-    return pixels, ambient, black * factor
+    return np.stack(list(map(scaled, stack))), None if ambient is None else scaled(ambient), black * factor

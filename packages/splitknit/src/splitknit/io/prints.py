@@ -1,11 +1,8 @@
-"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written.
-
-Source: Portable Network Graphics (PNG) Specification, second edition, W3C 2003: pHYs section 11.3.5.3, tEXt 11.3.4.3,
-iTXt 11.3.4.5.
-"""
+"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written."""
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from collections.abc import Mapping
@@ -15,29 +12,24 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
-from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
-from splitknit.io.png import SIGNATURE as PNG
-from splitknit.io.png import chunks_of, decode_png, decoded, png_chunk
+from splitknit.io.images import BMP, JPEG, MAX_BYTES, PNG, TIFFS, decode_image, decoded, encode_tiff, read_header
+from splitknit.io.photos import decode_photo
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import SIGNATURES as TIFFS
-from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
 
-SIGNATURES = (PNG[:4], JPEG_SIGNATURE, *TIFFS, BMP_SIGNATURE)
+SIGNATURES = (PNG, JPEG, *TIFFS, BMP)
 """First bytes of the files that :func:`decode_print_image` reads."""
 KINDS = "PNG, TIFF, JPEG and BMP"
 _MAX_PIXELS = 64_000_000
 """Of a print or a page of prints at most: A4 at 1000 ppi, nearly; larger ones fill the memory."""
-_METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
-_APP0 = 0xE0
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
 """Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
 _SMALLEST_JPEG2000 = 32  # pixels that five halvings need
-_AFTER_HEADER = 33  # first bytes of a PNG file: signature and IHDR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,25 +62,34 @@ def write_print_png(
 
 def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
     """Return the bytes that :func:`write_print_png` writes."""
-    array = _checked(image, ppi)
-    per_metre = round(ppi / _METRES_PER_INCH)
-    resolution = png_chunk(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))
-    return png_with_texts(encode_image(array, ".png"), text or {}, resolution)
+    return encode_png(_checked(image, ppi), text or {}, ppi)
 
 
-def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> bytes:
-    """Return a PNG file with further chunks, and with texts by their keywords, behind its header."""
-    texts = [_text_chunk(keyword, value) for keyword, value in sorted(text.items())]
-    return b"".join([data[:_AFTER_HEADER], *chunks, *texts, data[_AFTER_HEADER:]])
+def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | None = None) -> bytes:
+    """A PNG file of (H, W) or (H, W, 3) with its resolution and with texts by their keywords.
+
+    Raises BadInput for a keyword other than 1 to 79 printable ASCII characters, and a text with a NUL character.
+    """
+    chunks = PngInfo()
+    for keyword, value in sorted(text.items()):
+        plain = keyword.strip() == keyword and 1 <= len(keyword) <= 79 and keyword.isascii() and keyword.isprintable()
+        wanted = f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters."
+        require(plain, wanted)
+        require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
+        chunks.add_text(keyword, value)
+    stream = io.BytesIO()
+    resolution = {} if ppi is None else {"dpi": (ppi, ppi)}
+    Image.fromarray(image).save(stream, "PNG", pnginfo=chunks, compress_level=1, **resolution)
+    return stream.getvalue()
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
     data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
-    pixels = decode_png(data, name)
+    pixels, header = decode_image(data, name), read_header(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-    stated, text = _png_facts(data)
-    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), None if stated is None else stated[0], text)
+    ppi = None if header.ppi is None else header.ppi[0]
+    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), ppi, dict(header.text))
 
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
@@ -122,19 +123,12 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     rows, columns = photo.pixels.shape[:2]
     large = f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of prints; reduce it."
     require(rows * columns <= _MAX_PIXELS, large)
-    text: dict[str, str] = {}
-    if data.startswith(PNG):
-        stated, text = _png_facts(data)
-    elif data.startswith(BMP_SIGNATURE):
-        stated = _density(struct.unpack_from("<ii", data, 38), _METRES_PER_INCH)
-    elif data.startswith(JPEG_SIGNATURE):
-        stated = _jfif_ppi(data) or stated_ppi(exif_data(data))
-    else:
-        stated, text = stated_ppi(data), _texts(tiff_page(data, name))
+    header = read_header(data, name)
+    stated, text = header.ppi, _texts(header.text[""]) if "" in header.text else dict(header.text)
     grey = _grey(photo.pixels, name)
     if stated is None or abs(stated[0] - stated[1]) <= 0.01 * stated[0]:
         return PrintFile(grey, None if stated is None else stated[0], text)
-    x, y = stated if photo.orientation < 5 else stated[::-1]  # from 5 on the picture lies on its side
+    x, y = stated if photo.orientation < 5 else (stated[1], stated[0])  # from 5 on the picture lies on its side
     ppi = max(x, y)
     size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
     require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
@@ -163,47 +157,6 @@ def is_coloured(pixels: NDArray[Any]) -> bool:
     return float((spread > limit).mean()) > _COLOURED
 
 
-def _png_facts(data: bytes) -> tuple[tuple[float, float] | None, dict[str, str]]:
-    """Resolution along columns and rows, and texts, of a sound PNG file."""
-    resolution, text = None, {}
-    for kind, body in chunks_of(data):
-        if kind == b"pHYs" and len(body) == 9 and body[8] == 1:
-            resolution = _density(struct.unpack(">II", body[:8]), _METRES_PER_INCH)
-        elif kind == b"tEXt":
-            keyword, _, value = body.partition(b"\0")
-            text[keyword.decode("latin-1")] = value.decode("latin-1")
-        elif kind == b"iTXt":
-            keyword, _, rest = body.partition(b"\0")
-            text[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
-    return resolution, text
-
-
-def _jfif_ppi(data: bytes) -> tuple[float, float] | None:
-    """Density of a sound JPEG file's first segment APP0 (JFIF 1.02: unit 1 is the inch, 2 the centimetre)."""
-    for marker, start, _ in jpeg_segments(data):
-        if marker == _APP0 and data[start + 4 : start + 9] == b"JFIF\0":
-            unit, x, y = struct.unpack_from(">BHH", data[start + 11 : start + 16].ljust(5, b"\0"))
-            return _density((x, y), {1: 1.0, 2: _CM_PER_INCH}.get(unit, 0.0))
-    return None
-
-
-def _density(density: tuple[int, ...], scale: float) -> tuple[float, float] | None:
-    """`density` along columns and rows times `scale`; None where it states nothing."""
-    x, y = density
-    return (x * scale, y * scale) if min(x, y) > 0 and scale > 0 else None
-
-
-def _text_chunk(keyword: str, value: str) -> bytes:
-    key = keyword.strip()
-    if key != keyword or not 1 <= len(key) <= 79 or not key.isascii() or not key.isprintable():
-        raise BadInput(f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters.")
-    require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
-    try:
-        return png_chunk(b"tEXt", key.encode("ascii") + b"\0" + value.encode("latin-1"))
-    except UnicodeEncodeError:
-        return png_chunk(b"iTXt", key.encode("ascii") + b"\0\0\0\0\0" + value.encode("utf-8"))
-
-
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
     """Texts of a PNG that state where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
     return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
@@ -214,7 +167,7 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
     """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of another kind."""
-    return encode_tiff(_checked(image, ppi), canonical_json(dict(text)) if text else "", float(ppi))
+    return encode_tiff(_checked(image, ppi), canonical_json(dict(text)) if text else None, float(ppi))
 
 
 def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
@@ -226,9 +179,10 @@ def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     return array
 
 
-def _texts(page: TiffPage) -> dict[str, str]:
+def _texts(description: str) -> dict[str, str]:
+    """Texts of a TIFF file's description; none where it is no JSON object."""
     try:
-        document = parse_json(page.description.encode(), "the description")
+        document = parse_json(description.encode(), "the description")
     except BadInput:
         return {}
     known = document.items() if isinstance(document, dict) else ()

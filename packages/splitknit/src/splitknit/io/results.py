@@ -11,27 +11,41 @@ from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
-from splitknit.io.clouds import NEEDS_TRIMESH
-from splitknit.io.fields import parse_json, read_json
+from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, stl_chunks, triangulate, write_ply_pieces
+from splitknit.io.mesh import bands, triangulate, write_ply_pieces
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
-from splitknit.io.prints import png_with_texts, provenance_texts
+from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
 LARGEST_MM = 1000.0  # longest side of a result's frame
+_NEEDS_TRIMESH = "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
-_DAMAGED = f"{{}}: what is kept beside the surface is damaged; {_AGAIN}."
+
+
+class _Origin(Struct):
+    inputs: dict[str, str] = {}
+
+
+class _Report(Struct):
+    preset: str = ""
+    warnings: tuple[str, ...] = ()
+    settings: dict[str, Any] = {}
+    quality: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
+    timings_s: dict[str, Any] = {}
 
 
 def read_result(path: str | os.PathLike[str]) -> Reconstruction:
@@ -67,33 +81,18 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
     optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "whole", "provenance")
     arrays = read_fields(file, names, optional, unscaled=True)
-    origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
-    facts: dict[str, Any] = {}
+    stated = parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file))
+    origin = converted(stated, _Origin, f"{file}: provenance")
+    report = _Report()
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
     if (folder / "report.json").is_file():
-        facts = _object(read_json(folder / "report.json", _DAMAGED.format(folder))[0], folder)
+        report, _ = read_document(folder / "report.json", _Report)
     if (folder / "albedo.png").is_file():
         grey = read_image(folder / "albedo.png")
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
         albedo = np.where(arrays["mask"], level, np.float32(np.nan))
-    warnings = facts.get("warnings", [])
-    require(isinstance(warnings, list), _DAMAGED.format(folder))
-    names = ("settings", "quality", "facts", "timings_s")
-    known: dict[str, Any] = {name: _object(facts.get(name, {}), folder) for name in names}
-    return Reconstruction(
-        **arrays,
-        albedo=albedo,
-        preset=str(facts.get("preset", "")),
-        warnings=tuple(str(warning) for warning in warnings),
-        hashes=_object(origin.get("inputs", {}), file),
-        **known,
-    )
-
-
-def _object(value: Any, where: Path) -> dict[str, Any]:
-    require(isinstance(value, dict), _DAMAGED.format(where))
-    return dict(value)
+    return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **asdict(report))
 
 
 def read_fields(
@@ -217,8 +216,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
     `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
-    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or ``obj`` or ``glb`` are
-    wanted without trimesh.
+    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
     """
     require_scale(result)
     box = bounding_box(result.mask)
@@ -229,9 +227,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     faces = np.concatenate(list(pieces))
     rough = areal_roughness(result.ridge_mm[box], result.pitch_mm)
     facts = {"vertices": len(vertices), "faces": count, "unit": "mm", "relief_roughness": rough}
-    if kind == "stl":
-        return facts, b"".join(stl_chunks(vertices, faces, title))
-    with importing(NEEDS_TRIMESH):
+    with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
     grey[:, :3] = np.round(255.0 * intensity)[:, None]
@@ -240,9 +236,12 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     mesh: Any = trimesh.Trimesh(
         vertices * scale, faces, vertex_normals=normals, vertex_colors=grey, metadata=words, process=False
     )
-    header = {} if kind == "glb" else {"header": f"unit mm, {', '.join(words.values())}"}
+    header = {"header": f"unit mm, {', '.join(words.values())}"} if kind == "obj" else {}
     written = mesh.export(file_type=kind, **header)
-    return facts, written if isinstance(written, bytes) else written.encode("ascii")
+    written = written if isinstance(written, bytes) else written.encode("ascii")
+    if kind == "stl":  # whose header is free
+        written = f"splitknit, unit mm {title}".encode("ascii", "replace")[:80].ljust(80) + written[80:]
+    return facts, written
 
 
 def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
@@ -275,8 +274,4 @@ def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
 
 def write_picture(path: Path, picture: NDArray[np.uint8], origin: Origin) -> None:
     """Write a grey or RGB picture as PNG, with its provenance."""
-    image = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise RuntimeError(f"{path.name} could not be encoded")
-    write_file(path, png_with_texts(data.tobytes(), provenance_texts(origin)))
+    write_file(path, encode_png(picture, provenance_texts(origin)))

@@ -6,21 +6,59 @@ import json
 import math
 import os
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import Meta, Struct
+from msgspec.structs import asdict as fields_of
 
 from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import Version1, converted, read_json
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.model import Camera, Films, Led, Mirror, Rig, camera_without_scale
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000
 _DISTORTION_COUNTS = (4, 5, 8, 12, 14)
+
+_Number = Annotated[float, Meta(ge=-1e7, le=1e7)]
+_Point = tuple[_Number, _Number, _Number]
+_Matrix = tuple[_Point, _Point, _Point]
+_Side = Annotated[int, Meta(ge=1, le=1_000_000)]
+
+
+class _CameraFields(Struct):
+    image_size: tuple[_Side, _Side]
+    px_per_mm: Annotated[float, Meta(ge=1e-3, le=1e5)] | None
+    height_mm: Annotated[float, Meta(ge=1e-3, le=1e6)] | None = None
+    model: Annotated[str, Meta(pattern="^(orthographic|perspective)$")] = "orthographic"
+    matrix: _Matrix | None = None
+    distortion: tuple[_Number, ...] | None = None
+    shading: Annotated[tuple[_Number, ...], Meta(max_length=4)] = ()
+    crosstalk: _Matrix | None = None
+
+
+class _LedFields(Struct):
+    band: Annotated[str, Meta(min_length=1)]
+    position_mm: _Point | None = None
+    direction: _Point | None = None
+    intensity: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
+    lobe_exponent: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    aim: _Point | None = None
+    colour: str = ""
+
+
+class _RigFields(Struct):
+    format: Annotated[str, Meta(pattern="^(splitknit-rig)$")]
+    version: Version1
+    camera: _CameraFields
+    leds: Annotated[list[_LedFields], Meta(min_length=1, max_length=10_000)]
+    mirrors: tuple[Mirror, ...] = ()
+    films: Films | None = None
+    provenance: dict[str, Any] | None = None
 
 
 def read_rig(path: str | os.PathLike[str]) -> Rig:
@@ -112,111 +150,69 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     scale that nobody has measured. Fields that the format does not know are ignored. Raises BadInput naming the file
     and the field.
     """
-    fields = Fields(document, name)
-    fields.format(RIG_FORMAT, RIG_VERSION)
-    camera = _camera(fields.child("camera"))
-    entries = fields.items("leds")
-    if not 1 <= len(entries) <= 10_000:
-        fields.refuse("leds", "a list of at least one LED")
-    leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
-    entries = fields.items("mirrors") if fields.has("mirrors") else []
-    mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(entries)]
-    origin = fields.mapping("provenance")
-    films = _films(fields.child("films"), len(leds)) if fields.has("films") else None
-    return naming(name, lambda: Rig(camera, leds, origin, tuple(mirrors), films))
+    fields = converted(document, _RigFields, name)
+    camera = naming(name, partial(_camera, fields.camera))
+    leds = tuple(naming(f"{name}: leds[{k}]", partial(_led, led)) for k, led in enumerate(fields.leds))
+    if fields.films is not None:
+        _check_films(fields.films, len(leds), f"{name}: films")
+    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, fields.films))
 
 
-def _films(fields: Fields, count: int) -> Films:
-    leds = fields.items("leds")
-    if not (all(type(k) is int and 0 <= k < count for k in leds) and 0 < len(set(leds)) == len(leds)):
-        fields.refuse("leds", f"a list of different LEDs of the rig (0 to {count - 1})")
-    expected = f"three numbers from 0.01 to 100 for each of the {len(leds)} LEDs"
-    rows = fields.triples("brightness", 100.0, expected)
-    if len(rows) != len(leds) or np.min(rows) < 0.01:
-        fields.refuse("brightness", expected)
-    leak = fields.numbers("leak", (len(leds),), 0.499)
-    if min(leak) < 0.0:
-        fields.refuse("leak", "numbers from 0 to 0.499")
-    return Films(
-        leds=tuple(leds),
-        leak=leak,
-        brightness=rows,
-        shift_px=fields.numbers("shift_px", (2,), 1e3),
-        scale=fields.number("scale", 0.9, 1.1, 1.0),
-        extinction_ratio=fields.number("extinction_ratio", 1.0, 1e9) if fields.has("extinction_ratio") else None,
-        angle_deg=fields.numbers("angle_deg", (0, len(leds)), 90.0) if fields.has("angle_deg") else (),
+def _check_films(films: Films, count: int, where: str) -> None:
+    leds = len(films.leds)
+    different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
+    require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
+    each = len(films.leak) == len(films.brightness) == leds and len(films.angle_deg) in (0, leds)
+    require(each, f"{where} must have a leak, a brightness and an angle_deg for each of the {leds} LEDs.")
+    require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
+    bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
+    require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")
+    require(0.9 <= films.scale <= 1.1, f"{where}.scale must be a number from 0.9 to 1.1.")
+
+
+def _camera(fields: _CameraFields) -> Camera:
+    rows, columns = fields.image_size
+    large = f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read."
+    require(rows * columns <= _MAX_PIXELS, large)
+    counts = "camera.distortion must be a list of 4, 5, 8, 12 or 14 numbers."
+    require(fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS, counts)
+    matrix = None if fields.matrix is None else np.array(fields.matrix, dtype=np.float64)
+    if matrix is not None:
+        sound = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])
+        require(bool(sound), "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
+    if fields.model == "perspective":
+        whole = None not in (fields.distortion, fields.height_mm, fields.matrix, fields.px_per_mm)
+        lacks = "a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none)."
+        require(whole, f"camera: {lacks}")
+    if fields.model == "perspective" and matrix is not None and fields.height_mm and fields.px_per_mm:
+        by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / fields.height_mm  # on the finger plane
+        differs = f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
+        remedy = "correct one of them, or calibrate the camera."
+        near = 0.5 <= by_matrix / fields.px_per_mm <= 2.0
+        require(near, f"{differs} {by_matrix:.4g} on the finger plane; {remedy}")
+    return Camera(
+        fields.px_per_mm or camera_without_scale(fields.image_size).px_per_mm,
+        fields.image_size,
+        fields.height_mm or 140.0,
+        fields.model,
+        matrix,
+        fields.distortion,
+        fields.shading,
+        None if fields.crosstalk is None else np.array(fields.crosstalk, dtype=np.float64),
+        fields.px_per_mm is not None,
     )
 
 
-def _mirror(fields: Fields) -> Mirror:
-    corners = fields.triples("corners_mm", 1e4, "a list of points, each three numbers in mm")
-    name, reflectance = fields.text("name"), fields.number("reflectance", 1e-6, 1.0, 0.9)
-    return naming(f"{fields.name}: {fields.where}", lambda: Mirror(name, corners, reflectance))
-
-
-def _camera(fields: Fields) -> Camera:
-    model = fields.choice("model", ("orthographic", "perspective"))
-    perspective = model == "perspective"
-    size = fields.items("image_size")
-    if len(size) != 2 or not all(type(item) is int and 0 < item <= 1_000_000 for item in size):
-        fields.refuse("image_size", "two positive whole numbers, rows and columns")
-    rows, columns = size
-    few = rows * columns <= _MAX_PIXELS
-    fields.require(few, "image_size", f"is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read.")
-    distortion = fields.numbers("distortion", _DISTORTION_COUNTS) if fields.has("distortion") else None
-    if perspective and distortion is None:
-        fields.refuse("distortion", "given for a perspective camera (zeros if there is none)")
-    known = perspective or fields.has("px_per_mm") or "px_per_mm" not in fields.keys()  # noqa: SIM118 - not a dict
-    px_per_mm = fields.number("px_per_mm", 1e-3, 1e5) if known else camera_without_scale((rows, columns)).px_per_mm
-    height_mm = fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0)
-    matrix = None
-    if perspective or fields.has("matrix"):
-        matrix = _numbers_3x3(fields, "matrix", "3 x 3 finite numbers (the camera matrix in pixels)")
-        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])):
-            fields.refuse("matrix", "a camera matrix: positive focal lengths, last row 0 0 1")
-    if perspective and matrix is not None:  # focal length over height is the scale on the finger plane
-        seen = math.sqrt(matrix[0, 0] * matrix[1, 1]) / height_mm
-        other = f"is {px_per_mm:g}, but camera.matrix and camera.height_mm make it {seen:.4g} on the finger plane"
-        remedy = "correct one of them, or calibrate the camera."
-        fields.require(0.5 <= seen / px_per_mm <= 2.0, "px_per_mm", f"{other}; {remedy}")
-    shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
-    crosstalk = _numbers_3x3(fields, "crosstalk") if fields.has("crosstalk") else None
-    given = px_per_mm, (rows, columns), height_mm, model, matrix, distortion, shading, crosstalk, known
-    return naming(fields.name, lambda: Camera(*given))
-
-
-def _numbers_3x3(fields: Fields, name: str, what: str = "3 x 3 finite numbers") -> NDArray[np.float64]:
-    rows = fields.triples(name, 1e7, what)
-    if len(rows) != 3:
-        fields.refuse(name, what)
-    return np.array(rows, dtype=np.float64)
-
-
-def _led(fields: Fields) -> Led:
-    band = fields.text("band")
-    if not band.strip():
-        fields.refuse("band", 'the name of a band ("white" or "nir")')
-    near, distant = fields.has("position_mm"), fields.has("direction")
-    found = f"must have either position_mm (near) or direction (distant), but it has {'both' if near else 'neither'}."
-    fields.require(near != distant, "", found)
-    position = fields.numbers("position_mm", (3,)) if near else None
-    if position is not None and position[2] < 1e-3:
-        fields.refuse("position_mm", "a place above the finger plane (the third number positive)")
-    direction = _direction(fields) if distant else None
-    intensity = fields.number("intensity", 1e-9, 1e9, 1.0)
-    lobe_exponent = fields.number("lobe_exponent", 0.0, 1000.0, 0.0)
-    aim = fields.numbers("aim", (3,)) if fields.has("aim") else None
-    colour = fields.text("colour", "")
-    given = band, position, direction, intensity, lobe_exponent, aim
-    return naming(f"{fields.name}: {fields.where}", lambda: Led(*given, colour=colour))
-
-
-def _direction(fields: Fields) -> tuple[float, float, float]:
-    """Return the unit vector: 2 % of rounding in a hand-written file are forgiven and taken off."""
-    x, y, z = fields.numbers("direction", (3,))
+def _led(fields: _LedFields) -> Led:
+    """The LED; 2 % of rounding in a hand-written unit vector are forgiven and taken off."""
+    led = Led(**fields_of(fields))
+    if led.direction is None:
+        return led
+    x, y, z = led.direction
     length = math.sqrt(x * x + y * y + z * z)
-    long = f"must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
-    fields.require(0.98 <= length <= 1.02, "direction", f"{long}, or use position_mm for a place in mm.")
-    away = f"points away from the camera's side (z = {z:g}); it must point towards the light, z towards the camera."
-    fields.require(z > 0, "direction", away)
-    return (x, y, z) if abs(length - 1.0) <= 1e-9 else (x / length, y / length, z / length)
+    long = f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
+    require(0.98 <= length <= 1.02, f"{long}, or use position_mm for a place in mm.")
+    away = f"direction points away from the camera's side (z = {z:g}); it must point towards the light."
+    require(z > 0, away)
+    fields.direction = (x, y, z) if abs(length - 1.0) <= 1e-9 else (x / length, y / length, z / length)
+    return Led(**fields_of(fields))

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from splitknit.errors import BadInput, open_file, require
-from splitknit.io.capture_file import CAPTURE_FORMAT
+from splitknit.io.capture import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
-from splitknit.io.png import SIGNATURE
+from splitknit.io.images import PNG, TIFFS
 from splitknit.io.rig import RIG_FORMAT
-from splitknit.io.tiff import SIGNATURES
 
 _HEAD_BYTES = 16_000_000  # by which the kind of a file is known
 
@@ -82,7 +81,7 @@ def check_picture(out: Path | None, photographs: Path | None = None) -> None:
     """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that are read."""
     picture = out is None or out.suffix.lower() in (".png", ".tif", ".tiff")
     require(picture, f"'{out}' must end in .png or .tif: it is a picture.")
-    check_file(out, "a picture", lambda data: data.startswith((SIGNATURE, *SIGNATURES)))
+    check_file(out, "a picture", lambda data: data.startswith((PNG, *TIFFS)))
     if out is not None and photographs is not None:
         inside = photographs.expanduser().resolve() in out.expanduser().resolve().parents and out.expanduser().exists()
         require(not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file.")
@@ -90,7 +89,6 @@ def check_picture(out: Path | None, photographs: Path | None = None) -> None:
 
 def _format_of(file: Path) -> object:
     try:
-        document, _ = read_json(file)
+        return read_json(file)[0].get("format")
     except BadInput:
         return None
-    return document.get("format") if isinstance(document, dict) else None

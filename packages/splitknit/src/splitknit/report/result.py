@@ -24,11 +24,11 @@ from splitknit.finger.ridges import surface_print
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.atomic import atomic_folder, write_file
+from splitknit.io.images import write_float_tiff
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
-from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.report import charts, figures, template
 from splitknit.report.figures import Truth

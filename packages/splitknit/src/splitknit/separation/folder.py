@@ -24,12 +24,11 @@ from splitknit.imaging.band import decode_table, linear_image, pick_channel, srg
 from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_polarised, specular_picture
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
-from splitknit.io.images import StackReader, image_size, write_image
+from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
 from splitknit.io.photos import encoding_of, read_photo
 from splitknit.io.plain import natural_order, photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.io.tiff import write_float_tiff
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation, estimate_patterns

@@ -1,0 +1,325 @@
+"""Pictures: pixels come as stored, and what is damaged, too large or of another kind is refused in a sentence."""
+
+from __future__ import annotations
+
+import io
+import struct
+import tracemalloc
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from splitknit.errors import BadInput
+from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
+
+
+def png(header: tuple[int, ...], lines: bytes, *extra: bytes) -> bytes:
+    """PNG of filtered rows, made without any library."""
+    ihdr = chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
+    return SIGNATURE + ihdr + b"".join(extra) + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
+
+
+def smooth(shape: tuple[int, ...], dtype: type = np.uint8, sigma: float = 1.5) -> np.ndarray:
+    noise = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    return cv2.GaussianBlur(noise, (0, 0), sigma)
+
+
+def tiff(image: np.ndarray, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, image, metadata=None, **options)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(31, 43), (31, 43, 3), (31, 43, 4), (1, 1), (1, 5, 3)])
+def test_pixels_of_png_come_as_stored_in_rgb_order(shape: tuple[int, ...], dtype: type) -> None:
+    image = smooth(shape, dtype)
+    data = cv2.imencode(".png", image)[1].tobytes()
+    expected = image[..., None] if image.ndim == 2 else image[..., 2::-1]
+    np.testing.assert_array_equal(decode_image(data, "x"), expected)
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_alpha_beside_grey_is_dropped(depth: int) -> None:
+    values = np.random.default_rng(0).integers(0, 1 << depth, (4, 3, 2)).astype(f">u{depth // 8}")
+    data = png((3, 4, depth, 4, 0, 0, 0), b"".join(b"\0" + row.tobytes() for row in values))
+    np.testing.assert_array_equal(decode_image(data, "x"), values[..., :1])
+
+
+@pytest.mark.parametrize("depth", [1, 2, 4, 8])
+def test_palettes_are_expanded_and_few_bits_stretched(depth: int) -> None:
+    count = 2**depth
+    index = np.arange(count).reshape(1, -1).repeat(2, axis=0)
+    bits = ["".join(format(value, f"0{depth}b") for value in row) for row in index]
+    rows = [row + "0" * (-len(row) % 8) for row in bits]
+    packed = b"".join(b"\0" + int(row, 2).to_bytes(len(row) // 8, "big") for row in rows)
+    palette = np.random.default_rng(0).integers(0, 256, (count, 3), dtype=np.uint8)
+    header = (count, 2, depth, 3, 0, 0, 0)
+    data = png(header, packed, chunk(b"PLTE", palette.tobytes()), chunk(b"tRNS", bytes(count)))
+    np.testing.assert_array_equal(decode_image(data, "x"), palette[index])
+    grey = decode_image(png((count, 2, depth, 0, 0, 0, 0), packed), "x")
+    np.testing.assert_array_equal(grey[..., 0], index * (255 // (count - 1)))
+    with pytest.raises(BadInput, match="damaged"):
+        decode_image(png(header, packed), "x")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("encode", [encode_image, lambda image, suffix: cv2.imencode(suffix, image)[1].tobytes()])
+def test_png_cut_anywhere_or_with_a_changed_byte_is_refused(
+    dtype: type, encode: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = encode(smooth((9, 11, 3), dtype), ".png")
+    for position in range(len(data)):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x40
+        with pytest.raises(BadInput, match=r"^shot\.png "):
+            decode_image(data[:position], "shot.png")
+        if position < len(data) - 4:  # the checksum of nothing
+            with pytest.raises(BadInput):
+                decode_image(bytes(damaged), "x")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("lines", [b"\0\1\2\3" * 3, b"\7\1\2\3" * 4, b""])
+@pytest.mark.parametrize("interlaced", [0, 1])
+def test_sound_checksums_do_not_hide_wrong_image_data(lines: bytes, interlaced: int) -> None:
+    """Too little of it, a row filter that does not exist."""
+    with pytest.raises(BadInput, match="image data cannot be decoded"):
+        decode_image(png((3, 4, 8, 0, 0, 0, interlaced), lines), "x")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [(0, 4, 8, 0, 0, 0, 0), (3, 4, 3, 0, 0, 0, 0), (3, 4, 8, 1, 0, 0, 0), (3, 4, 8, 0, 0, 1, 0), (3, 4, 8, 0, 0, 0, 2)],
+)
+def test_impossible_headers_of_png(header: tuple[int, ...]) -> None:
+    with pytest.raises(BadInput):
+        decode_image(png(header, b"\0\1\2\3" * 4), "x")
+
+
+@pytest.mark.parametrize(
+    ("extra", "sound"),
+    [
+        (chunk(b"iCCP", b"broken\0\0nonsense"), True),
+        (chunk(b"eXIf", b"MM\0*rubbish"), True),
+        (chunk(b"tEXt", b"Comment\0x"), True),
+        (chunk(b"tRNS", b"\0\1"), True),
+        (chunk(b"gAMA", b"\0"), False),
+        (chunk(b"ABCD", b""), False),
+        (chunk(b"IHDR", struct.pack(">IIBBBBB", 3, 4, 8, 0, 0, 0, 0)), False),
+    ],
+)
+def test_other_chunks_are_passed_over_or_refused_silently(
+    extra: bytes, sound: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4, extra)
+    if sound:
+        assert decode_image(data, "x")[0, :, 0].tolist() == [1, 2, 3]
+    else:
+        with pytest.raises(BadInput):
+            decode_image(data, "x")
+    assert capfd.readouterr().err == ""
+
+
+def test_files(tmp_path: Path) -> None:
+    image = smooth((12, 17, 3), np.uint16)
+    for suffix in ("png", "tif", "TIFF"):
+        path = tmp_path / f"image.{suffix}"
+        write_image(path, image)
+        assert image_size(path) == (12, 17)
+        np.testing.assert_array_equal(read_image(path), image)
+        first = path.read_bytes()
+        write_image(path, image)
+        assert path.read_bytes() == first
+    with pytest.raises(BadInput, match=r"not as '\.bmp'"):
+        write_image(tmp_path / "image.bmp", image)
+    with pytest.raises(BadInput, match="uint8 or uint16"):
+        write_image(tmp_path / "image.png", image.astype(np.float32))
+    with pytest.raises(BadInput, match="does not exist"):
+        read_image(tmp_path / "no.png")
+    with pytest.raises(BadInput, match="more than the 10 that are read"):
+        decode_image((tmp_path / "image.png").read_bytes(), "image.png", max_pixels=10)
+    for content, words in ((b"", "is empty"), (b"not an image", "not a PNG, TIFF or JPEG")):
+        (tmp_path / "other.png").write_bytes(content)
+        with pytest.raises(BadInput, match=words):
+            read_image(tmp_path / "other.png")
+
+
+def peak_bytes_of_refusal(data: bytes, words: str) -> int:
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadInput, match=words):
+            decode_image(data, "x")
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("side", "depth", "colour", "words"),
+    [
+        (40_000, 8, 0, "claims 40000 x 40000"),
+        (12_000, 8, 2, "more than the 400000000 that are read"),
+        (9_000, 16, 2, "more than the 400000000 that are read"),
+        (9_000, 8, 2, "cannot be in"),
+    ],
+)
+def test_a_small_png_cannot_claim_a_large_image(side: int, depth: int, colour: int, words: str) -> None:
+    data = png((side, side, depth, colour, 0, 0, 1), bytes(1000))
+    assert peak_bytes_of_refusal(data, words) < 1_000_000
+
+
+def test_a_small_jpeg_cannot_claim_a_large_image() -> None:
+    data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    frame = data.index(b"\xff\xc0") + 5
+    for side, words in ((11_000, "cannot be in"), (14_000, "more than the 400000000 that are read")):
+        claim = side.to_bytes(2, "big") * 2
+        assert peak_bytes_of_refusal(data[:frame] + claim + data[frame + 4 :], words) < 1_000_000
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+@pytest.mark.parametrize("shape", [(40, 56), (40, 56, 3)])
+def test_jpeg(shape: tuple[int, ...], progressive: int, capfd: pytest.CaptureFixture[str]) -> None:
+    image = smooth(shape, sigma=4.0)
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive, cv2.IMWRITE_JPEG_RST_INTERVAL, 3]
+    data = cv2.imencode(".jpg", image, options)[1].tobytes()
+    expected = image[..., None] if image.ndim == 2 else image[..., ::-1]
+    decoded = decode_image(data, "x")
+    assert decoded.shape == expected.shape
+    assert np.abs(decoded.astype(int) - expected).max() < 12
+    for length in range(len(data)):
+        with pytest.raises(BadInput, match=r"^shot\.jpg "):
+            decode_image(data[:length], "shot.jpg")
+    assert capfd.readouterr().err == ""
+
+
+def test_jpeg_of_other_kinds() -> None:
+    data = cv2.imencode(".jpg", smooth((40, 56, 3)))[1].tobytes()
+    frame = data.index(b"\xff\xc0")
+    others = (
+        data[: frame + 9] + b"\4" + data[frame + 10 :],  # CMYK
+        data[: frame + 4] + b"\x0c" + data[frame + 5 :],  # 12 bits
+        data[: frame + 1] + b"\xc3" + data[frame + 2 :],  # lossless
+        data[:2] + b"\xff\xd9" + data[2:],  # no image
+        data[: frame + 11] + b"\5" + data[frame + 12 :],  # sampling
+    )
+    for other in others:
+        with pytest.raises(BadInput):
+            decode_image(other, "x")
+    scans = cv2.imencode(".jpg", smooth((40, 56, 3)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = scans.rindex(b"\xff\xda")
+    with pytest.raises(BadInput, match="more than 100 JPEG scans"):
+        decode_image(scans[:last] + scans[last:-2] * 101 + b"\xff\xd9", "x")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}],
+)
+def test_tiff(options: dict[str, Any], compression: str | None, dtype: type, capfd: pytest.CaptureFixture[str]) -> None:
+    for image in (smooth((41, 57, 3), dtype), smooth((41, 57), dtype)):
+        photometric = "rgb" if image.ndim == 3 else "minisblack"
+        data = tiff(image, photometric=photometric, compression=compression, **options)
+        np.testing.assert_array_equal(decode_image(data, "x"), image.reshape(41, 57, -1))
+        for length in range(0, len(data), 97):
+            with pytest.raises(BadInput, match=r"^shot\.tif"):
+                decode_image(data[:length], "shot.tif")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("predictor", [1, 2])
+@pytest.mark.parametrize("compression", [8, 32946, 5, 32773])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_packed_tiff_of_libtiff(dtype: type, compression: int, predictor: int) -> None:
+    image = smooth((41, 57, 3), dtype)
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
+    data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
+    np.testing.assert_array_equal(decode_image(data, "x"), image)
+
+
+def test_tiff_with_alpha_or_white_as_zero() -> None:
+    image = smooth((20, 30, 4))
+    alpha = tiff(image, photometric="rgb", extrasamples=["unassalpha"])
+    np.testing.assert_array_equal(decode_image(alpha, "x"), image[..., :3])
+    for compression in (None, "zlib"):
+        for grey in (image[..., 0], image[..., 0].astype(np.uint16) * 257):
+            inverted = tiff(grey, photometric="miniswhite", compression=compression)
+            np.testing.assert_array_equal(decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey)
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "words"),
+    [
+        (np.zeros((4, 5), np.float32), {}, "float32"),
+        (np.zeros((4, 5), np.int16), {}, "int16"),
+        (np.zeros((4, 5, 4), np.uint8), {"photometric": "separated"}, "CMYK"),
+        (np.zeros((4, 5), np.uint8), {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}, "palette"),
+        (np.zeros((3, 4, 5), np.uint8), {"photometric": "rgb", "planarconfig": "separate"}, "grey nor RGB"),
+    ],
+)
+def test_tiff_of_other_kinds(image: np.ndarray, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        decode_image(tiff(image, **options), "x")
+
+
+def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
+    """Replace type, count and value of a tag of a little-endian TIFF file by 10 bytes."""
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        place = file.pages[0].tags[tag].offset
+    return data[: place + 2] + entry + data[place + 12 :]
+
+
+@pytest.mark.parametrize(
+    ("tag", "entry"),
+    [
+        (256, struct.pack("<HII", 3, 0, 0)),  # no value
+        (256, struct.pack("<HII", 2, 4, 30)),  # a text
+        (258, struct.pack("<HII", 3, 3, 1 << 31)),  # beyond the file
+        (259, struct.pack("<HII", 3, 1, 50000)),
+        (262, struct.pack("<HII", 3, 1, 9)),
+        (273, struct.pack("<HII", 4, 2, 8)),
+        (278, struct.pack("<HII", 4, 1, 1)),  # more strips than are named
+        (279, struct.pack("<HII", 4, 1, 1 << 30)),
+        (257, struct.pack("<HII", 4, 1, 1 << 20)),
+        (257, struct.pack("<HII", 4, 1, 0)),
+    ],
+)
+def test_odd_tags_are_refused(tag: int, entry: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    data = tiff(smooth((20, 30)), rowsperstrip=20)
+    assert peak_bytes_of_refusal(set_tag(data, tag, entry), r"^x ") < 1_000_000
+    assert capfd.readouterr().err == ""
+
+
+def test_strips_may_not_share_their_bytes() -> None:
+    data = tiff(smooth((20, 30)), rowsperstrip=5)
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        first = min(file.pages[0].dataoffsets)
+    again = data + struct.pack("<4I", *[len(data) - first] * 4) + struct.pack("<4I", *[first] * 4)
+    again = set_tag(again, 279, struct.pack("<HII", 4, 4, len(data)))
+    again = set_tag(again, 273, struct.pack("<HII", 4, 4, len(data) + 16))
+    with pytest.raises(BadInput, match="tags are damaged"):
+        decode_image(again, "x")
+
+
+def test_a_strip_inflates_to_its_size_and_no_further() -> None:
+    bomb = zlib.compress(bytes(50_000_000))
+    data = tiff(np.zeros((300, 400), np.uint8), compression="zlib", rowsperstrip=300)
+    bigger = set_tag(data + bomb, 273, struct.pack("<HII", 4, 1, len(data)))
+    bigger = set_tag(bigger, 279, struct.pack("<HII", 4, 1, len(bomb)))
+    tracemalloc.start()
+    assert decode_image(bigger, "x").shape == (300, 400, 1)
+    assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    tracemalloc.stop()
