@@ -76,7 +76,7 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
 
 def test_the_conda_environment_has_the_extra_plot() -> None:
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
-    needed = of_conda(NEEDED + PROJECT["optional-dependencies"]["plot"])
+    needed = of_conda(NEEDED + PROJECTS["splitknit-match"]["optional-dependencies"]["plot"])
     found = {one for one in environment["dependencies"] if isinstance(one, str)}
     assert found - {"pip", "python >=3.11,<3.14"} == needed
     assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}

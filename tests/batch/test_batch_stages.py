@@ -23,7 +23,7 @@ from splitknit_match.batch.chunks import read_chunk, read_origin
 from splitknit_match.batch.engine import run_batch, to_scores
 from splitknit_match.batch.settings import BatchSettings, Case, preset_cases
 from splitknit_match.batch.store import Store
-from splitknit_match.evaluation.score_files import read_scores
+from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
 from splitknit_match.matching.template import TemplateSettings, pack, unpack
@@ -210,10 +210,11 @@ def test_scores_go_to_everyone(copies: tuple[Path, Path], tmp_path: Path) -> Non
     assert scores.genuine[~np.isnan(scores.genuine)].min() > scores.impostor[~np.isnan(scores.impostor)].max()
     assert scores.subject is not None
     assert scores.subject.names == ("S01", "S02")
-    read = read_scores(tmp_path / "csv" / "ea_ridge.csv")
+    (read,) = read_scores(tmp_path / "csv" / "ea_ridge.csv").systems
     np.testing.assert_array_equal(read.score, scores.score)
     np.testing.assert_array_equal(read.label, scores.label)
-    assert read.ids["finger"][1] == scores.finger.names if scores.finger else False
+    assert read.finger is not None and scores.finger is not None
+    np.testing.assert_array_equal(read.finger.codes, scores.finger.codes)
     turned = to_scores(Store(out).scores("ea", "ridge"), "correlation")
     assert turned.score[0] == Store(out).scores("ea", "ridge")["correlation"][0]
     with pytest.raises(BadInput, match="no column 'colour'"):

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rig_plots import Cell, heat_map
-
-from splitknit.report.charts import standalone
+from plots import Cell, heat_map
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 COMPARED = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
@@ -208,4 +206,4 @@ def _heat(sweep: Mapping[str, Any], objective: str, title: str) -> Any:
 
 def _write(name: str, picture: Any) -> None:
     IMAGES.mkdir(exist_ok=True)
-    (IMAGES / f"rig-optimise-{name}.svg").write_bytes(standalone(picture))
+    (IMAGES / f"rig-optimise-{name}.svg").write_bytes(picture)

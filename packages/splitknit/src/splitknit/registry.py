@@ -74,6 +74,7 @@ GONE: dict[str, str] = {
     "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
     "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
     "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "evaluate --exclude": "leave the lines of those fingers out of the score file.",
     "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }
 """Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
