@@ -88,7 +88,7 @@ def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
     let_in = set(re.findall(r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), flags=re.MULTILINE))
     assert copied == let_in
     assert all((ROOT / name).exists() for name in copied)
-    assert "'splitknit-match[serve]'" in text
+    assert "'splitknit-match[plot,serve]'" in text
 
 
 def test_everything_is_installed_as_the_constraints_say() -> None:
