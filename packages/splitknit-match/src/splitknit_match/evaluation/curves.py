@@ -20,6 +20,7 @@ _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
     "font.size": 9,
     "axes.grid": True,
+    "axes.prop_cycle": f"cycler('color', {list(COLOURS)})",
     "grid.color": "#e2e2e2",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -39,7 +40,7 @@ def chart(draw: Callable[..., None], wide: float = 4.9, high: float = 3.2, count
     stream = io.BytesIO()
     with matplotlib.rc_context():  # whatever the user's own style
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": matplotlib.cycler(color=COLOURS)})
+        matplotlib.rcParams.update(_STYLE)
         columns, rows = min(count, 3), -(-count // 3)
         figure = Figure((wide * columns, high * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False).ravel()

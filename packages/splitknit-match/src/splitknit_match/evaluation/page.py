@@ -88,7 +88,7 @@ def _system(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
     roc = rates.roc(scores.genuine, scores.impostor)
     missing = [int(np.isnan(side).sum()) for side in (scores.genuine, scores.impostor)]
     made = {far: intervals.figures[f"gar@{far:g}_made"] for far in settings.targets}
-    gar = roc.gars(intervals.curve_far) if intervals.curve_far.size else []
+    gar = roc.gars(intervals.curve_far)
     return {
         **_rates(intervals.figures, settings.targets),
         "fnmr_at_fmr": {
@@ -112,7 +112,7 @@ def _system(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
         },
         "roc": {
             "far": intervals.curve_far.tolist(),
-            "gar": [float(value) for value in gar],
+            "gar": gar,
             "low": np.minimum(intervals.curve_low, gar).tolist(),
             "high": np.maximum(intervals.curve_high, gar).tolist(),
         },

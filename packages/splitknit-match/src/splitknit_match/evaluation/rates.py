@@ -140,15 +140,15 @@ class Roc:
         rates = float((far + frr) / (2 * whole)), float(far / whole), float(frr / whole)
         return EqualError(*rates, threshold if np.isfinite(threshold) else None)
 
-    def places(self, targets: Sequence[float]) -> NDArray[np.int64]:
+    def places(self, targets: Sequence[float] | Values) -> NDArray[np.int64]:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
         allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
         most = np.searchsorted(self.sums[1], allowed, side="right") - 1
         return np.asarray(np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1)
 
-    def gars(self, targets: Sequence[float]) -> list[float]:
+    def gars(self, targets: Sequence[float] | Values) -> list[float]:
         """Genuine accept rate at the largest FAR not above each target."""
-        return list(self.accepted(0, self.places(targets)) / self.tried[0])
+        return [float(gar) for gar in self.accepted(0, self.places(targets)) / self.tried[0]]
 
     def at_far(self, target: float) -> OperatingPoint:
         """Operating point at the largest FAR that is not above `target`, in (0, 1].

@@ -248,9 +248,9 @@ def _systems(
     systems = []
     for code, name in enumerate(names):
         chosen = codes == code
-        sides = [None if ids is None else ids.taken(chosen) for ids in (finger, subject, session)]
+        who, whose, when = (None if ids is None else ids.taken(chosen) for ids in (finger, subject, session))
         try:
-            systems.append(Scores(label[chosen], score[chosen], *sides, name))
+            systems.append(Scores(label[chosen], score[chosen], who, whose, when, name))
         except BadInput as error:
             raise BadInput(f"{path}, as system {error}") from error
     return systems

@@ -31,7 +31,7 @@ def curve_picture(
     def places(xs: Any, ys: Any) -> NDArray[np.int32]:
         across = _LEFT + _WIDE * (np.asarray(xs) - left) / max(right - left, 1e-9)
         down = _TOP + tall * (high - np.asarray(ys)) / (high - low)
-        return np.rint(np.stack([across, down], axis=-1) * 2**_SUBPIXEL).astype(np.int32)
+        return np.asarray(np.rint(np.stack([across, down], axis=-1) * 2**_SUBPIXEL), dtype=np.int32)
 
     def draw(line: NDArray[np.int32], shade: tuple[int, ...], width: int) -> None:
         cv2.polylines(picture, [line], False, shade, width, cv2.LINE_AA, _SUBPIXEL)
