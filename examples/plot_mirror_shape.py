@@ -19,7 +19,7 @@ from splitknit.accuracy import compare
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
-from splitknit.report.figures import render_views, small_fields
+from splitknit.report.figures import small_fields, view_from_above
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         photograph = capture.bands["white"].pixels[1].astype(np.float32)
         bright = np.clip(photograph / np.percentile(photograph, 99.5), 0, 1) ** (1 / 2.2)
         write_image(options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8))
-        above, *_ = render_views(result, small_fields(result, upright_frame(result, 700)))
+        above = view_from_above(result, small_fields(result, upright_frame(result, 700)))
         write_image(options.out / "surface.png", above)
     return 0
 

@@ -18,7 +18,7 @@ from splitknit.accuracy import compare
 from splitknit.imaging.band import linear_image
 from splitknit.io.images import write_image
 from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import render_views, small_fields
+from splitknit.report.figures import small_fields, view_from_above
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
@@ -47,7 +47,7 @@ def pictures(capture: splitknit.Capture, result: splitknit.Reconstruction, folde
     write_image(folder / "photograph.png", np.round(255 * shown).astype(np.uint8))
     frame = upright_frame(result, 900)
     relief, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
-    shaded = next(render_views(result, small_fields(result, frame)))
+    shaded = view_from_above(result, small_fields(result, frame))
     flat = on_paper(colour(relief, -40.0, 40.0), weight)
     rows = min(flat.shape[0], shaded.shape[0])
     write_image(folder / "relief-and-surface.png", np.hstack([flat[:rows], shaded[:rows]]))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import urllib.request
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -86,26 +84,6 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
     (tmp_path / "r" / "report.json").write_text(text)
     with pytest.raises(BadInput, match="is damaged; reconstruct the capture again"):
         splitknit.read_result(tmp_path / "r")
-
-
-def test_the_viewer_shows_a_result(
-    result: Reconstruction, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In a thread from a notebook; a program waits for Ctrl-C."""
-    from splitknit.viewer import server
-
-    at_exit: list[Callable[[], None]] = []
-    monkeypatch.setattr(server.webbrowser, "open", lambda _: False)
-    monkeypatch.setattr(server.atexit, "register", at_exit.append)
-    address = result.show(block=False)
-    assert address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(address, timeout=10) as answer:
-        assert b"<title>" in answer.read()
-    at_exit[0]()
-
-    monkeypatch.setattr(server.PageServer, "serve_forever", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
-    address = result.show()
-    assert capsys.readouterr().out == f"{address}\nOpen this address; Ctrl-C ends it.\n"
 
 
 def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:

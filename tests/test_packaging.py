@@ -70,7 +70,7 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     assert recipe["about"]["license"] == PROJECT["license"]
     assert recipe["about"]["license_file"] == [
         "LICENSE",
-        "packages/splitknit/src/splitknit/viewer/static/vendor/three/LICENSE",
+        "packages/splitknit/src/splitknit/report/static/three/LICENSE",
     ]
 
 

@@ -17,7 +17,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "an existing gallery keeps its mode, and a note says so": (
         "packages/splitknit-match/tests/cli/test_enroll.py::test_a_gallery_that_others_can_read_gets_a_note",
     ),
-    "checks of `Host`, `Origin` and `Sec-Fetch-Site`": ("packages/splitknit/tests/viewer/test_viewer.py",),
     "loopback unless a TLS certificate is given": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
@@ -32,9 +31,8 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "plain `tcp://` to another computer is refused": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_code_goes_to_other_computers_only_encrypted_or_on_demand",
     ),
-    "the browser and the WSQ decoder do not inherit variables": (
+    "the WSQ decoder does not inherit variables": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_the_child_inherits_no_key",
-        "packages/splitknit/tests/viewer/test_viewer.py::test_the_browser_gets_neither_the_token_nor_a_key",
     ),
     "WSQ, whose decoder is third-party code, is decoded in a process of its own": (
         "packages/splitknit-match/tests/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
@@ -88,6 +86,10 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "The SHA-256 of its templates detects damage": (
         "packages/splitknit-match/tests/gallery/test_gallery.py::test_damage_is_found_and_taken_out",
     ),
+    "loads nothing from elsewhere": (
+        "packages/splitknit/tests/report/test_report.py::test_page_is_self_contained",
+        "packages/splitknit/tests/report/test_page_browser.py",
+    ),
     "lets your group read them": ("tests/cli/test_private_files.py::test_verbs_write_private_files",),
     "After `kill -9` a folder": ("tests/fuzz/kills.py",),
     "gone when the program ends, however it ends": (
@@ -97,7 +99,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
     "Another user of the machine can occupy": (
-        "packages/splitknit/tests/viewer/test_viewer.py::test_connections_are_limited",
         "packages/splitknit-match/tests/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
     ),
     "answers name no folder": (
@@ -132,12 +133,8 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "`--cluster` connects to the scheduler that you name": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
     ),
-    "`view` and `serve` listen on loopback": (
-        "packages/splitknit/tests/viewer/test_viewer.py::test_tokens_are_random_and_only_the_loopback_address_listens",
+    "`serve` listens on loopback": (
         "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
-    ),
-    "`view` opens your browser": (
-        "packages/splitknit/tests/viewer/test_viewer.py::test_the_browser_gets_neither_the_token_nor_a_key",
     ),
     "must set the variable itself, otherwise networks are refused": (
         "packages/splitknit/tests/networks/test_unet.py::test_onnxruntime_imported_with_telemetry_is_refused",

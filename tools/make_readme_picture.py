@@ -18,8 +18,11 @@ from splitknit.finger.ridges import relief_print
 from splitknit.imaging.band import linear_image
 from splitknit.io.pictures import PictureFrame, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
-from splitknit.report.figures import oblique_view, small_fields
+from splitknit.report.figures import small_fields
 from splitknit.report.result import PRINT_PPI
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "validation" / "thesis"))
+from oblique import oblique_view
 
 HEIGHT_PX = 400
 GAP_PX = 12

@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
-from tests.fuzz import PACKAGES, targets
+from tests.fuzz import PACKAGES
 from tests.fuzz.mutators import Files, inputs
 from tests.fuzz.targets import TARGETS, Target, put, said
 
@@ -127,7 +127,6 @@ def _work(task: Task, samples: list[Files], scratch: Path, output: int) -> Count
     faulthandler.enable(sys.stderr)
     warnings.simplefilter("always")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    targets.SCRATCH.append(scratch)
     judge(target, samples[0], scratch / "input", output)  # imports and caches belong to the base
     limit = int(_memory_mb(b"VmSize:") + GUARD_MB) << 20
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -184,7 +183,6 @@ def look(scratch: Path, chosen: list[Target]) -> tuple[dict[str, list[Files]], l
             called.add((frame.f_code.co_filename, frame.f_code.co_name))
 
     problems, samples = [], {}
-    targets.SCRATCH.append(scratch)
     for target in chosen:
         samples[target.name] = list(target.samples())
         threading.setprofile(note)

@@ -13,10 +13,8 @@ import hashlib
 import io
 import json
 import os
-import socket
 import struct
 import tempfile
-import threading
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,10 +55,10 @@ from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
+from splitknit.report.surface import scene
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
-from splitknit.viewer.server import pages_of, start
 from splitknit_match.batch.chunks import read_origin, write_chunk, write_timings
 from splitknit_match.batch.features import BANDS, QUALITY
 from splitknit_match.batch.features import COLUMNS as FEATURES
@@ -770,55 +768,16 @@ def _pattern(folder: Path, files: Files) -> None:
     _read_light(read_pattern_folder(folder), folder)
 
 
-# --- viewer ------------------------------------------------------------------------------------------------------
+# --- the surface inside a page -----------------------------------------------------------------------------------
 
 
-@cache
-def _shown() -> Files:
+def _result() -> list[Files]:
     report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
-    return {"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}
+    return [{"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}]
 
 
-def _viewed(folder: Path, files: Files) -> object:
-    return pages_of(read_result(folder), folder.name)
-
-
-def _requests() -> list[Files]:
-    lines = [f"GET /TOKEN/{path} HTTP/1.1" for path in ("", "style.css", "facts", "surface")]
-    lines += ["HEAD /TOKEN/ HTTP/1.0"]
-    more = "Host: HOST\r\nOrigin: http://HOST\r\nSec-Fetch-Site: same-origin\r\n\r\n"
-    return _each("bytes", *(f"{line}\r\n{more}".encode() for line in lines))
-
-
-@cache
-def _server() -> Any:
-    """A server of this process, beside whose thread nothing else runs here."""
-    folder = Path(tempfile.mkdtemp(dir=SCRATCH[0] if SCRATCH else None))
-    put(folder, _shown())
-    server = start(pages_of(read_result(folder), "result"), 0)
-    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-    return server
-
-
-SCRATCH: list[Path] = []
-"""Where a process of the runner may leave what lives as long as it does."""
-
-
-def _asked(data: bytes) -> None:
-    server = _server()
-    data = data.replace(b"TOKEN", server.token.encode()).replace(b"HOST", f"127.0.0.1:{server.server_port}".encode())
-    with socket.create_connection(("127.0.0.1", server.server_port), timeout=30) as connection:
-        answer = b""
-        with contextlib.suppress(ConnectionError):
-            connection.sendall(data)
-            with contextlib.suppress(OSError):  # it has closed already
-                connection.shutdown(socket.SHUT_WR)
-            while piece := connection.recv(1 << 16):
-                answer += piece
-    head = answer[:40].split(b"\r\n")[0]
-    assert b" 500 " not in head, f"the server failed: {data[:200]!a}"
-    if not answer.startswith((b"HTTP/1.1 200", b"HTTP/1.0 200")):
-        raise BadInput(f"refused: {head[:30]!a}")
+def _drawn(folder: Path, files: Files) -> object:
+    return scene([read_result(folder)], [folder.name])
 
 
 # --- all of them -------------------------------------------------------------------------------------------------
@@ -933,6 +892,5 @@ TARGETS = (
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),
-    Target("viewer_folder", lambda: [_shown()], _viewed),
-    Target("viewer_request", _requests, _of_bytes(_asked)),
+    Target("result_in_page", _result, _drawn),
 )  # fmt: skip

@@ -25,6 +25,7 @@ import numpy as np
 import scipy.fft
 from compared import each, keep
 from numpy.typing import NDArray
+from oblique import oblique_view
 from plots import bars_figure, lines_figure, save
 from scales import SCALES
 
@@ -35,7 +36,7 @@ from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
-from splitknit.report.figures import oblique_view, small_fields
+from splitknit.report.figures import small_fields
 from splitknit.steps import Memory
 from tables import Row, write_csv
 

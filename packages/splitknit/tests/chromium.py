@@ -1,4 +1,4 @@
-"""A Chromium without a window, and the page of the viewer in it."""
+"""A Chromium without a window, and a report in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 BINARY = os.environ.get("SPLITKNIT_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = os.environ.get("SPLITKNIT_CHROMEDRIVER") or shutil.which("chromedriver")
 PATIENCE_S = 90.0
-PICTURES = Path(os.environ.get("SPLITKNIT_PICTURES", Path(__file__).resolve().parents[3] / "tests" / "out" / "viewer"))
+PICTURES = Path(os.environ.get("SPLITKNIT_PICTURES", Path(__file__).resolve().parents[3] / "tests" / "out" / "page"))
 
 
 def why_not() -> str:
@@ -28,7 +28,7 @@ def why_not() -> str:
 
 
 class Page:
-    """The viewer's page, as a person and as a program see it."""
+    """A page, as a person and as a program see it."""
 
     def __init__(self, width: int = 1280, height: int = 800, *flags: str, still: bool = False) -> None:
         """Start a browser whose page has so many CSS pixels."""
@@ -95,6 +95,18 @@ class Page:
 
         for key in keys:
             ActionChains(self.driver).send_keys(key).perform()
+
+    def move_over(self, selector: str, right: int, down: int) -> None:
+        """Move the pointer to a place relative to an element's middle."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).move_to_element_with_offset(self.find(selector), right, down).perform()
+
+    def click_at(self, selector: str, right: int, down: int) -> None:
+        """Click a place relative to an element's middle."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).move_to_element_with_offset(self.find(selector), right, down).click().perform()
 
     def picture(self, name: str) -> Path:
         """Keep what is seen."""

@@ -225,11 +225,8 @@ class ReconstructJob(Job):
 
 
 def _shown_of(capture: Capture) -> Capture:
-    """The capture with small white images for a report, so that the others can be let go, for the sake of memory."""
+    """The capture with small images for a report, so that the large ones can be let go, for the sake of memory."""
     from splitknit.report.photos import small_images
 
-    bands = {
-        name: replace(band, pixels=small_images(band) if name == "white" else band.pixels[:0].copy(), ambient=None)
-        for name, band in capture.bands.items()
-    }
+    bands = {name: replace(band, pixels=small_images(band), ambient=None) for name, band in capture.bands.items()}
     return replace(capture, bands=bands)

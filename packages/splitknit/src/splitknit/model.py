@@ -469,7 +469,6 @@ class Capture:
 
 
 _PREVIEW, _SAVE = "splitknit.report.result:preview_html", "splitknit.report.result:write_results"
-_SHOW = "splitknit.viewer.server:show"
 """What a result does by modules above this one, each imported when it is first used."""
 
 
@@ -575,34 +574,6 @@ class Reconstruction:
         >>> splitknit.reconstruct(capture, "ea").save("result", capture)
         """
         resolve_name(_SAVE)(self, capture, folder)
-
-    def show(self, *, block: bool | None = None) -> str:
-        """Open the result in the viewer, a page in the browser on this machine only.
-
-        Parameters
-        ----------
-        block : bool, optional
-            Whether to wait until Ctrl-C. By default a program waits, as its end closes the page; a notebook or an
-            interactive session goes on.
-
-        Returns
-        -------
-        str
-            The page's address, should the browser not have opened it.
-
-        Raises
-        ------
-        BadInput
-            If nothing was reconstructed.
-
-        Examples
-        --------
-        >>> import splitknit
-        >>> import splitknit_simulator
-        >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
-        >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
-        """
-        return str(resolve_name(_SHOW)(self, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,11 +3,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from handmade import finger
-from splitknit.io.pictures import PictureFrame, colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import _SmallFields, _top_view, oblique_view, small_fields
+from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
+from splitknit.report.figures import small_fields, view_from_above
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -51,72 +50,10 @@ def test_paper_shows_outside() -> None:
     assert on_paper(picture, weight)[..., 0].tolist() == [[255, 0], [128, 0]]
 
 
-def _fields(height: NDArray[np.float32], weight: NDArray[np.float32]) -> _SmallFields:
-    normals = np.broadcast_to(np.float32([0, 0, 1]), (*height.shape, 3))
-    return _SmallFields(PictureFrame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
-
-
-def _bump() -> _SmallFields:
-    """A plane with a wall of 3 mm to the right of the middle column, ten pixels before the front edge."""
-    height = np.zeros((120, 80), np.float32)
-    height[100:110, 40:60] = 3.0
-    return _fields(height, np.ones(height.shape, np.float32))
-
-
-def test_what_is_in_front_hides_what_is_behind() -> None:
-    """Seen at 60 deg, a wall of 3 mm rises by 26 pixels on the screen and hides the plane behind it."""
-    view = oblique_view(_bump(), tilt_deg=60.0).astype(int)
-    flat = oblique_view(_fields(np.zeros((120, 80), np.float32), _bump().weight), tilt_deg=60.0)
-    assert abs(view.shape[0] - flat.shape[0]) <= 3  # the wall does not reach above the far edge
-    changed = np.abs(view[: flat.shape[0]] - flat.astype(int)[: view.shape[0]]).max(axis=2) > 25
-    rows, columns = np.nonzero(changed[8:-8, 14:-14])
-    assert 20 <= np.ptp(rows) <= 40
-    assert columns.min() > 20  # only to the right
-
-
-def test_a_picture_grows_with_the_surface_s_width_not_with_its_heights() -> None:
-    """A wall of a kilometre, as a failed integration made one."""
-    bump = _bump()
-    view = oblique_view(_fields(bump.height_mm * np.float32(3e5), bump.weight), tilt_deg=60.0)
-    assert view.shape[0] < 3 * bump.weight.shape[0]
-
-
-def test_a_gap_between_two_parts_stays_empty() -> None:
-    """Columns that show nothing, between others that do."""
-    bump = _bump()
-    weight = bump.weight.copy()
-    weight[:, 30:50] = 0.0
-    view = oblique_view(_fields(bump.height_mm * 0, weight), tilt_deg=60.0)
-    columns = (view.min(axis=2) < 235).any(axis=0)
-    shown = np.flatnonzero(columns)
-    assert np.diff(shown).max() > 18  # of 20, whose edges are smooth
-
-
-def test_holes_of_a_ragged_surface_do_not_stand_out_as_spikes() -> None:
-    """A plane 5 mm below zero, the height that is kept where nothing was measured."""
-    weight = _bump().weight.copy()
-    plane = _fields(np.full(weight.shape, -5.0, np.float32), weight)
-    whole = oblique_view(plane, tilt_deg=60.0)
-    weight[20:100:12, 15:65:12] = 0.0
-    torn = oblique_view(_fields(plane.height_mm * (weight > 0), weight), tilt_deg=60.0)
-    assert abs(torn.shape[0] - whole.shape[0]) <= 2
-
-
-def test_views_show_the_finger_and_the_light() -> None:
+def test_the_view_from_above_shows_the_light() -> None:
     result, _ = finger()
-    surface = small_fields(result, upright_frame(result, 240)).exaggerated(2.0)
-    above = _top_view(surface).astype(int)
+    above = view_from_above(result, small_fields(result, upright_frame(result, 240))).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
     left, right = above[middle, 40:90].mean(), above[middle, -90:-40].mean()
     assert left > 1.1 * right  # lit from the upper left
-    side = oblique_view(surface, turn_deg=40.0, tilt_deg=60.0)
-    assert side[0, 0].min() > 240
-    assert 0.3 < (side.max(axis=2) < 235).mean() < 0.9
-
-
-def test_steeper_view_is_flatter() -> None:
-    result, _ = finger()
-    surface = small_fields(result, upright_frame(result, 240))
-    low, high = (oblique_view(surface, tilt_deg=tilt).shape[0] for tilt in (75.0, 20.0))
-    assert low < 0.8 * high

@@ -39,7 +39,7 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
 def test_outline_and_crease_lie_on_the_input() -> None:
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
-    (shown,) = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
+    shown, _ = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
     image = _decoded(shown).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60

@@ -28,8 +28,8 @@ class ProfileJob(Job):
     # fmt: off
     result: Annotated[AnyPath, Help("folder of a result", positional=True)]
     start: Annotated[tuple[float, float], Help(
-        "one end in mm from the image's middle, x right, y up, as the viewer shows places", "X0,Y0", positional=True,
-        read=_place)]
+        "one end in mm from the image's middle, x right, y up, as a section in report.html states it", "X0,Y0",
+        positional=True, read=_place)]
     end: Annotated[tuple[float, float], Help("the other end", "X1,Y1", positional=True, read=_place)]
     _: KW_ONLY
     cutoff: Annotated[Positive, Help("wavelength that divides roughness from form (ISO 4288)", "MM")] = 0.8
@@ -46,7 +46,7 @@ class ProfileJob(Job):
         from splitknit.io.csv_table import csv_text
         from splitknit.io.results import read_result
         from splitknit.report.curves import curve_picture
-        from splitknit.viewer.surface import section, surface_in
+        from splitknit.report.surface import section, surface_in
 
         surface = surface_in(read_result(path(self.result)))
         require(surface.unit.known, f"{self.result} has heights in pixels; reconstruct it with `px_per_mm`.")

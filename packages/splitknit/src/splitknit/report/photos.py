@@ -69,6 +69,7 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
 
 
 LONGEST_PX = 700  # longer side of a picture
+_THUMBNAIL_PX = 170
 
 
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
@@ -105,7 +106,29 @@ def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
 def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
     """What was found in the images: the finger, and the mirrors' views where the shape came from them."""
     drawing = result.facts.get("mirror_drawing")
-    return [_mask_on_image(result, capture), *([] if drawing is None else [_mirror_picture(result, capture, drawing)])]
+    mirrored = [] if drawing is None else [_mirror_picture(result, capture, drawing)]
+    return [_mask_on_image(result, capture), *mirrored, _contact_sheet(capture)]
+
+
+def _contact_sheet(capture: Capture) -> Picture:
+    """All photographs, small, in the order of their bands and lights; each as bright as its sensor saw it."""
+    bands = [band for band in capture.bands.values() if len(band.pixels)]
+    gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
+    rows, columns = bands[0].pixels.shape[1:3]
+    size = (_THUMBNAIL_PX, max(1, round(_THUMBNAIL_PX * rows / columns)))
+    thumbnails = []
+    for band in bands:
+        for image in band.pixels:
+            small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], -1)
+            level = np.clip(small / float(np.iinfo(image.dtype).max), 0.0, 1.0) ** gamma
+            picture = np.broadcast_to(np.round(255 * level), (size[1], size[0], 3)).astype(np.uint8)
+            thumbnails.append(np.pad(picture, ((0, 4), (0, 4), (0, 0)), constant_values=255))
+    across = min(4, len(thumbnails))
+    thumbnails += [np.full_like(thumbnails[0], 255)] * (-len(thumbnails) % across)
+    lines = [np.hstack(thumbnails[start : start + across]) for start in range(0, len(thumbnails), across)]
+    named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items() if len(band.pixels))
+    caption = f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white."
+    return captioned("Photographs", np.vstack(lines), caption)
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:

@@ -12,7 +12,6 @@ import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +33,7 @@ from splitknit.report import figures, template
 from splitknit.report.curves import curve_picture
 from splitknit.report.figures import Truth
 from splitknit.report.photos import LONGEST_PX, Picture, captioned, capture_pictures, is_finger
+from splitknit.report.surface import scene
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
@@ -64,7 +64,7 @@ class Report:
 
     html: str
     facts: Mapping[str, Any]
-    views: Sequence[ColourArray]  # the shaded surface from above, the left and the right
+    above: ColourArray  # the shaded surface as the camera sees it, upright
     prints: NDArray[np.uint8] | None  # the relief as a print; None if it is not a finger's, or its scale is unknown
 
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
@@ -92,7 +92,8 @@ def make_report(
         page = pool.submit(template, "report.html")
         frame = upright_frame(result, LONGEST_PX)
         small = figures.small_fields(result, frame)
-        drawn = figures.render_views(result, small, pool.map)
+        drawn = pool.submit(figures.view_from_above, result, small)
+        surfaces = pool.submit(scene, [result], [f"{result.preset}: drag to turn, wheel to zoom"])
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
         sections, summary = pool.submit(_sections, result, truth), pool.submit(_summary, result)
@@ -104,7 +105,7 @@ def make_report(
         facts = _facts(result, capture, comparisons)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
-        prints, views = None if printing is None else printing.result(), list(drawn)
+        prints, above = None if printing is None else printing.result(), drawn.result()
     unshown = ("mirror_drawing",) if finger else _OF_FINGERS
     close_ups, errors = ([], []) if truth is None else figures.truth_pictures(results, truth, comparisons, frame)
 
@@ -119,7 +120,8 @@ def make_report(
         facts=facts,
         summary=summary.result(),
         warnings=[warning[:1].upper() + warning[1:] for warning in result.warnings],
-        views=of_size(figures.view_pictures(views, frame.pitch_mm, finger)),
+        scene=surfaces.result(),
+        above=of_size([figures.picture_from_above(above, frame.pitch_mm, finger)])[0],
         prints=None if prints is None else figures.print_picture(prints),
         maps=of_size(maps),
         sections=sections.result(),
@@ -133,7 +135,7 @@ def make_report(
         errors=errors,
         total_s=sum(result.timings_s.values()),
     )
-    return Report(html, facts, views, prints)
+    return Report(html, facts, above, prints)
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
@@ -394,25 +396,14 @@ def write_files(
         report = make_report(result, capture, truth)
         if report.prints is not None:
             write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))
-        write_picture(target / "preview.png", _shaded(*report.views[:2]), origin)
+        write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
     return report.write(target, files)
 
 
 def preview_html(result: Reconstruction) -> str:
-    """The shaded surface from above and from the left as an image element, small, for notebooks."""
+    """The shaded surface as an image element, small, for notebooks."""
     small = figures.small_fields(result, upright_frame(result, 400))
-    data = data_uri(_shaded(*islice(figures.render_views(result, small), 2)), photo=True)
-    return f'<img src="{data}" alt="surface from above and from the left">'
-
-
-def _shaded(*panels: ColourArray) -> NDArray[np.uint8]:
-    """Views of the surface beside each other, on their own paper."""
-    height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
-    padded = []
-    for panel in panels:
-        missing = height - panel.shape[0]
-        edges = ((missing // 2, missing - missing // 2), (0, 0), (0, 0))
-        padded.append(np.pad(panel, edges, constant_values=paper))
-    return np.hstack(padded)
+    data = data_uri(figures.view_from_above(result, small), photo=True)
+    return f'<img src="{data}" alt="surface from above">'

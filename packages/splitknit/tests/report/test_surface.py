@@ -1,16 +1,25 @@
-"""Sections are those of the finger: a half ellipsoid with a known relief."""
+"""Sections, and the surface in a page, are those of the finger: a half ellipsoid with a known relief."""
 
 from __future__ import annotations
 
+import base64
+import json
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from handmade import finger
 from splitknit.errors import BadInput
 from splitknit.model import Reconstruction
-from splitknit.viewer.surface import ResultSurface, section, surface_in
+from splitknit.report import surface as surface_module
+from splitknit.report.surface import ResultSurface, scene, section, surface_in
 
 
 def perspective(result: Reconstruction) -> Reconstruction:
@@ -81,3 +90,48 @@ def test_an_empty_result_is_refused() -> None:
     result, _ = finger()
     with pytest.raises(BadInput, match="no heights"):
         surface_in(replace(result, mask=np.zeros_like(result.mask)))
+
+
+def decoded(field: dict[str, Any]) -> NDArray[np.float64]:
+    """Values of a field of a page, as its script computes them."""
+    data = np.frombuffer(base64.b64decode(field["png"]), np.uint8)
+    blue, green, red = np.moveaxis(cv2.imdecode(data, cv2.IMREAD_COLOR).astype(float), -1, 0)
+    assert not blue.any()
+    level = 256 * red + green
+    return np.where(level > 0, field["low"] + field["step"] * (level - 1), np.nan)
+
+
+@pytest.mark.parametrize("which", ["parallel", "perspective"])
+def test_a_page_holds_the_surface(which: str) -> None:
+    result, _ = finger()
+    result = perspective(result) if which == "perspective" else result
+    (facts,) = json.loads(scene([result], ["metric"]).data)
+    height = decoded(facts["shape"]) + decoded(facts["ridge"])
+    rows, columns = np.nonzero(np.isfinite(height))
+    x, y = facts["left"] + facts["pitch"] * columns, facts["top"] - facts["pitch"] * rows
+    if which == "perspective":  # where the camera's rays meet the surface
+        nearer = 1 - height[rows, columns] / 140
+        x, y = x / nearer, y / nearer
+    inner = (x / 7.5) ** 2 + np.where(y > 1, (y - 1) / 8.5, 0.0) ** 2 < 0.9
+    true = [height_at(*place) for place in zip(x[inner][::97], y[inner][::97], strict=True)]
+    np.testing.assert_allclose(height[rows, columns][inner][::97], true, atol=0.01)
+    assert len(rows) == pytest.approx(result.mask.sum(), rel=0.1)
+
+
+def test_a_large_surface_is_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(surface_module, "_MOST_POINTS", 10_000)
+    result, _ = finger()
+    (facts,) = json.loads(scene([result], ["metric"]).data)
+    assert 8000 < np.isfinite(decoded(facts["shape"])).sum() <= 10_500
+
+
+def test_a_title_cannot_end_the_data() -> None:
+    result, _ = finger()
+    drawn = scene([result], ["</script><script>alert(1)</script>"])
+    assert "<" not in drawn.data
+    assert json.loads(drawn.data)[0]["title"].startswith("</script>")
+
+
+def test_the_bundled_script_is_the_one_that_was_made() -> None:
+    root = Path(__file__).resolve().parents[4]
+    subprocess.run([sys.executable, str(root / "tools" / "vendor_three.py"), "--check"], check=True)

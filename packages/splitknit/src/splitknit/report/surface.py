@@ -1,0 +1,259 @@
+"""A result's surface in the upright frame: sections between two points of it, and the surface inside a page.
+
+Places are those of ``phalange.ply``: x right, y to the fingertip, z to the camera. All lengths are in mm.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
+from splitknit.io.pictures import upright_turn
+from splitknit.model import FloatArray, Reconstruction
+from splitknit.units import LengthUnit
+
+_FARTHEST = 40_000.0  # mm or pixels: no place of a surface is as far from the origin
+_RIDGE_SIGMA_MM = 0.32
+_MAX_SAMPLES = 20_000
+_MOST_POINTS = 400_000  # of a surface inside a page
+_SHAPE_STEP = 0.001  # mm, or pixels: of the shape's levels, which the relief is added to
+_RIDGE_STEP = 0.0002  # mm, or pixels
+_Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResultSurface:
+    """The part of a result around its mask; fields are (h, w), NaN outside."""
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    pitch_mm: float
+    turn: _Values
+    """(2, 2): from (x, y) of the rig's frame to the upright one."""
+    corner_mm: _Values
+    """(2,) x and y of the first pixel if the camera's rays were parallel."""
+    unit: LengthUnit
+
+    def locate(self, x_mm: _Values, y_mm: _Values) -> _Values:
+        """Column and row (2, ...) where the surface has these x and y; iterated where the rays spread."""
+        wanted = np.stack([x_mm, y_mm])
+        corner = self.corner_mm.reshape(2, *(1,) * x_mm.ndim)
+        place = self._steps(wanted - corner)
+        for _ in range(4):
+            there = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
+            place = place + self._steps(np.nan_to_num(wanted - there))
+        return place
+
+    def _steps(self, vectors_mm: _Values) -> _Values:
+        """Columns and rows (2, ...) of x and y (2, ...)."""
+        right, up = np.tensordot(self.turn.T, vectors_mm, axes=1) / self.pitch_mm
+        return np.stack([right, -up])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A cut through the surface between two points, and its figures."""
+
+    along_mm: _Values  # (N,) distance in the finger plane from the first point
+    x_mm: _Values
+    y_mm: _Values
+    height_mm: _Values  # (N,), NaN where there is no surface
+    figures: dict[str, float | None]
+
+
+def surface_in(result: Reconstruction) -> ResultSurface:
+    """The surface of a result; BadInput if it holds no height."""
+    known = result.mask & np.isfinite(result.height_mm)
+    require(bool(known.any()), "the result holds no heights; reconstruct the capture again.")
+    box, (height, width), pitch = bounding_box(known), known.shape, result.pitch_mm
+    turn = upright_turn(result.input_from_upright)
+    columns = np.arange(width)[None, box[1]] - (width - 1) / 2
+    rows = (height - 1) / 2 - np.arange(height)[box[0], None]
+    right: NDArray[Any] = columns * pitch if result.x_mm is None else result.x_mm[box]
+    up: NDArray[Any] = rows * pitch if result.y_mm is None else result.y_mm[box]
+    x, y = (across * right + along * up for across, along in turn)
+    nan = np.float32(np.nan)
+    x, y, z, ridge = (
+        np.where(known[box], field, nan).astype(np.float32)
+        for field in (x, y, result.height_mm[box], np.nan_to_num(result.ridge_mm[box]))
+    )
+    corner = turn @ np.array([columns[0, 0], rows[0, 0]]) * pitch
+    return ResultSurface(x, y, z, ridge, pitch, turn, corner, result.unit)
+
+
+def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float]) -> Section:
+    """Cut the surface between two points given by x and y. Raises BadInput if the points are not finite, far away,
+    equal, or neither lies on the surface.
+    """
+    ends = np.array([start_mm, end_mm], dtype=np.float64)
+    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= _FARTHEST
+    require(sound, "the two points must be finite and on the surface.")
+    flat_mm = float(np.hypot(*(ends[1] - ends[0])))
+    require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
+    count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
+    fraction = np.linspace(0.0, 1.0, count)
+    x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
+    place = surface.locate(x, y)
+    height, relief = sample(surface.height_mm, place), sample(surface.ridge_mm, place)
+    require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the surface.")
+    along = fraction * flat_mm
+    steps = np.hypot(np.diff(along), np.diff(height))  # NaN beside a gap
+    rise = float(height[-1] - height[0])
+    figures = {
+        "flat_mm": flat_mm,
+        "straight_mm": float(np.hypot(flat_mm, rise)),
+        "along_surface_mm": float(steps.sum()),
+        "height_difference_mm": rise,
+        "ridge_period_mm": _ridge_period_mm(along, relief) if surface.unit.known else np.nan,
+    }
+    return Section(along, x, y, height, {key: value if np.isfinite(value) else None for key, value in figures.items()})
+
+
+def _ridge_period_mm(along: _Values, relief: _Values) -> float:
+    """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of fewer than two."""
+    known, step = np.isfinite(relief), along[1] - along[0]
+    weight = _blur(known.astype(np.float64), _RIDGE_SIGMA_MM / step)
+    band = np.where(known, relief, 0.0)
+    band = np.where(known, band - _blur(band, _RIDGE_SIGMA_MM / step) / np.maximum(weight, 1e-3), 0.0)
+    level = 0.35 * float(band[known].std())
+    state = np.where(band > level, 1, np.where(band < -level, -1, 0))
+    signs = np.flatnonzero(state)
+    rising = along[signs[1:][(state[signs[1:]] == 1) & (state[signs[:-1]] == -1)]]
+    return float((rising[-1] - rising[0]) / (len(rising) - 1)) if len(rising) > 1 else np.nan
+
+
+def _blur(values: _Values, sigma: float) -> _Values:
+    blurred: Any = cv2.GaussianBlur(values[None], (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred[0], dtype=np.float64)
+
+
+def sample(field: FloatArray, place: _Values) -> _Values:
+    """Bilinear values of `field` (h, w) at columns and rows (2, ...); NaN beyond its border."""
+    column, row = place.astype(np.float32).reshape(2, -1, place.shape[-1])
+    sampled = cv2.remap(
+        field,
+        np.ascontiguousarray(column),
+        np.ascontiguousarray(row),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(float("nan"),),
+    )
+    return np.asarray(sampled, dtype=np.float64).reshape(place.shape[1:])
+
+
+# The surface inside a page: three fields on a regular grid, as pictures, drawn by `static/surface.js`.
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a page needs to draw surfaces: texts of its scripts, and the source that its policy allows."""
+
+    titles: Sequence[str]
+    data: Markup
+    scripts: Sequence[Markup]
+    policy: str
+    minutiae: bool
+
+
+def scene(
+    results: Sequence[Reconstruction], titles: Sequence[str], minutiae: Sequence[NDArray[np.floating]] = ()
+) -> Scene:
+    """Describe results for a page that shows them in three dimensions.
+
+    Parameters
+    ----------
+    results : one, or two to be compared
+        Of one unit.
+    titles : one for each
+        What stands below each surface.
+    minutiae : (N, 3) for each, optional
+        x and y in mm, and direction in rad, counter-clockwise from x, in the upright frame.
+    """
+    surfaces = []
+    for number, (result, title) in enumerate(zip(results, titles, strict=True)):
+        marks = minutiae[number] if len(minutiae) else np.empty((0, 3))
+        surfaces.append({"title": title, "minutiae": np.round(marks, 4).tolist(), **_gridded(result)})
+    scripts = _scripts()
+    hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in hashes)
+    data = json.dumps(surfaces, allow_nan=False).replace("<", "\\u003c")  # ends no script element
+    return Scene(titles, Markup(data), scripts, allowed, minutiae=any(each["minutiae"] for each in surfaces))
+
+
+@cache
+def _scripts() -> tuple[Markup, Markup]:
+    """three.js, and what draws with it."""
+    folder = Path(__file__).parent / "static"
+    three = (folder / "three" / "three.min.js").read_text(encoding="utf-8")
+    own = (folder / "surface.js").read_text(encoding="utf-8")
+    return Markup(three), Markup(own)
+
+
+def _gridded(result: Reconstruction) -> dict[str, Any]:
+    """Shape, relief and brightness of a result on a regular grid of x and y, encoded."""
+    surface = surface_in(result)
+    unit, known = surface.unit, np.isfinite(surface.height_mm)
+    thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
+    pitch_mm = thinning * surface.pitch_mm
+    left, right = float(np.nanmin(surface.x_mm)), float(np.nanmax(surface.x_mm))
+    bottom, top = float(np.nanmin(surface.y_mm)), float(np.nanmax(surface.y_mm))
+    columns = int((right - left) / pitch_mm) + 1
+    rows = int((top - bottom) / pitch_mm) + 1
+    x, y = np.meshgrid(left + pitch_mm * np.arange(columns), top - pitch_mm * np.arange(rows))
+    place = surface.locate(x, y)
+    brightness = np.where(known, result.albedo[bounding_box(result.mask & np.isfinite(result.height_mm))], np.nan)
+    shape_mm = surface.height_mm - surface.ridge_mm
+    fields = [shape_mm, surface.ridge_mm, brightness.astype(np.float32)]
+    shape, ridge, albedo = (sample(_averaged(field, known, thinning), place) for field in fields)
+    brightest = max(float(np.nanpercentile(albedo, 99.5)), 1e-6)
+    grey = np.round(255 * np.clip(np.nan_to_num(albedo) / brightest, 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8)
+    jpeg = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    return {
+        "rows": rows,
+        "columns": columns,
+        "left": left * unit.per_mm,
+        "top": top * unit.per_mm,
+        "pitch": pitch_mm * unit.per_mm,
+        "unit": unit.name,
+        "small": unit.small,
+        "small_per_unit": unit.small_per_mm / unit.per_mm,
+        "shape": _in_16_bits(shape * unit.per_mm, _SHAPE_STEP),
+        "ridge": _in_16_bits(ridge * unit.per_mm, _RIDGE_STEP),
+        "brightness": base64.b64encode(jpeg).decode("ascii"),
+    }
+
+
+def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> FloatArray:
+    """Mean over squares of `side` pixels where the field is known; NaN where it is not."""
+    if side < 1.5:
+        return field
+    size = (round(side), round(side))
+    total = cv2.blur(np.where(known, field, np.float32(0)), size, borderType=cv2.BORDER_CONSTANT)
+    weight = cv2.blur(known.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT)
+    return np.where(known, total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(np.float32)
+
+
+def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
+    """A field as PNG: red and green are the high and low byte of its level, zero where it is not known."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    step = max(step, (high - low) / 65_000)
+    level = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - low) / step) + 1, 0).astype(np.uint16)
+    zero = np.zeros(level.shape, dtype=np.uint8)
+    picture = np.dstack([zero, (level & 255).astype(np.uint8), (level >> 8).astype(np.uint8)])  # OpenCV: blue first
+    png = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+    return {"png": base64.b64encode(png).decode("ascii"), "low": low, "step": step}

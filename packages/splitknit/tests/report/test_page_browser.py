@@ -1,0 +1,73 @@
+"""The report in a real Chromium, offline: its surface turns, is lit, and is cut between two points."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from chromium import Page, why_not
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(bool(why_not()), reason=why_not() or "there is a browser"),
+]
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    page = Page(1000, 1400)
+    yield page
+    page.close()
+
+
+def test_a_mailed_report_turns_and_measures_a_section(written: tuple[Path, dict], page: Page, tmp_path: Path) -> None:
+    mailed = tmp_path / "mailed.html"
+    mailed.write_bytes((written[0] / "report.html").read_bytes())
+    page.open(mailed.as_uri())
+    pictures = [cv2.imread(str(page.picture("surface")))]
+
+    page.slide("#exaggeration", 4)
+    pictures.append(cv2.imread(str(page.picture("relief"))))
+    page.run("document.querySelector('canvas').focus()")
+    page.press("\ue014", "+", "\ue013")
+    pictures.append(cv2.imread(str(page.picture("turned"))))
+    page.find("input[value=light]").click()
+    page.move_over("canvas", 150, -100)
+    pictures.append(cv2.imread(str(page.picture("lit"))))
+    for before, after in itertools.pairwise(pictures):
+        assert np.abs(before.astype(int) - after).mean() > 0.5
+
+    page.find("input[value=section]").click()
+    page.click_at("canvas", 0, 60)
+    assert page.run("return document.getElementById('section-note').textContent") == "Choose the other end."
+    page.click_at("canvas", 0, -60)
+    time.sleep(0.5)
+    note = page.run("return document.getElementById('section-note').textContent")
+    figures = re.fullmatch(r"Section from .* mm: ([\d.]+) mm long, ([\d.]+) \u00b5m from lowest to highest\.", note)
+    assert figures is not None, note
+    assert 1.0 < float(figures[1]) < 12.0
+    page.find("#alone").click()
+    relief = page.run("return document.getElementById('section-note').textContent")
+    assert 50.0 < float(relief.split(", ")[1].split()[0]) < 70.0  # of the spiral, 60 um from valley to ridge
+    assert page.run("return document.querySelectorAll('#section path').length") > 5
+    page.picture("section")
+    assert page.complaints() == []
+
+
+def test_a_telephone_shows_it(written: tuple[Path, dict]) -> None:
+    page = Page(390, 800)
+    try:
+        page.open((written[0] / "report.html").as_uri())
+        assert page.run("return document.documentElement.scrollWidth") <= 390
+        page.picture("telephone")
+        assert page.complaints() == []
+    finally:
+        page.close()

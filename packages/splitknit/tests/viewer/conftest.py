@@ -1,3 +1,0 @@
-"""Fixtures of the folder."""
-
-from viewer_fixtures import *
