@@ -55,7 +55,8 @@ def test_a_weight_counts_as_often_as_a_score_that_is_repeated(both: tuple[list[f
     drawn = [np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)]
     if any(np.isnan(side).all() for side in drawn):  # an empty side too
         return
-    ranked, weights = rank(genuine, impostor), [number.astype(np.float64) for number in times]
+    ranked = rank(genuine, impostor)
+    weights = [number[order].astype(np.float64) for number, order in zip(times, ranked.order, strict=True)]
     assert figures(ranked.roc(weights)) == pytest.approx(figures(roc(*drawn)))
     assert ranked.d_prime(weights) == pytest.approx(d_prime(*drawn), nan_ok=True)
 

@@ -196,4 +196,4 @@ def test_what_cannot_be_fused_is_refused() -> None:
     with pytest.raises(BadInput, match="three subjects"):
         fuse([Scores(np.array([True, False]), np.array([1.0, 0.0]), subject=few, name=name) for name in "xy"])
     with pytest.raises(BadInput, match="left to learn from"):
-        fuse([replace(one, subject=None) for one in systems(2, subjects=2)])
+        fuse([replace(one, subject=None).taken((one.finger.codes < 3).all(axis=1)) for one in systems(2, subjects=2)])

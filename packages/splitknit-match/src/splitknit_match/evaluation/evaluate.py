@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -167,10 +167,8 @@ def evaluate_systems(  # noqa: PLR0917
     differing: list[Difference] = []
     for group in groups:
         for system in group:
-            done = len(results) / count
-            results.append(
-                _result(system, cluster, bootstrap, lambda part, done=done: progress("resampling", done + part / count))
-            )
+            progress("resampling", len(results) / count)
+            results.append(_result(system, cluster, bootstrap))
         pairs = combinations(group, 2) if len(group) <= 4 else ((group[0], other) for other in group[1:])
         for first, second in pairs:
             method = next(result.intervals.method for result in results if result.scores is first)
@@ -184,7 +182,7 @@ def evaluate_systems(  # noqa: PLR0917
     return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, {})
 
 
-def _result(scores: Scores, cluster: Cluster, settings: BootstrapSettings, progress: Callable[[float], None]) -> Result:
+def _result(scores: Scores, cluster: Cluster, settings: BootstrapSettings) -> Result:
     """Intervals by what is drawn, and, where that is fingers, by subject for comparison."""
     allowed = ["plain"]
     for method in ("subject", "finger"):
@@ -194,7 +192,7 @@ def _result(scores: Scores, cluster: Cluster, settings: BootstrapSettings, progr
     fault = f"`cluster` {cluster} needs columns {cluster}_a and {cluster}_b with three of them at least,"
     require(cluster == "auto" or cluster in allowed, f"{fault} which {scores.name} does not have.")
     method = allowed[-1] if cluster == "auto" else cluster
-    found = resample(scores, method, settings, progress)
+    found = resample(scores, method, settings)
     wider = method == "finger" and "subject" in allowed
     return Result(scores, found, resample(scores, "subject", replace(settings, curve_points=0)) if wider else None)
 

@@ -20,7 +20,7 @@ where errors are few).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -77,16 +77,11 @@ class Intervals:
     curve_high: Values
 
 
-def bootstrap(
-    scores: Scores,
-    method: str = "plain",
-    settings: BootstrapSettings = DEFAULTS,
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> Intervals:
+def bootstrap(scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS) -> Intervals:
     """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks its ids."""
     falling = scores.taken(np.argsort(-scores.score, kind="stable"))
     curve = _curve(scores, settings.curve_points)
-    ((values, rows),) = _resampled([falling], method, settings, curve, progress)
+    ((values, rows),) = _resampled([falling], method, settings, curve)
     lows, highs = _limits(rows)
     bounds = _bounds(falling, method, settings.targets)
     names = figure_names(settings.targets)
@@ -108,7 +103,7 @@ def differences(
     """
     same = np.array_equal(first.label, second.label)
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
-    (one, rows), (other, more) = _resampled([first, second], method, settings, (), lambda fraction: None)
+    (one, rows), (other, more) = _resampled([first, second], method, settings)
     ends = zip(figure_names(settings.targets), one - other, *_limits(rows - more), strict=True)
     return {name: _holding(value, low, high) for name, value, low, high in ends if np.isfinite(value)}
 
@@ -122,7 +117,7 @@ def figure_names(targets: Sequence[float]) -> list[str]:
 def _figures(
     ranked: Ranked, weights: Sequence[Values], targets: Sequence[float], curve: Sequence[float]
 ) -> list[float]:
-    """Figures where the comparisons of each class count `weights` times; NaN where a class is missing."""
+    """Figures where the comparisons of each class, falling, count `weights` times; NaN where a class is missing."""
     roc = ranked.roc(weights)
     made = roc.made()
     if min(made.tried) <= 0:
@@ -133,11 +128,7 @@ def _figures(
 
 
 def _resampled(
-    systems: Sequence[Scores],
-    method: str,
-    settings: BootstrapSettings,
-    curve: Sequence[float],
-    progress: Callable[[float], None],
+    systems: Sequence[Scores], method: str, settings: BootstrapSettings, curve: Sequence[float] = ()
 ) -> list[tuple[Values, Values]]:
     """Figures (F,) of each system, and (replicates, F) those of the same replicates for all systems."""
     ranks = [rank(one.genuine, one.impostor) for one in systems]
@@ -146,8 +137,8 @@ def _resampled(
     rows = [np.empty((settings.replicates, one.size)) for one in values]
     for done, weights in enumerate(_weights(systems[0], method, settings)):
         for ranked, table in zip(ranks, rows, strict=True):
-            table[done] = _figures(ranked, weights, settings.targets, curve)
-        progress((done + 1) / settings.replicates)
+            falling = [weight[order] for weight, order in zip(weights, ranked.order, strict=True)]
+            table[done] = _figures(ranked, falling, settings.targets, curve)
     return list(zip(values, rows, strict=True))
 
 

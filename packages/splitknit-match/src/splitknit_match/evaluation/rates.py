@@ -13,9 +13,9 @@ FNMR of ISO/IEC 19795-1). With the fraction f of failures on a side, FAR = FMR (
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from scipy.special import betaincinv
 
 from splitknit.errors import require
 
-T = TypeVar("T")
 Values = NDArray[np.float64]
 SLACK = 1e-12  # relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is
 CONFIDENCE = 0.95
@@ -63,9 +62,10 @@ class Ranked:
     corners: NDArray[np.int64]  # thresholds that accept more genuine comparisons than the one before
 
     def roc(self, weights: Sequence[Values]) -> Roc:
-        """ROC where the comparisons of each class count `weights` (N,) and (M,) times."""
-        falling = [weight[order] for weight, order in zip(weights, self.order, strict=True)]
-        sums = [np.concatenate([[0.0], np.cumsum(weight)]) for weight in falling]
+        """ROC where the comparisons of each class, falling, count `weights` (N,) and (M,) times."""
+        sums = [np.zeros(weight.size + 1) for weight in weights]
+        for weight, total in zip(weights, sums, strict=True):
+            np.cumsum(weight, out=total[1:])
         return Roc(self, (sums[0], sums[1]), (float(sums[0][-1]), float(sums[1][-1])))
 
     def d_prime(self, weights: Sequence[Values]) -> float:
@@ -76,8 +76,8 @@ class Ranked:
         landscapes", technical report 482, University of Cambridge, 2000.
         """
         means, variances = [], []
-        for weight, order, placed in zip(weights, self.order, self.placed, strict=True):
-            times = weight[order[: placed.size]]
+        for weight, placed in zip(weights, self.placed, strict=True):
+            times = weight[: placed.size]
             total = times.sum()
             means.append(np.einsum("n,n->", times, placed) / total)  # in one thread: the same for any number of cores
             variances.append(np.einsum("n,n->", times, (placed - means[-1]) ** 2) / total)
@@ -201,21 +201,17 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     """Receiver operating characteristic of scores (N,) and (M,), NaN = failure to acquire. Raises
     BadInput if a side has no score, or one is infinite.
     """
-    return _of_both(Ranked.roc, genuine, impostor)
-
-
-def d_prime(genuine: Any, impostor: Any) -> float:
-    """:meth:`Ranked.d_prime` of scores (N,) and (M,)."""
-    return _of_both(Ranked.d_prime, genuine, impostor)
-
-
-def _of_both(figure: Callable[[Ranked, Sequence[Values]], T], genuine: Any, impostor: Any) -> T:
     sides = [np.asarray(side, dtype=np.float64) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
         require(side.ndim == 1, f"{name} scores must have the shape (N,), but they have {side.shape}.")
         require(not np.isnan(side).all(), f"there is no {name} score: both genuine and impostor scores are needed.")
         require(not np.isinf(side).any(), f"{name} scores must be finite, but one is infinite.")
-    return figure(rank(*sides), [np.ones(side.size) for side in sides])
+    return rank(*sides).roc([np.ones(side.size) for side in sides])
+
+
+def d_prime(genuine: Values, impostor: Values) -> float:
+    """:meth:`Ranked.d_prime` of scores (N,) and (M,)."""
+    return rank(genuine, impostor).d_prime([np.ones(side.size) for side in (genuine, impostor)])
 
 
 def error_bound(rate: float, trials: int) -> float:
