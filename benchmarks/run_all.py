@@ -29,19 +29,13 @@ SUITES = {
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
     "bench_match.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
-    "bench_clouds.py": ([], ["--points", "1e5"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
-    "bench_capture.py": (["--rounds", "2"], ["--rounds", "1", "--scales", "0.5"]),
-    "bench_mirror_shape.py": (["--rounds", "5"], ["--rounds", "1"]),
-    "bench_motion.py": (["--rounds", "3"], ["--rounds", "1", "--scale", "0.4"]),
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
 }
 """Arguments of each script: in full, and with ``--quick``."""
 TABLES = HERE / "tables"
 PAGE = HERE.parent / "docs" / "experiments" / "performance.md"
 QUIET = 1.5
-JSON = ("bench_mirror_shape.py",)
-"""These print one JSON object, which the document shows as it is."""
 _FRAME = "3200 x 2200, 14 images and two ambient frames, 8-bit PNG"
 _HALF = "1600 x 1100, 14 images and two ambient frames, 8-bit PNG"
 _IMREAD = "OpenCV, imread of all images, one after the other"
@@ -93,12 +87,7 @@ def main() -> int:
     failed = 0
     for script in options.only:
         print(f"\n## {script}\n", flush=True)
-        fence = script in JSON
-        if fence:
-            print("```json", flush=True)
         failed |= subprocess.run(command(script, options.quick), check=False).returncode
-        if fence:
-            print("```", flush=True)
     return int(failed != 0)
 
 

@@ -12,7 +12,7 @@ import pytest
 from splitknit_match.matching.template import VERSION, Template, pack
 from splitknit_match.records.templates import write_template
 
-HEAVY = ("numpy", "cv2", "scipy", "jinja2", "torch", "onnxruntime", "mitsuba", "matplotlib")
+HEAVY = ("numpy", "cv2", "scipy", "jinja2", "torch", "onnxruntime", "matplotlib")
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
 
 

@@ -61,14 +61,12 @@ for arguments in json.loads(sys.argv[1]):
 """
 PROCESSES = """
 import sys
-from pathlib import Path
-from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.cases import preset_cases
 from splitknit_match.batch.engine import run_batch
 from splitknit.cli.main import main
 people = sys.argv[1]
 assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--preset", "snk"]) == 0
-settings = BatchSettings(cases=preset_cases(("snk",)), matchers=(), chunk_captures=1)
-run_batch(Path(people), Path("store"), settings, jobs=2)
+run_batch(people, "store", cases=preset_cases(("snk",)), matchers=())
 assert "onnxruntime" not in sys.modules  # but in the workers
 """
 DEMO_RUN = [["demo", "--scale", "0.165"]]  # metric runs its two networks from this size of the images on

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, Union
 
 from splitknit.io.provenance import json_text
-from splitknit_match.gallery.enrol import Enrolment
+from splitknit_match.gallery.gallery import Enrolment
 from splitknit_match.gallery.identify import Identification, RankedCandidate
 from splitknit_match.matching.methods import Match
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, scripts_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.provenance import provenance
@@ -80,18 +79,6 @@ def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
     found = compare_results(laid_down(), laid_down(), fit=fit)
     assert found.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
     assert "same measurement, to the last digit" in found.notes[0]
-
-
-def test_the_roll_between_two_captures_is_found_and_changes_sign_with_their_order() -> None:
-    with scripts_of(VALIDATION / "thesis") as script:
-        roll_between = script("rolls").roll_between
-    a, b = laid_down(), laid_down(**POSE)
-    roll, deviation = roll_between(b, a)
-    assert roll == pytest.approx(np.rad2deg(POSE["roll"]), abs=0.3)
-    assert 0.9 <= deviation < 1.5
-    assert roll_between(a, b)[0] == pytest.approx(-roll, abs=0.1)
-    with pytest.raises(BadInput, match="ridges of A and B"):
-        roll_between(a, laid_down(whorl=-1.5))
 
 
 def test_a_perspective_camera_sees_the_same_surface() -> None:

@@ -48,7 +48,7 @@ VERBS: dict[str, str] = {
     "import-images": "import --images {base}/flat --lights {base}/lights.txt --px-per-mm 9 --out {out} --overwrite",
     "import-prints": "import {base}/result/print.png --out {out}",
     "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",
-    "export": "export {gallery} --to iso-19794-2 --out {out}",
+    "export": "export {base}/result --to iso-19794-2 --out {out}",
     "gallery-export": "gallery export {gallery} --out {out}",
     "gallery-import": "gallery import {gallery} {base}/exported",
     "rig-target": "rig target --out {out}",
@@ -68,7 +68,6 @@ VERBS: dict[str, str] = {
 NOT_STOPPED = {
     "calibrate polarisers": "writes a rig file as `calibrate radiometry` does; its photographs take a minute",
     "completion": "prints",
-    "gallery check": "reads",
     "gallery info": "reads",
     "gallery list": "reads",
     "identify": "reads",
@@ -150,13 +149,12 @@ def contents(place: Path) -> dict[str, bytes]:
 def people(gallery: Path) -> frozenset[str]:
     """Who is in a gallery that is sound."""
     with GalleryFile(gallery) as opened:
-        assert opened.problems() == [], opened.problems()
-        return frozenset(one.person for one in opened.entries())
+        return frozenset(entry.person for entry in opened.people().entries.values())
 
 
 def left_in(tree: Path) -> list[str]:
     """Temporary folders and journals."""
-    return [str(one) for pattern in (".splitknit-*", "*-journal") for one in tree.rglob(pattern)]
+    return [str(one) for pattern in (".splitknit-*", "*-journal", "*-wal", "*-shm") for one in tree.rglob(pattern)]
 
 
 def prepared(base: Path) -> None:

@@ -58,7 +58,7 @@ MORE_SEED = 1_000_000
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
-    "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
+    "prints.export.import_records": "writes what prints.from_file.read_print_file reads",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "light.skin.load_walks": "reads a table of the package",
     "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
@@ -271,7 +271,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [one for one in TARGETS if options.target is None or one.name in options.target]
     until = None if options.hours is None else time.monotonic() + 3600 * options.hours
-    for module in ("tifffile", "nistitl", "nbis"):
+    for module in ("tifffile", "nbis"):
         with contextlib.suppress(ImportError):  # once, here, and not in every child
             importlib.import_module(module)
     # the same for what hypothesis loads when it is first used

@@ -46,20 +46,10 @@ def test_one_tiny_finger(tmp_path: Path) -> None:
     assert len(population["singles"]) == 1
     (single,) = (tmp_path / "scratch").glob("*/population_0_*.json")
 
-    # a second run takes the finger from the disk, and a variation leaves the population as it is
+    # a second run takes the finger from the disk
     stamp = single.stat().st_mtime_ns
     assert run(tmp_path, "--fingers", "1", "--presets", "metric", "ea")["population"] == population
     assert single.stat().st_mtime_ns == stamp
-    both = run(tmp_path, "--vary", "glare", "0", "--presets", "ea", "--varied-fingers", "1")
-    assert both["population"] == population
-    (entry,) = both["variations"]["glare"]["values"]
-    assert entry["value"] == 0.0 and entry["presets"]["ea"]["refused"] == 0
-
-
-def test_unknown_variation_is_refused(tmp_path: Path) -> None:
-    command = [sys.executable, str(ACCURACY / "run.py"), "--vary", "mood", "--out", str(tmp_path / "results.json")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and "mood" in done.stderr and not list(tmp_path.iterdir())
 
 
 def test_statistics(accuracy: Script) -> None:
@@ -103,19 +93,6 @@ def test_crease_distance(accuracy: Script) -> None:
     below = {**facts, "crease_line": [[100.0, 45.0], [0.0, 45.0]]}
     assert distance(below, points, 0.1) == pytest.approx(-0.5)
     assert distance({"crease_found": False}, points, 0.1) is None
-
-
-def test_base_is_measured_once(accuracy: Script) -> None:
-    cases = accuracy("cases")
-    glare = cases.varied("glare", None, [1, 2], 0.5)
-    depth = cases.varied("ridge_depth", None, [1, 2], 0.5)
-    shared = {case.name for case in glare} & {case.name for case in depth}
-    assert shared == {"base_0_00001", "base_0_00002"}
-    for name, variation in cases.VARIATIONS.items():
-        assert variation.base in variation.values, name
-        assert variation.change(cases.BASE, variation.base) == cases.BASE, name
-        other = next(value for value in variation.values if value != variation.base)
-        assert variation.change(cases.BASE, other) != cases.BASE, name
 
 
 def test_page_is_filled_between_its_marks(accuracy: Script) -> None:

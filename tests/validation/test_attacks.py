@@ -68,14 +68,6 @@ def test_skin_without_blood_keeps_its_ridges_and_loses_its_red(presented):
     assert red_over_green(pale) < 0.9 * red_over_green(capture)
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes_and_another_another_instrument(presented):
-    again = simulate_attack(1, "silicone", SETTINGS)[0].bands["white"].pixels
-    other = simulate_attack(1, "silicone", SETTINGS, impression=1)[0].bands["white"].pixels
-    first = presented["silicone"][0].bands["white"].pixels
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-
-
 def test_what_is_no_species_or_cannot_be_shown_is_refused():
     assert len(SPECIES) == 12
     with pytest.raises(BadInput, match="photo-matt"):

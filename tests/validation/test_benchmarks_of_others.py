@@ -105,23 +105,6 @@ def test_luces(tmp_path: Path, run: Script) -> None:
 
 
 @pytest.mark.slow
-def test_prints(tmp_path: Path, run: Script, capsys: pytest.CaptureFixture[str]) -> None:
-    data = Path(run.__file__).resolve().parents[3] / "shared" / "data" / "fvc2002_db1b"
-    with pytest.raises(ValueError, match="needs"):
-        run.listed(tmp_path, "{finger}.png")
-    if not data.is_dir():
-        pytest.skip("needs the independent data set")
-    for name in ("101_1", "101_2", "102_1", "102_2", "103_1", "103_2"):
-        finger, sample = name.split("_")
-        (tmp_path / finger).mkdir(exist_ok=True)
-        (tmp_path / finger / f"{sample}.png").write_bytes((data / f"{name}.png").read_bytes())
-    assert run.main(["prints", str(tmp_path), "--pattern", "{finger}/{sample}.png", "--input-ppi", "500"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["genuine"], found["impostors"], found["failures"]) == (3, 12, [])
-    assert found["impostors_accepted"] == 0
-
-
-@pytest.mark.slow
 def test_surfaces_against_prints(tmp_path: Path, run: Script, capsys: pytest.CaptureFixture[str]) -> None:
     """Surfaces of 508 ppi and 13 x 15 mm, as tomographs give them, and contact prints of three simulated fingers."""
     down, right = 0.05 * np.mgrid[0:300, 0:260]

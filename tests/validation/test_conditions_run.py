@@ -53,48 +53,6 @@ def test_the_first_figure_to_leave_the_clean_range_is_found(script: Script, tmp_
     assert {row["figure"] for row in table if float(row["beyond"]) > 0} == {"ridge_correlation", "print_quality"}
 
 
-def test_rows_from_before_the_check_hear_of_specks_too(script: Script, tmp_path: Path) -> None:
-    summary = script("summary")
-    rows = [
-        _row(1, "dusty", 0.5, 0.9),
-        _row(2, "dusty", 0.5, 0.9, warnings=["white band: dark specks cover 9 % of it."]),
-    ]
-    said = "white band: dark specks cover 0.9 % of the finger: wipe the finger, and the lens or its cover."
-    found = [
-        {"set": "conditions", "seed": seed, "impression": 0, "kind": "dusty", "severity": 0.5, "said": [said]}
-        for seed in (1, 2)
-    ]
-    (tmp_path / "specks.jsonl").write_text("\n".join(json.dumps(row) for row in found))
-    mended = summary.with_specks(rows, tmp_path / "specks.jsonl")
-    assert [row["warnings"] for row in mended] == [[said], [said]]
-    heard = summary.sentences(mended, "metric")["dusty 0.5"]
-    assert heard["reconstruct silent"] == 0
-    assert summary.with_specks(rows, tmp_path / "none.jsonl") == rows
-
-
-def test_whom_the_check_for_specks_speaks_to(script: Script) -> None:
-    specks = script("specks")
-    said = "white band: dark specks cover 0.9 % of the finger: wipe the finger, and the lens or its cover."
-    fractions = {"white": [0.009, 0.0], "nir": [None, None]}
-    rows = [
-        {"set": "conditions", "kind": "dusty", "severity": 1.0, "shares": fractions, "said": [said] if k else []}
-        for k in range(4)
-    ]
-    found = specks.summary(rows)["conditions"]["dusty 1"]
-    assert found["captures"] == 4 and found["dust"]["told"] == 3 and found["dry"]["told"] == 0
-    low, high = found["dust"]["interval"]
-    assert 0.3 < low < 0.75 < high < 0.97
-    assert found["white_dark_percent"] == [0.9, 0.9, 0.9] and "nir_dark_percent" not in found
-
-
-def test_the_check_for_specks_holds_on_what_it_was_not_chosen_on() -> None:
-    found = json.loads((VALIDATION / "conditions" / "specks.json").read_text())
-    clean = found["population"]["clean"]
-    assert clean["captures"] >= 100 and clean["dust"]["told"] == clean["dry"]["told"] == 0
-    for name, cell in found["conditions"].items():
-        assert cell["dust"]["told"] == (cell["captures"] if name.startswith("dusty") else 0), name
-
-
 def test_both_directions_count_where_both_are_wrong(script: Script) -> None:
     summary = script("summary")
     clean = np.array([0.8, 1.0])
@@ -108,30 +66,6 @@ def test_the_committed_results_are_of_six_fingers() -> None:
     document = json.loads((VALIDATION / "conditions" / "conditions.json").read_text())
     assert len(document["fingers"]) >= 6
     assert set(document["first"]["metric"]) == {"wet", "dry", "dusty", "scarred", "glossy"}
-
-
-@pytest.mark.slow
-def test_specks_are_measured_and_the_run_goes_on(script: Script, tmp_path: Path, monkeypatch) -> None:
-    specks = script("specks")
-    monkeypatch.setattr(specks, "KINDS", ("dusty",))
-    monkeypatch.setattr(specks, "SEVERITIES", (1.0,))
-    command = [
-        "specks.py",
-        str(tmp_path),
-        "--seeds",
-        "5",
-        "--scales",
-        "--faults",
-        "--out",
-        str(tmp_path / "specks.json"),
-    ]
-    monkeypatch.setattr(sys, "argv", command)
-    specks.main()
-    before = (tmp_path / "specks.jsonl").read_text()
-    specks.main()
-    assert (tmp_path / "specks.jsonl").read_text() == before
-    found = json.loads((tmp_path / "specks.json").read_text())["conditions"]
-    assert found["dusty 1"]["dust"]["told"] == 1 and found["none 0"]["dust"]["told"] == 0
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.errors import BadInput
 
 with scripts_of(VALIDATION / "scanners") as script:
     focus, laser, stereo, structured_light = map(script, ("focus", "laser", "stereo", "structured_light"))
@@ -121,18 +120,3 @@ def test_silhouettes_of_a_cylinder_enclose_it() -> None:
     over = np.hypot(x, z + 5.0)[z > -3.0] - radius
     assert over.min() > -0.1
     assert over.max() < 0.4
-
-
-def test_what_cannot_be_decoded_is_refused() -> None:
-    with pytest.raises(BadInput, match="three steps"):
-        structured_light.decode(np.zeros((1, 2, 4, 4)), [10.0])
-    with pytest.raises(BadInput, match="descending"):
-        structured_light.decode(np.zeros((2, 3, 4, 4)), [10.0, 20.0])
-    with pytest.raises(BadInput, match="three frames"):
-        laser.peaks(iter([np.zeros((2, 2))]))
-    with pytest.raises(BadInput, match="three pictures"):
-        focus.depth(np.zeros((2, 4, 4)), 1.0)
-    with pytest.raises(BadInput, match="two to five"):
-        stereo.scan([np.zeros((2, 2), np.float32)], [view(0, 0)], np.zeros(3), 1.0)
-    with pytest.raises(BadInput, match="nothing of the finger"):
-        cloud_of(np.full((3, 3), np.nan), "none")

@@ -1,4 +1,4 @@
-"""The thesis's experiment at a tenth of its size, its table of claims, and the rule of roll by estimates."""
+"""The thesis's experiment at a tenth of its size, its table of claims."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ def test_the_dry_run_lists_the_steps_and_makes_nothing(tmp_path: Path) -> None:
         " batch ",
         "run.py cases",
         "run.py fusion",
-        "run.py rolls",
         "run.py figures",
         "claims",
     ]
@@ -57,30 +56,6 @@ def test_figure_5_6_has_the_thesis_s_bars_beside_ours(thesis: Script) -> None:
     groups = figures.accuracies(report.read(THESIS / "cases.csv"))
     assert [[name for name, *_ in bars] for _, bars in groups] == [["ea", "snk", "ea, thesis", "snk, thesis"]] * 3
     assert plots.bars_figure(groups) != plots.bars_figure(figures.accuracies([]))
-
-
-def test_pairs_and_fingers_are_discarded_by_estimated_roll(thesis: Script) -> None:
-    trials, variants = thesis("trials"), thesis("variants")
-    names = np.array([f"S01/session_{k}/left_thumb" for k in (1, 2, 3)])
-    captures = trials.Captures(
-        names, np.array(["S01"] * 3), np.array(["S01/left_thumb"] * 3), np.array(["1", "2", "3"])
-    )
-    pairs = trials.Pairs(captures, np.array([0, 0, 1]), np.array([1, 2, 2]))
-    truth = {str(name): {"roll_deg": 0.0} for name in names}
-    assert not variants.known_of(pairs, truth).discarded.any()
-    estimated = {(str(names[0]), str(names[2])): -16.0, (str(names[1]), str(names[0])): 4.0}
-    known = variants.known_of(pairs, truth, estimated)
-    np.testing.assert_array_equal(known.roll_difference_deg, [4.0, 16.0, np.nan])
-    assert known.discarded.all()
-    agreement = thesis("rolls").agreement(
-        [
-            {"a": names[k], "b": names[2], "true_deg": true, "roll_deg": true + 1.0, "deviation_deg": 1.0}
-            for k, true in ((0, -12.0), (1, 3.0), (0, 11.0))
-        ],
-        seed=0,
-    )
-    assert agreement["rms_deg"][0] == 1.0
-    assert agreement["above_10_deg"] == {"by truth": 2, "by estimate": 2, "by both": 2}
 
 
 def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 from collections.abc import Iterator
@@ -14,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import splitknit
-import splitknit_simulator
 from script_folder import Script, scripts_of
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
@@ -94,50 +91,6 @@ def population(folder: Path, store: MadeUpStore) -> Path:
 def read(file: Path) -> list[dict[str, str]]:
     with file.open(encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
-
-
-@pytest.mark.slow
-def test_crossed_images_are_a_case_of_their_own(tmp_path: Path, thesis: Script, monkeypatch) -> None:
-    run, chain, crossed = thesis("run"), thesis("chain"), thesis("crossed")
-    people, apart = tmp_path / "people", tmp_path / "people-crossed"
-    capture, _ = splitknit_simulator.simulate_capture(1, settings={"scale": 0.05})
-    white = capture.bands["white"]
-    dark = replace(white, name="white_crossed", pixels=white.pixels // 2, polarisation="crossed")
-    plain = people / "S01" / "session_1" / "right_index"
-    polarised = people / "S01" / "session_2" / "right_index"
-    splitknit.write_capture(capture, plain)
-    (people / "population.json").write_text("{}")
-    assert not crossed.crossed_population(people, apart)
-    assert not apart.exists()
-    bands = {"white": replace(white, polarisation="parallel"), "white_crossed": dark, "nir": capture.bands["nir"]}
-    splitknit.write_capture(replace(capture, bands=bands), polarised)
-    for _ in range(2):  # as a command that is stopped and goes on
-        assert crossed.crossed_population(people, apart)
-    assert (apart / "population.json").is_file()
-    found = splitknit.read_capture(apart / "S01" / "session_2" / "right_index")
-    assert list(found.bands) == ["white", "nir"]
-    np.testing.assert_array_equal(found.bands["white"].pixels, dark.pixels)
-    assert not (apart / "S01" / "session_1").exists()
-
-    ran: list[list[str]] = []
-    monkeypatch.setattr(chain, "_run", ran.append)
-    given = argparse.Namespace(
-        population=people, store=None, cases=["pr", "snk"], seed=1, jobs=1, small=False, prints=None, impostors=1.0
-    )
-    chain.run_chain(given)
-    assert [command[1] for command in ran] == ["simulate", "batch", "batch"]
-    assert ran[2][2:7] == [str(apart), "--out", str(tmp_path / "people-store-crossed"), "--cases", "snk"]
-
-    store = MadeUpStore()
-    joined = crossed.WithCrossed(store, store)
-    np.testing.assert_equal(joined.scores("snk-crossed", "ridge"), store.scores("snk", "ridge"))
-    np.testing.assert_equal(joined.features("ea"), store.features("ea"))
-    out, made = tmp_path / "out", population(tmp_path / "made", store)
-    monkeypatch.setattr(run, "_store", lambda options: joined)
-    (tmp_path / "store-crossed").mkdir()
-    given = ["cases", "--population", str(made), "--store", str(tmp_path / "store"), "--out", str(out)]
-    assert run.main([*given, "--replicates", "20", "--jobs", "1", "--cases", "snk", "ea"]) == 0
-    assert {row["case"] for row in read(out / "cases.csv")} == {"snk", "ea", "snk-crossed"}
 
 
 @pytest.mark.slow
@@ -384,24 +337,6 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
         np.testing.assert_array_equal(both[0].score, both[1].score)
 
 
-def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis: Script) -> None:
-    from splitknit_match.matching.features import lbp_codes, lbp_features
-
-    neighbours = thesis("neighbours")
-    image = handmade(3, 1).channels["relief"]
-    np.testing.assert_array_equal(
-        neighbours.patterns_at(image, 30.0, 1000.0 / 30.0), lbp_features(image, 30.0)
-    )  # one pixel
-    near, far = (lbp_codes(image, radius)[2:-2, 2:-2] for radius in (0.4, 1.0))
-    np.testing.assert_array_equal(near & 0b01010101, far & 0b01010101)
-    assert (near != far).mean() > 0.02
-    finer = neighbours.patterns_at(image, 30.0, neighbours.PIXEL_UM, finer=True)
-    assert finer.shape == lbp_features(np.zeros((379, 252), np.float32), 75.7).shape
-    names = [way.name for way in neighbours.ways_of(0.4, (1.0, 0.4))][::2]
-    assert names == ["scale 0.4, 33 um", "scale 0.4, 13 um, linear", "scale 0.4, 13 um, finer"]
-    assert [way.name for way in neighbours.ways_of(1.0, (1.0, 0.4))][::2] == ["scale 1, 13 um", "scale 1, 33 um"]
-
-
 @pytest.mark.slow
 def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) -> None:
     """A tiny population: ridges are found at their frequency, more scales take in more of the shape."""
@@ -428,18 +363,3 @@ def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) ->
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()}
     figures.run(tmp_path / "people", names, out, tmp_path / "scratch", 1, 1)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()} == files
-
-
-def test_a_window_is_a_disc_of_the_finger(thesis: Script) -> None:
-    from splitknit_match.matching.template import Template
-
-    windows, rng = thesis("windows"), np.random.default_rng(7)
-    valid = np.zeros((240, 160), dtype=np.bool_)
-    valid[20:220, 10:150] = True
-    template = Template(rng.integers(0, 4, valid.shape, dtype=np.uint8), valid, 0.1)
-    shown = windows.disc(template, 6.0, rng)
-    assert shown is not None
-    assert shown.area_mm2 == pytest.approx(np.pi * 9.0, rel=0.06)
-    assert max(shown.valid.shape) <= 61
-    assert not shown.level[~shown.valid].any()
-    assert windows.disc(template, 16.0, rng) is None, "there is no place for it"

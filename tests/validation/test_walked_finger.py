@@ -136,26 +136,6 @@ def test_without_absorption_all_light_comes_out_again_as_from_a_matt_surface():
 
 
 @needs_numba
-def test_dense_skin_is_lambertian_whatever_its_slope():
-    slope, pitch_mm = 0.4, 0.1
-    x = (np.arange(30) - 14.5) * pitch_mm
-    roof = patch(np.broadcast_to(-slope * np.abs(x), (30, 30)), pitch_mm)
-    solid, even = finger.solid_of(roof, LEDS), np.ones((30, 30), dtype=np.float32)
-    light = finger.walk_solid(
-        solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
-    ).radiance
-    albedo = diffusion_profile(10.0, 2.0).albedo
-    normal = np.array([slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
-    sides = []
-    for side in (-1, 1):
-        cosine = np.array([normal * [side, 1, 1] @ led.position_mm / np.linalg.norm(led.position_mm) for led in LEDS])
-        passed = STRENGTH * cosine * (1 - fresnel(cosine)) * (1 - float(fresnel(np.array(normal[2]))))
-        sides.append(albedo * passed / (np.pi * diffuse_transmittance()))
-    found = np.stack([light[:, :, 5:10].mean(axis=(1, 2)), light[:, :, 20:25].mean(axis=(1, 2))])
-    np.testing.assert_allclose(found, sides, rtol=0.04)
-
-
-@needs_numba
 def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
     # radiance at x = 0, 5.55 and -7.4 mm (slant 0, 33 and 58 deg) under a light of +x: `volume_radiance` of
     # validation/twin/volume.py, 200,000 walks each
@@ -227,21 +207,6 @@ def test_specular_reflection_of_a_level_surface_follows_the_microfacet_formula()
     one_way = 2 * COSINE[0] / (COSINE[0] + np.sqrt(0.25**2 + (1 - 0.25**2) * COSINE[0] ** 2))
     expected = STRENGTH[0] * spread * one_way * float(fresnel(np.array(n_h))) / 4
     np.testing.assert_allclose(specular(FLAT, LEDS[0], 0.25)[11:13, 11:13], expected, rtol=5e-3)
-
-
-def test_optics_are_drawn_from_their_ranges():
-    rng = np.random.default_rng(1)
-    drawn = [finger.draw_optics(rng) for _ in range(50)]
-    assert all(0.3 <= one.scattering_factor <= 1.5 and 0.15 <= one.roughness <= 0.45 for one in drawn)
-    assert np.ptp([one.spread for one in drawn]) > 0.7
-
-
-@needs_numba
-def test_what_it_does_not_know_is_refused():
-    with pytest.raises(BadInput, match="without a lobe"):
-        finger.render_finger(FLAT, (replace(LEDS[0], lobe_exponent=2.0),), "red", EVEN)
-    with pytest.raises(BadInput, match="above zero"):
-        finger.render_finger(FLAT, LEDS, "red", EVEN, walks=0.0)
 
 
 def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from numpy.typing import NDArray
 
 import splitknit
 import splitknit_simulator
-from cases import Case, Truth, photographed
 from splitknit.accuracy import Comparison, compare
 from splitknit.model import Reconstruction
 from splitknit_simulator.finger.finger import draw_finger
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import simulate_capture
 
 CREASE_TOLERANCE_MM = 1.0
 """A cut that lies further below the crease has kept skin of the next phalanx."""
@@ -24,6 +26,23 @@ SIDE_LINES_MM = 3.4
 """Lines beside the crease belong to the same joint; where a finger has any, a cut at the uppermost is right as well."""
 IN_VIEW_MM = 1.5
 """A crease nearer to the lower border than this is too close to judge."""
+
+
+Truth = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One capture of one finger; everything is drawn from the twin's own ranges."""
+
+    seed: int
+    impression: int = 0
+    scale: float = 0.5
+
+    @property
+    def name(self) -> str:
+        """Unique, fit for a file."""
+        return f"population_{self.impression}_{self.seed:05d}"
 
 
 def source_hash() -> str:
@@ -40,12 +59,11 @@ def source_hash() -> str:
 def measure(case: Case, presets: Sequence[str]) -> dict[str, Any]:
     """Everything that is known of one case, as plain numbers and words."""
     started = time.perf_counter()
-    capture, truth = photographed(case)
+    settings = TwinSettings(scale=case.scale)
+    capture, truth = simulate_capture(case.seed, None, settings, impression=case.impression)
     measured: dict[str, Any] = {
         "seed": case.seed,
         "impression": case.impression,
-        "vary": case.vary,
-        "value": case.value,
         "drawn": _drawn(truth),
         "simulate_s": time.perf_counter() - started,
         "presets": {},

@@ -100,20 +100,6 @@ def population_csv(population: Tree) -> str:
     return _csv(lines)
 
 
-def variations_csv(variations: Tree) -> str:
-    """One thing at a time: one line for each value and preset; means over the fingers."""
-    keys = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area", "normals_mean_deg")
-    lines = [["varied", "words", "unit", "base", "fingers", "value", "preset", *keys]]
-    for name, variation in variations.items():
-        first = [name, variation["words"], variation["unit"], f"{variation['base']:g}", str(variation["fingers"])]
-        for entry in variation["values"]:
-            for preset in in_order(entry["presets"]):
-                found = entry["presets"][preset]
-                cells = [f"{found[key]:.{ROWS[key].digits}f}" if key in found else "refused" for key in keys]
-                lines.append([*first, f"{entry['value']:g}", preset, *cells])
-    return _csv(lines)
-
-
 def singles_csv(population: Tree, preset: str = "metric") -> str:
     """Every finger."""
     keys = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area")
@@ -157,8 +143,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         TABLES / "population.csv": population_csv(population),
         TABLES / "fingers.csv": singles_csv(population),
     }
-    if "variations" in results:
-        wanted[TABLES / "variations.csv"] = variations_csv(results["variations"])
     stale = [place for place, text in wanted.items() if not place.exists() or place.read_text("utf-8") != text]
     if options.check:
         print(f"not up to date: {', '.join(place.name for place in stale)}" if stale else "up to date")

@@ -1,13 +1,11 @@
 """How accurate are the presets on fingers of the digital twin?
 
     python validation/accuracy/run.py                          # 24 drawn fingers: metric, ea, snk
-    python validation/accuracy/run.py --vary scattering 0.7 1 1.4
-    python validation/accuracy/run.py --vary all               # everything of cases.py, with its own values
     python validation/accuracy/report.py                       # docs/experiments/accuracy.md, tables/ from results.json
 
 One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so that a run that was
 stopped goes on where it was, and results of other code are never mixed in. One process a core; figures do not depend
-on how many. Without ``--vary`` the first part of ``results.json`` is replaced, with it the variations named.
+on how many. The population of ``results.json`` is replaced.
 """
 
 from __future__ import annotations
@@ -25,43 +23,26 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "accuracy"
 PRESETS = ("metric", "ea", "snk")
-VARIED = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area", "ridge_rms_um", "normals_mean_deg")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     # before numpy is imported: one thread of linear algebra a process
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from measure import source_hash
+    from measure import Case, source_hash
 
-    from cases import VARIATIONS, Case, varied
+    from report import population_csv
 
-    presets = tuple(options.presets) if options.presets else (("metric",) if options.vary else PRESETS)
+    presets = tuple(options.presets)
     seeds = range(options.first_seed, options.first_seed + options.fingers)
-    if not options.vary:
-        cases = [Case(seed, k, scale=options.scale) for seed in seeds for k in range(options.impressions)]
-        names: list[str] = []
-    else:
-        names = list(VARIATIONS) if options.vary[0] == "all" else [options.vary[0]]
-        if names[0] not in VARIATIONS:
-            print(f"there is no variation '{names[0]}'; known are all, {', '.join(VARIATIONS)}.", file=sys.stderr)
-            return 2
-        values = [float(text) for text in options.vary[1:]] or None
-        seeds = range(options.first_seed, options.first_seed + min(options.fingers, options.varied_fingers))
-        cases = [case for name in names for case in varied(name, values, seeds, options.scale)]
+    cases = [Case(seed, k, options.scale) for seed in seeds for k in range(options.impressions)]
     code = source_hash()
-    folder = options.scratch / f"{code[:12]}_{options.scale:g}"
-    measured = _measure_all(cases, presets, folder, options.workers)
+    measured = _measure_all(cases, presets, options.scratch / f"{code[:12]}_{options.scale:g}", options.workers)
     results = _read(options.out)
     common = {"source_sha256": code, "scale": options.scale, "first_seed": seeds.start, "fingers": len(seeds)}
-    if not options.vary:
-        results["population"] = _population(measured, presets, {**common, "impressions": options.impressions})
-    for name in names:
-        of_one = varied(name, values, seeds, options.scale)
-        lines = [measured[cases.index(case)] for case in of_one]
-        results.setdefault("variations", {})[name] = _variation(name, of_one, lines, presets, common)
+    results["population"] = _population(measured, presets, {**common, "impressions": options.impressions})
     options.out.write_text(json.dumps(_rounded(results), indent=1, sort_keys=True) + "\n", encoding="ascii")
-    _show(results, names)
+    print(population_csv(results["population"]))
     return 0
 
 
@@ -71,9 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
     parser.add_argument("--impressions", type=int, default=1, help="captures of each finger, each in a pose of its own")
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
-    parser.add_argument("--presets", nargs="+", choices=["metric", "snk", "pr", "ea", "pr-split", "ea-split"])
-    parser.add_argument("--vary", nargs="+", metavar=("NAME", "VALUE"), help="vary one thing (or all) instead")
-    parser.add_argument("--varied-fingers", type=int, default=3, help="fingers of a variation, at most")
+    parser.add_argument("--presets", nargs="+", default=PRESETS)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=HERE / "results.json")
     parser.add_argument("--scratch", type=Path, default=OUT, help="folder of the single results")
@@ -84,24 +63,11 @@ def _measure_all(cases: Sequence[Any], presets: Sequence[str], folder: Path, wor
     """Results of all cases in their order; those that are on disk already are not measured again."""
     folder.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)}
-    if workers <= 1 or len(wanted) <= 1:
-        _one_thread()
-        for done, case in enumerate(wanted.values(), start=1):
-            _measure_one(case, tuple(presets), folder)
-            _report(done, len(wanted))
-    else:
-        context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-            jobs = [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]
-            for done, job in enumerate(concurrent.futures.as_completed(jobs), start=1):
-                job.result()
-                _report(done, len(wanted))
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        for job in [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]:
+            job.result()
     return [json.loads((folder / f"{case.name}.json").read_text()) for case in cases]
-
-
-def _report(done: int, of: int) -> None:
-    if sys.stderr.isatty():
-        print(f"{done} of {of} fingers", file=sys.stderr)
 
 
 def _holds(file: Path, presets: Sequence[str]) -> bool:
@@ -148,26 +114,6 @@ def _population(measured: Sequence[Any], presets: Sequence[str], common: dict[st
     return {**common, "presets": summarise(measured, presets), "singles": singles}
 
 
-def _variation(
-    name: str, cases: Sequence[Any], measured: Sequence[Any], presets: Sequence[str], common: dict[str, Any]
-) -> dict[str, Any]:
-    """Mean over the fingers of every figure, for each value and preset."""
-    from cases import VARIATIONS
-
-    base = VARIATIONS[name].base
-    at = [base if case.vary == "base" else case.value for case in cases]
-    lines = []
-    for value in sorted(set(at)):
-        these = [m for m, v in zip(measured, at, strict=True) if v == value]
-        entry: dict[str, Any] = {"value": value, "presets": {}}
-        for preset in presets:
-            done = [m["presets"][preset]["figures"] for m in these if "figures" in m["presets"][preset]]
-            means = {key: sum(f[key] for f in done) / len(done) for key in VARIED} if done else {}
-            entry["presets"][preset] = {**means, "refused": len(these) - len(done)}
-        lines.append(entry)
-    return {**common, "words": VARIATIONS[name].words, "unit": VARIATIONS[name].unit, "base": base, "values": lines}
-
-
 def _read(file: Path) -> dict[str, Any]:
     return dict(json.loads(file.read_text())) if file.is_file() else {"format": "splitknit-accuracy", "version": 1}
 
@@ -179,13 +125,6 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list):
         return [_rounded(item) for item in value]
     return float(f"{value:.5g}") if isinstance(value, float) else value
-
-
-def _show(results: dict[str, Any], names: Sequence[str]) -> None:
-    from report import population_csv, variations_csv
-
-    some = {name: results["variations"][name] for name in names}
-    print(variations_csv(some) if names else population_csv(results["population"]))
 
 
 if __name__ == "__main__":

@@ -23,28 +23,29 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 HEIGHTS_MM = (0.0, 2.5, 5.0, 7.5, 10.0)
 STEP = 4
+FIRST_SEED = 100
+SCALE = 0.12
+"""Of the images."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))  # before numpy is imported
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--scale", type=float, default=0.12, help="of the images (default: 0.12)")
     parser.add_argument("--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)")
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
     parser.add_argument("--tables", type=Path, help="folder for the tables as CSV")
     options = parser.parse_args(arguments)
-    seeds = range(options.first_seed, options.first_seed + options.rigs)
+    seeds = range(FIRST_SEED, FIRST_SEED + options.rigs)
     results: dict[str, Any] = {
         "format": "splitknit-calibration-radiometry",
         "version": 1,
         "rigs": options.rigs,
-        "first_seed": options.first_seed,
-        "scale": options.scale,
-        "plane": plane(seeds, options.scale),
-        "heights": heights(seeds, options.scale),
-        "drift": drift(options.fingers, options.first_seed),
+        "first_seed": FIRST_SEED,
+        "scale": SCALE,
+        "plane": plane(seeds, SCALE),
+        "heights": heights(seeds, SCALE),
+        "drift": drift(options.fingers, FIRST_SEED),
     }
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="ascii")
     print(summary(results))
@@ -86,7 +87,7 @@ def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
 def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], float]:
     """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
-    from radiometry_cards import Card, as_placed, photograph
+    from radiometry_cards import as_placed, card_of, photograph
 
     from splitknit_rig.calibration.card_model import CardPlane
     from splitknit_rig.calibration.radiometry import fit_radiometry
@@ -95,9 +96,9 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
     tilt = tuple(rig.provenance["base_tilt_deg"]) if case.base_tilt == "known" else (0.0, 0.0)
-    capture = photograph(Card(rig, case, seed=seed), stored, case, seed)
+    capture = photograph(card_of(rig, case), stored, case, seed)
     found = fit_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
-    truth = Card(rig, case, even=True)
+    truth = card_of(rig, case, even=True)
     return found, errors(found.rig, truth, 0.0), float(found.flat_field.rms_percent.max())
 
 
@@ -113,7 +114,7 @@ def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
 def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     """Model against division by the card's images, for an even surface at heights above the plane."""
     import numpy as np
-    from radiometry_cards import CASES, Card
+    from radiometry_cards import CASES, card_of
 
     from splitknit_simulator.rigs import built_rig
 
@@ -122,9 +123,9 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     for seed in seeds:
         rig = built_rig(seed, scale=scale)
         calibrated = measure(seed, scale, case)[0].rig
-        card = _light(Card(rig, case, even=True))
+        card = _light(card_of(rig, case, even=True))
         for z in HEIGHTS_MM:
-            truth = _light(Card(rig, case, z, even=True))
+            truth = _light(card_of(rig, case, z, even=True))
             towards = _directions(rig, z)
             flat = _directions(rig, 0.0)[..., 2]  # a card's image has its cosine in it
             nothing = _directions_weight(rig, z)

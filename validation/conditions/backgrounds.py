@@ -1,6 +1,6 @@
 """Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py SCRATCH``.
 
-Six simulated fingers (or ``--seeds``) before the twin's black background and before black, green, blue and purple paper
+Six simulated fingers before the twin's black background and before black, green, blue and purple paper
 (the thesis, section 4.1.2); presets metric and snk. A row of SCRATCH/backgrounds.jsonl is one preset on one capture;
 running it again goes on. The table is written to ``tables/backgrounds.csv``.
 """
@@ -71,10 +71,10 @@ def _farthest(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     return float(to_second[edges[0]].max())
 
 
-def rows_of(seed: int, background: str, presets: list[str], scale: float) -> list[dict[str, Any]]:
+def rows_of(seed: int, background: str, presets: list[str]) -> list[dict[str, Any]]:
     """What segmentation and every preset make of one capture."""
     settings = TwinSettings(
-        scale=scale, render=RenderSettings(workers=1), background=BackgroundSettings(colour=COLOURS[background])
+        scale=SCALE, render=RenderSettings(workers=1), background=BackgroundSettings(colour=COLOURS[background])
     )
     capture, truth = simulate_capture(seed, settings=settings)
     row: dict[str, Any] = {"seed": seed, "background": background}
@@ -113,24 +113,21 @@ def main() -> None:
     """Simulate, segment, reconstruct, append, write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scratch", type=Path)
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--presets", nargs="+", default=["metric", "snk"])
-    parser.add_argument("--scale", type=float, default=SCALE)
-    parser.add_argument("--table", type=Path, default=TABLE)
     options = parser.parse_args()
     options.scratch.mkdir(parents=True, exist_ok=True)
     kept = options.scratch / "backgrounds.jsonl"
     rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
     done = {(row["seed"], row["background"], row["preset"]) for row in rows}
-    for seed in options.seeds:
+    for seed in SEEDS:
         for background in COLOURS:
             missing = [preset for preset in options.presets if (seed, background, preset) not in done]
-            for row in rows_of(seed, background, missing, options.scale) if missing else []:
+            for row in rows_of(seed, background, missing) if missing else []:
                 rows.append(row)
                 with kept.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(json.dumps(row), flush=True)
-    with options.table.open("w", newline="") as file:
+    with TABLE.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(table(rows))
 
 

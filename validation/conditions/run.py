@@ -4,7 +4,7 @@ Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1,
 snk and ea-split. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth,
 quality of the unrolled print, similarity with another, clean capture of the same finger, and all that the software
 said. Running it again goes on; ``--keep`` leaves the captures in SCRATCH/captures (84 MB each), for a later run of
-other presets and for ``specks.py``. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and
+other presets. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and
 ``conditions.json``.
 """
 

@@ -119,26 +119,6 @@ def sentences(rows: list[dict[str, Any]], preset: str) -> dict[str, dict[str, in
     return {key: dict(count.most_common()) for key, count in heard.items()}
 
 
-def with_specks(rows: list[dict[str, Any]], file: Path) -> list[dict[str, Any]]:
-    """Rows that were made before specks were looked for, with what is said of specks today (``specks.py``)."""
-    if not file.is_file():
-        return rows
-    found = [json.loads(line) for line in file.read_text().splitlines()]
-    said = {_capture(row): row["said"] for row in found if row["set"] == "conditions"}
-
-    def mended(row: dict[str, Any]) -> dict[str, Any]:
-        if row["exit"] or _capture(row) not in said:
-            return row
-        kept = [text for text in row["warnings"] if " specks cover " not in text]
-        return row | {"warnings": kept + said[_capture(row)]}
-
-    return [mended(row) for row in rows]
-
-
-def _capture(row: dict[str, Any]) -> tuple[Any, ...]:
-    return row["seed"], row["impression"], row["kind"], row["severity"]
-
-
 def advice_of(row: dict[str, Any]) -> tuple[str, ...]:
     """Advice on the print in the words of today."""
     if "print_figures" not in row:
@@ -189,7 +169,6 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="page whose table is replaced, such as conditions.md")
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.scratch / "rows.jsonl").read_text().splitlines()]
-    rows = with_specks(rows, options.scratch / "specks.jsonl")
     table = cells(rows)
     presets = sorted({row["preset"] for row in rows}, key=lambda name: (name != "metric", name != "snk", name))
     with (options.out / "conditions.csv").open("w", newline="") as file:

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import beta
 
 from splitknit.io.prints import read_print_png
-from splitknit_match.gallery.entry import Entry, NewCapture
+from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.identify import templates_hash
 from splitknit_match.gallery.minutia_index import MinutiaIndex

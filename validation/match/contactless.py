@@ -5,9 +5,7 @@
 
 Contactless: one capture of each finger in a pose of its own, and of it four prints: the relief of ``metric``, on the
 plane and unrolled, and the photograph, on the plane and unrolled. Contact: one press of each finger on each sensor. A
-sensor is a range of areas, of moisture and of stretch; its range of areas is chosen so that presses show about the
-area that that set's prints show (`area` in ``contactless.json``, mm2, 10th, 50th and 90th percentile of both),
-the other ranges follow from what FVC says of the set (small, large, distorted, wet and dry). All pairs are compared by
+sensor is a range of areas, of moisture and of stretch (``pressed_prints.py``). All pairs are compared by
 the default matcher. Both sides are our simulator's. Intervals of 95 % draw fingers. FOLDER keeps what is made, so an
 interrupted run goes on.
 """
@@ -17,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -25,8 +22,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from fvc import FAR_0, REAL, Job, kept, made, prints
-from pressed_prints import PressRanges, press
+from fvc import FAR_0, REAL, kept
+from pressed_prints import SENSORS, press
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput
@@ -49,22 +46,6 @@ KINDS = {
     "photograph": ("photo", None),
     "photograph, unrolled": ("photo", "free"),
 }
-DEFAULT = PressRanges()
-SENSORS = {
-    "fvc2000_db2b": replace(DEFAULT, half_width_mm=(6.0, 7.5), half_height_mm=(8.0, 9.5)),
-    "fvc2000_db3b": replace(DEFAULT, half_width_mm=(7.5, 11.0), half_height_mm=(9.6, 16.0)),
-    "fvc2002_db2b": replace(DEFAULT, half_width_mm=(5.0, 9.0), half_height_mm=(6.5, 11.5)),
-    "fvc2004_db1b": replace(
-        DEFAULT, half_width_mm=(4.5, 9.0), half_height_mm=(6.0, 11.5), stretch_mm=0.6, turn_deg=15.0
-    ),
-    "fvc2004_db2b": replace(
-        DEFAULT, half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
-        patches=0.2,
-    ),
-    "fvc2004_db3b": replace(
-        DEFAULT, half_width_mm=(4.8, 8.5), half_height_mm=(6.0, 10.5), noise_grey=(2.0, 6.0)
-    ),
-}  # fmt: skip
 
 
 def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:
@@ -97,12 +78,6 @@ def pressed(number: int, folder: Path) -> dict[str, Template]:
     return templates
 
 
-def area(templates: Iterable[Template]) -> list[float]:
-    """10th, 50th and 90th percentile of what prints show, mm2."""
-    shown = [float(one.valid.sum()) * one.pitch_mm**2 for one in templates]
-    return [round(float(part)) for part in np.percentile(shown, (10, 50, 90))]
-
-
 def rates(one: Scores, settings: BootstrapSettings) -> dict[str, Any]:
     """EER and GAR with intervals by finger, percent."""
     found = bootstrap(one, "finger", settings).figures
@@ -119,23 +94,15 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--fingers", type=int, default=24)
     parser.add_argument("--scale", type=float, default=0.3, help="of the camera")
-    parser.add_argument("--replicates", type=int, default=300)
-    parser.add_argument("--cache", type=Path, help="of fvc.py: the areas of real prints are added")
     parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    settings = BootstrapSettings(replicates=options.replicates, targets=(0.01, 0.001, FAR_0), curve_points=0)
+    settings = BootstrapSettings(replicates=300, targets=(0.01, 0.001, FAR_0), curve_points=0)
     options.work.mkdir(parents=True, exist_ok=True)
     fingers = range(options.fingers)
     presses = [pressed(k, options.work) for k in fingers]
     captures = [captured(k, options.work, options.scale) for k in fingers]
-    facts: dict[str, Any] = {"fingers": options.fingers, "scale": options.scale, "area": {}, "rates": {}}
-    for name in SENSORS:
-        facts["area"][name] = {"simulated": area(one[name] for one in presses)}
-        if options.cache is not None:
-            job = Job(options.cache, "1")
-            facts["area"][name]["real"] = area(made(image, "template", job) for image in prints(name, job)[0])
-        print(name, facts["area"][name], flush=True)
+    facts: dict[str, Any] = {"fingers": options.fingers, "scale": options.scale, "rates": {}}
     ready = {name: [Prepared(one[name]) for one in presses] for name in REAL}
     for kind in KINDS:
         probes = [Prepared(one[kind]) if kind in one else None for one in captures]

@@ -1,17 +1,16 @@
 """Real prints of seven sensors by FVC's protocol: every system on the same pairs, peers included.
 
     python validation/match/fvc.py                                   # the shipped matcher and its peers, a table
-    python validation/match/fvc.py --systems fusion mcc --sets fvc2004_db1b fvc2004_db2b
+    python validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b
     python validation/match/fvc.py --systems fusion --leave-one-set-out --turned
-    python validation/match/fvc.py --systems fusion --version enhance2   # features of changed code (see below)
 
 Sets: ``../shared/data/fvc`` and ``fvc2002_db1b`` (fingers 101 to 105, eight impressions), and simulated presses
 (``pressed_prints.py``, 24 fingers, four presses, seeds from 95,000). *All pairs*: 140 genuine and 640 impostor ones a
 set. *FVC*: the same genuine ones, and the first impressions of all fingers as impostors (ten a set). Pooled: the six
 sets of ``fvc`` at one threshold. A failure to acquire is a rejection. Intervals of 95 % draw fingers (five a set).
 
-What is made of a print is kept in ``--cache`` by the print's hash and ``--version``: name another version (or run
-``--fresh``) after a change of extraction. Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants
+What is made of a print is kept in ``--cache`` by the print's hash: name another one after a change of extraction.
+Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants
 anew for every set, on the evidence of all others; the shipped ones are fitted on simulated presses alone
 (``--fit``, 24 fingers, four presses, seeds from 92,000), of which no finger is reported.
 """
@@ -19,7 +18,6 @@ anew for every set, on the evidence of all others; the shipped ones are fitted o
 from __future__ import annotations
 
 import argparse
-import contextlib
 import hashlib
 import itertools
 import json
@@ -27,14 +25,13 @@ import multiprocessing
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from cylinders import cylinders, mcc_similarity
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
@@ -100,19 +97,12 @@ def bozorth(a: Any, b: Any) -> float:
     return minutiae_match(a, b) if a.acquired and b.acquired else float("nan")
 
 
-def mcc(a: Any, b: Any) -> float:
-    """The published cylinder code."""
-    return mcc_similarity(a, b) if len(a.turn) and len(b.turn) else float("nan")
-
-
 SYSTEMS = {
     "fusion": System("template", Prepared, fused),
     "ridge": System("template", Prepared, ridges),
     "minutiae": System("phase", lambda one: one, bozorth),
     "enhanced": System("enhanced", lambda one: one, bozorth),
     "nbis-py": System("raw", lambda one: one, bozorth),
-    "mcc": System("phase", cylinders, mcc),
-    "mcc-raw": System("raw", cylinders, mcc),
 }
 
 
@@ -121,10 +111,7 @@ class Job:
     """Where prints and what is made of them are kept."""
 
     cache: Path
-    version: str
-    fresh: bool = False
     turn: bool = False
-    impostors: int | None = None
     fingers: int = 24
     presses: int = 4
 
@@ -176,8 +163,8 @@ def kept(file: Path, thing: Any) -> None:
 def made(image: Image, kind: str, job: Job) -> Any:
     """What a system keeps of a print."""
     name = hashlib.sha256(image.tobytes() + str(image.shape).encode()).hexdigest()[:24]
-    file = job.cache / f"{kind}_{job.version}" / name
-    if job.fresh or not file.is_file():
+    file = job.cache / f"{kind}_1" / name
+    if not file.is_file():
         kept(file, FEATURES[kind](image))
     return pickle.loads(file.read_bytes())
 
@@ -212,7 +199,7 @@ def compared(task: tuple[str, str, Job]) -> Found:
     system = SYSTEMS[system_name]
     images, owner, impression = prints(name, job)
     sides = [system.ready(made(image, system.make, job)) for image in images]
-    pairs = pairs_of(owner, 800 if name in SIMULATED else job.impostors)
+    pairs = pairs_of(owner, 800 if name in SIMULATED else None)
     for one in sides:  # what is made at the first use is not part of a pair's time
         system.score(one, one)
     begun = time.process_time()
@@ -337,42 +324,27 @@ def line(name: str, system: str, row: dict[str, Any]) -> str:
     )
 
 
-@contextlib.contextmanager
-def workers(count: int) -> Iterator[Callable[..., Any]]:
-    """`map` of some processes."""
-    if count < 2:
-        yield map
-        return
-    with multiprocessing.Pool(count) as pool:
-        yield pool.imap
-
-
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--systems", nargs="+", choices=list(SYSTEMS), default=list(SYSTEMS))
     parser.add_argument("--sets", nargs="+", choices=(*REAL, KNOWN, *SIMULATED), default=(*REAL, KNOWN, "simulated"))
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
-    parser.add_argument("--version", default="1", help="of what is made of a print")
-    parser.add_argument("--fresh", action="store_true", help="make everything anew")
     parser.add_argument("--turned", action="store_true", help="every print by an angle of its own, 0 to 360 deg")
     parser.add_argument("--fit", action="store_true", help="the fusion's constants, on the set simulated_fit")
     parser.add_argument("--leave-one-set-out", action="store_true", help="the fusion, fitted on all other sets")
-    parser.add_argument("--impostors", type=int, help="at most, of a set: for a quick look")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--replicates", type=int, default=300)
     parser.add_argument("--write", action="store_true", help=f"add the figures to {OUT.name}")
     options = parser.parse_args()
     sets = (*options.sets, *(("simulated_fit",) if options.fit and "simulated_fit" not in options.sets else ()))
-    job = Job(options.cache, options.version, options.fresh, options.turned, options.impostors)
-    settings = BootstrapSettings(replicates=options.replicates, targets=(0.01, 0.001, FAR_0), curve_points=0)
+    job = Job(options.cache, options.turned)
+    settings = BootstrapSettings(replicates=300, targets=(0.01, 0.001, FAR_0), curve_points=0)
     facts: dict[str, Any] = {}
     print(HEAD, flush=True)
-    with workers(options.processes) as spread:
+    with multiprocessing.Pool(2) as pool:
         for system in options.systems:
             found = {}
             tasks = [(name, system, job) for name in sets]
-            for name, one in zip(sets, spread(compared, tasks), strict=True):
+            for name, one in zip(sets, pool.imap(compared, tasks), strict=True):
                 found[name] = one
                 facts.setdefault(system, {})[name] = figures(one, settings)
                 print(line(name, system, facts[system][name]), flush=True)

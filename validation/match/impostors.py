@@ -6,7 +6,6 @@
 writes the tables that ``splitknit match`` reads,
 ``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces are the true ones, in
 poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not on how well they were reconstructed.
-Real prints (FVC2002 DB1_B) are added to ``ridge`` for comparison where the independent data is present.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -22,21 +20,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drawn import drawn_surface
 from pressed_prints import finger, press
 
+from splitknit.finger.orientation import find_upright
 from splitknit.finger.ridges import surface_print
-from splitknit.io.prints import read_print_png
+from splitknit.model import Surface, default_rig
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import TABLES
 from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
-from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.score import calibrate_scores
 from splitknit_match.matching.surface import MatchingSettings, surface_template
-from splitknit_match.matching.template import make_template
 from splitknit_match.prints.from_file import print_minutiae
+from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 FOLDER = Path(__file__).resolve().parents[2] / "packages" / "splitknit-match" / "src" / "splitknit_match" / "matching"
 
@@ -49,6 +46,25 @@ class Route:
     prepare: Callable[[Any], Any]
     score: Callable[[Any, Any], float]
     what: str
+
+
+PHALANGE_MM = 20.0
+"""Of each finger so much is used, from the tip on: what a reconstruction keeps."""
+
+
+def drawn_surface(seed: int, scale: float) -> Surface:
+    """Finger `seed`, seen by a camera of `scale`."""
+    camera = default_rig(scale).camera
+    pose = PoseRanges().draw(np.random.default_rng([seed, 7]), camera)
+    seen = finger_surface(draw_finger(seed), pose, camera)
+    first = int(np.argmax(seen.mask.any(axis=1)))
+    mask = seen.mask.copy()
+    mask[first + round(PHALANGE_MM * camera.px_per_mm) :] = False
+    upright = find_upright(mask)
+    return Surface(
+        seen.height_mm - seen.shape_mm, seen.shape_mm, seen.normals, mask, camera.pitch_mm,
+        upright.input_from_upright, upright.size,
+    )  # fmt: skip
 
 
 def pressed(seed: int) -> Any:
@@ -70,28 +86,6 @@ ROUTES = {
     "minutiae": Route(FINE, lambda one: extract(surface_print(one)), minutiae_match, "relief prints"),
     "minutiae_of_prints": Route(pressed, print_minutiae, minutiae_match, "presses"),
 }  # fmt: skip
-
-
-def real_prints() -> dict[str, Any]:
-    """Scores of ``ridge`` on real prints, where they are present."""
-    folder = os.environ.get("SPLITKNIT_DATA", str(Path(__file__).resolve().parents[3] / "shared" / "data"))
-    files = sorted((Path(folder) / "fvc2002_db1b").glob("*.png"))
-    if not files:
-        return {}
-    prints = [Prepared(make_template(print_band(read_print_png(file).image))) for file in files]
-    owners = [file.stem.split("_")[0] for file in files]
-    real: dict[bool, list[float]] = {True: [], False: []}
-    for (a, owner), (b, other) in itertools.combinations(zip(prints, owners, strict=True), 2):
-        real[owner == other].append(ridge_match(a, b).similarity)
-    largest = max(real[False])
-    found = {
-        "genuine": len(real[True]),
-        "impostors": len(real[False]),
-        "impostor_median": round(float(np.median(real[False])), 4),
-        "impostor_largest": round(largest, 4),
-        "gar_at_far_0": round(float(np.mean(np.array(real[True]) > largest)), 4),
-    }
-    return {"real_prints": found}
 
 
 def main() -> None:
@@ -121,7 +115,6 @@ def main() -> None:
             "impostors": table.impostors,
             "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-            **(real_prints() if name == "ridge" else {}),
             "impostor_median": round(float(np.median(scores)), 4),
             "impostor_largest": round(float(scores.max()), 4),
         }

@@ -6,7 +6,7 @@ tried on them; they are wide, so that the plain route fails on some.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,6 +43,25 @@ class PressRanges:
     noise_grey: tuple[float, float] = (4.0, 16.0)
     scratches: int = 3
     """At most."""
+
+
+DEFAULT = PressRanges()
+SENSORS = {
+    "fvc2000_db2b": replace(DEFAULT, half_width_mm=(6.0, 7.5), half_height_mm=(8.0, 9.5)),
+    "fvc2000_db3b": replace(DEFAULT, half_width_mm=(7.5, 11.0), half_height_mm=(9.6, 16.0)),
+    "fvc2002_db2b": replace(DEFAULT, half_width_mm=(5.0, 9.0), half_height_mm=(6.5, 11.5)),
+    "fvc2004_db1b": replace(
+        DEFAULT, half_width_mm=(4.5, 9.0), half_height_mm=(6.0, 11.5), stretch_mm=0.6, turn_deg=15.0
+    ),
+    "fvc2004_db2b": replace(
+        DEFAULT, half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
+        patches=0.2,
+    ),
+    "fvc2004_db3b": replace(
+        DEFAULT, half_width_mm=(4.8, 8.5), half_height_mm=(6.0, 10.5), noise_grey=(2.0, 6.0)
+    ),
+}  # fmt: skip
+"""Presses on six models of sensors: as large as the prints of these sets, and as FVC says of the set."""
 
 
 def finger(seed: int) -> MasterPrint:

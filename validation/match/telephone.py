@@ -1,8 +1,6 @@
-"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms; segmentation and scores.
+"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms; scores.
 
-    python validation/match/telephone.py segment --work FOLDER [--count 40]
-    python validation/match/telephone.py scores --work FOLDER [--count 40]
-    python validation/match/telephone.py links --work FOLDER [--count 20]
+    python validation/match/telephone.py --work FOLDER [--count 40]
 
 A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the simulator's master
 prints: one, a second beside it, a hand of four, or one before a fist. Drawn for each photograph: scale, pose (roll and
@@ -17,34 +15,26 @@ import csv
 import json
 import pickle
 import sys
-from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from composited import NATURAL, TINTS, WANTED, Light, Picture, default_pictures, encoded, interval, linear
-from contactless import SENSORS
 from numpy.typing import NDArray
-from pressed_prints import STEP_MM, press
-from scipy.interpolate import LinearNDInterpolator
+from pressed_prints import SENSORS, press
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
 
 from splitknit.errors import BadInput
-from splitknit.finger.ridge_period import PEOPLE
 from splitknit_match.matching import methods
 from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import _PEOPLE_WIDTH, LEAST_QUALITY, _even, source_of_photo
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM
-from splitknit_match.prints.photo_mask import finger_in_photo
-from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -54,6 +44,12 @@ CANVAS = (1632, 1224)
 PRESSES = ("fvc2002_db2b", "fvc2004_db1b")
 HANDS = ("one finger", "second finger", "hand", "fist")
 SCENES = ("paper", "garden", "room", "picture")
+NATURAL = ("astronaut.png", "brick.png", "chelsea.png", "coffee.png", "grass.png", "gravel.png", "motorcycle_left.png",
+           "rocket.jpg")  # fmt: skip
+TINTS = {"grass.png": (0.55, 0.8, 0.35), "gravel.png": (1.0, 0.93, 0.85), "brick.png": (0.9, 0.6, 0.5)}
+"""Colours of what is stored in grey."""
+Picture = NDArray[np.uint8]
+Light = NDArray[np.float64]
 Array = NDArray[np.float64]
 
 
@@ -68,6 +64,26 @@ class Telephone:
     width_mm: float
     hand: str
     scene: str
+
+
+def linear(picture: Picture | Light) -> Light:
+    """sRGB to linear light."""
+    value = picture / 255.0
+    return np.asarray(np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4))
+
+
+def encoded(light: Light) -> Picture:
+    """Linear light to sRGB."""
+    light = np.clip(light, 0.0, 1.0)
+    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * value).astype(np.uint8)
+
+
+def default_pictures() -> Path:
+    """Where scikit-image keeps its pictures."""
+    import skimage.data
+
+    return Path(skimage.data.__file__).parent
 
 
 @lru_cache(maxsize=8)
@@ -255,11 +271,9 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     return rays @ rotation, eye, rotation, px_per_mm
 
 
-def photographed(number: int, take: int, folder: Path, hand: str | None = None, scene: str | None = None) -> Telephone:
+def photographed(number: int, take: int, folder: Path, hand: str, scene: str) -> Telephone:
     """Photograph `take` of a finger, the same each time."""
     rng = np.random.default_rng([number, take, 2])
-    hand = hand or HANDS[rng.integers(len(HANDS))]
-    scene = scene or SCENES[rng.integers(len(SCENES))]
     rows, columns = CANVAS
     body = body_of(number)
     rays, eye, rotation, px_per_mm = view(body, hand, rng)
@@ -301,58 +315,14 @@ def photographed(number: int, take: int, folder: Path, hand: str | None = None, 
     return Telephone(decoded, tuple(masks), px_per_mm, 2 * body.half_mm, hand, scene)
 
 
-def drawn(number: int, take: int, work: Path | None) -> Telephone:
+def drawn(number: int, take: int, work: Path) -> Telephone:
     """Photograph of a finger, each hand and scene in turn; kept in `work`."""
-    file = None if work is None else work / f"photo_{number}_{take}.pickle"
-    if file is not None and file.is_file():
-        kept: Telephone = pickle.loads(file.read_bytes())
-        return kept
-    found = photographed(number, take, default_pictures(), HANDS[(number + take) % 4], SCENES[(number // 4 + take) % 4])
-    if file is not None:
-        file.write_bytes(pickle.dumps(found))
-    return found
-
-
-def segment(count: int, work: Path | None) -> None:
-    """Overlap of the part that is kept (1.5 widths from the tip) with the finger it lies on."""
-    rows = []
-    for number in range(count):
-        one = drawn(number, 0, work)
-        try:
-            found = finger_in_photo(one.pixels)
-            mask, others = tip_of(found.mask, found.direction_deg), found.others
-            overlap = max(
-                float(np.count_nonzero(mask & true) / np.count_nonzero(mask | true))
-                for true in (tip_of(each, found.direction_deg) for each in one.masks if each.any())
-            )
-        except BadInput:
-            overlap, others = 0.0, 0
-        rows.append(
-            {"number": number, "hand": one.hand, "scene": one.scene, "overlap": f"{overlap:.4g}", "others": others}
-        )
-        print(rows[-1], flush=True)
-    write_table("telephone_segmentation.csv", rows)
-    for group in ("hand", "scene"):
-        of = Counter(str(row[group]) for row in rows)
-        good = Counter(str(row[group]) for row in rows if float(row["overlap"]) >= WANTED)
-        print({name: interval(good[name], of[name]) for name in of})
-    good_all = sum(float(row["overlap"]) >= WANTED for row in rows)
-    print(
-        f"overlap of {WANTED} in {interval(good_all, len(rows))} %, refused",
-        sum(row["overlap"] == "0" for row in rows),
-    )
-
-
-def tip_of(mask: NDArray[np.bool_], direction_deg: float) -> NDArray[np.bool_]:
-    """The mask's first 1.5 widths from the tip that points there."""
-    angle = np.radians(direction_deg)
-    row, column = np.indices(mask.shape)
-    ahead = -np.sin(angle) * column - np.cos(angle) * row
-    across = np.cos(angle) * column - np.sin(angle) * row
-    front = ahead[mask].max()
-    near = mask & (ahead > front - 400)
-    width = np.ptp(across[near & (ahead < ahead[near].min() + 40)]) if near.any() else 1.0
-    return mask & (ahead > front - 1.5 * width)
+    file = work / f"photo_{number}_{take}.pickle"
+    if not file.is_file():
+        hand, scene = HANDS[(number + take) % 4], SCENES[(number // 4 + take) % 4]
+        file.write_bytes(pickle.dumps(photographed(number, take, default_pictures(), hand, scene)))
+    kept: Telephone = pickle.loads(file.read_bytes())
+    return kept
 
 
 def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]:
@@ -412,7 +382,7 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
         table = found[kind] = calibrate_scores(scored[np.isfinite(scored)])
         kept = {
             "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
-            "by": "validation/match/telephone.py scores --write", "seed": SEED, "impostors": table.impostors,
+            "by": "validation/match/telephone.py --write", "seed": SEED, "impostors": table.impostors,
             "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
         }  # fmt: skip
@@ -420,57 +390,6 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
             place = Path(methods.__file__).with_name(f"match_fmr_fingerphotos{kind}.json")
             place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
     return found
-
-
-def unrolled(uv: Array, shows: NDArray[np.bool_], light: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A photograph's `light` (H, W) laid where its skin truly lies (`uv`, where it `shows`), of 500 ppi, and where."""
-    rows, columns = np.nonzero(shows & (uv[..., 1] > -2))
-    few = (rows % 3 == 0) & (columns % 3 == 0)
-    rows, columns, step = rows[few], columns[few], 4 * 25.4 / 500
-    u, v = np.arange(-12, 12, step), np.arange(30, -3, -step)
-    skin = uv[rows, columns]
-    of = LinearNDInterpolator(skin, np.stack([columns, rows], axis=1).astype(np.float64), fill_value=-1.0)
-    place = of(np.stack(np.meshgrid(-u, v), axis=-1)).astype(np.float32)
-    shown = np.zeros(place.shape[:2], np.uint8)
-    row, column = np.rint((v[0] - skin[:, 1]) / step).astype(int), np.rint((-skin[:, 0] - u[0]) / step).astype(int)
-    shown[np.clip(row, 0, len(v) - 1), np.clip(column, 0, len(u) - 1)] = 1
-    shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) * (place[..., 0] >= 0)
-    size = 4 * len(u), 4 * len(v)
-    x, y = cv2.split(cv2.resize(place, size))
-    weight = (cv2.resize(shown.astype(np.float32), size) > 0.99).astype(np.float32)
-    return np.asarray(cv2.remap(light.astype(np.float32), x, y, cv2.INTER_LINEAR)), weight
-
-
-def links(count: int, work: Path) -> None:
-    """Scores of photographs and presses of the same fingers, one link at a time replaced by the truth."""
-    usual = USUAL_PERIOD_MM / STEP_MM, float(np.hypot(PEOPLE, _PEOPLE_WIDTH))
-    found: dict[str, list[float]] = {}
-    for number in range(count):
-        of_program = side_of(number, 0, work)[0]
-        if of_program is None:
-            continue
-        one, master = drawn(number, 0, work), draw_finger(SEED + number).master()
-        rng = np.random.default_rng([number, 0, 2])
-        rays, eye, _, _ = view(body_of(number), one.hand, rng)
-        _, smooth, pitch, u0, v0 = ridges(number)
-        hit, point, normal, uv = seen(body_of(number), rays, eye)
-        facing = ((eye - point) * normal).sum(-1) > 0.35 * np.linalg.norm(eye - point, axis=-1)
-        at = np.stack([(v0 - uv[..., 1]) / pitch, (uv[..., 0] - u0) / pitch])
-        photos = {"photograph": of_program}
-        clean = 128 * (1 + 0.25 * map_coordinates(smooth, at, order=1, mode="nearest") / np.abs(smooth).max())
-        for name, light in (("true unrolling", one.pixels[..., 1]), ("true ridges and unrolling", clean)):
-            image = _even(*unrolled(uv, hit & one.masks[0] & facing, light))[0]
-            photos[name] = print_template(image, pressed=pressed_ridges(image, usual))
-        ranges = SENSORS[PRESSES[number % 2]]
-        for name, some in (("press", ranges), ("press without distortion", replace(ranges, stretch_mm=0.0))):
-            other = Prepared(print_template(press(master, number % 2, some)))
-            for photo, template in photos.items():
-                score = fused_photo(Prepared(template), other, (True, False))[0].similarity
-                found.setdefault(f"{photo}, {name}", []).append(score)
-        print(number, {name: f"{all_[-1]:.1f}" for name, all_ in found.items()}, flush=True)
-    for name, all_ in found.items():
-        low = sum(one < 5.06 for one in all_)
-        print(f"{name}: median {np.median(all_):.1f}, mean {np.mean(all_):.1f}, below 5.06: {low} of {len(all_)}")
 
 
 def genuine(row: dict[str, object]) -> bool:
@@ -523,20 +442,13 @@ def write_table(name: str, rows: list[dict[str, object]]) -> None:
 def main() -> int:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["segment", "scores", "links"])
     parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--work", type=Path, help="keeps the photographs")
+    parser.add_argument("--work", type=Path, required=True, help="keeps the photographs")
     parser.add_argument("--write", action="store_true", help="write the table of impostor scores of `match`")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.work is not None:
-        options.work.mkdir(parents=True, exist_ok=True)
-    if options.what == "segment":
-        segment(options.count, options.work)
-    elif options.what == "links":
-        links(options.count, options.work or Path())
-    else:
-        scores(options.count, options.work or Path(), options.write)
+    options.work.mkdir(parents=True, exist_ok=True)
+    scores(options.count, options.work, options.write)
     return 0
 
 

@@ -319,12 +319,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--compare", type=int, metavar="N", help="compare until the cache holds N")
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
-    parser.add_argument("--version", default="1", help="of what is made of a print")
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.compare is not None:
-        compare(Job(options.cache, options.version), options.compare)
+        compare(Job(options.cache), options.compare)
     rows = np.load(options.cache / "windows.npy")
     facts, _, constants = report(rows)
     print(json.dumps(facts, indent=1))

@@ -1,9 +1,9 @@
-"""The rolled-equivalent finger on the twin: coverage, ridges by slant, seams, and what roll between sessions costs.
+"""The rolled-equivalent finger on the twin: coverage, ridges by slant and seams.
 
     python validation/mirror/rolled.py --fingers 8 --folder /tmp/rolled-captures
 
 simulates fingers between two mirrors at rolls of 0, +-10 and +-20 deg (each capture with a pose, dust and noise of its
-own), rolls them, compares them with the truth and with each other, and writes ``validation/mirror/rolled.json``.
+own), rolls them, compares them with the truth, and writes ``validation/mirror/rolled.json``.
 A run that is stopped goes on where it was; captures are deleted once they are measured. The settings were tuned on the
 fingers 11, 101 and 102 only.
 """
@@ -11,7 +11,6 @@ fingers 11, 101 and 102 only.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import shutil
 import subprocess
@@ -23,19 +22,14 @@ import numpy as np
 from rolled_measure import measure
 
 from splitknit.errors import BadInput
-from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.ridge import ridge_match
-from splitknit_match.matching.ridge_band import ridge_band
-from splitknit_match.matching.template import Template, make_template
 
 HERE = Path(__file__).resolve().parent
 ROLLS_DEG = (0, 20, -20, 10, -10)
 SCALE = 0.6
 """Of the camera of 44 px/mm: 26.4 px/mm."""
-PRINT_PITCH_MM = 25.4 / 500.0
 
 
-def simulated(folder: Path, seed: int, number: int, scale: float = SCALE, model: str = "orthographic") -> Path:
+def simulated(folder: Path, seed: int, number: int, scale: float, model: str) -> Path:
     """The capture of a finger at one of the rolls, from the folder or made now."""
     out = folder / f"{seed}_{number}"
     if not (out / "capture.json").is_file():
@@ -59,94 +53,21 @@ def simulated(folder: Path, seed: int, number: int, scale: float = SCALE, model:
     return out
 
 
-def kept(  # noqa: PLR0917
-    folder: Path, seed: int, number: int, keep: bool, scale: float = SCALE, model: str = "orthographic"
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Row and prints of one capture, from the folder or made now."""
-    file = folder / f"{seed}_{number}.npz"
+def kept(folder: Path, seed: int, number: int, keep: bool, scale: float, model: str) -> dict[str, Any]:  # noqa: PLR0917
+    """Row of one capture, from the folder or made now."""
+    file = folder / f"{seed}_{number}.json"
     if not file.is_file():
         capture = simulated(folder, seed, number, scale, model)
-        arrays = {}
         row: dict[str, Any] = {"seed": seed, "roll_deg": ROLLS_DEG[number]}
         try:
-            made = measure(capture)
+            row |= measure(capture)
         except BadInput as refusal:
             row["refused"] = str(refusal)
-        else:
-            row |= made.row
-            for name, (image, values, known) in made.prints.items():
-                arrays |= {f"{name}_image": image, f"{name}_values": values, f"{name}_known": known}
-        with file.open("wb") as stream:
-            np.savez_compressed(stream, row=np.array(json.dumps(row)), **arrays)
+        file.write_text(json.dumps(row))
         if not keep:
             shutil.rmtree(capture)
         print(seed, ROLLS_DEG[number], row.get("refused") or row["rolled"], flush=True)
-    with np.load(file) as arrays:
-        return json.loads(str(arrays["row"])), {name: arrays[name] for name in arrays.files if name != "row"}
-
-
-def ridges_of(prints: dict[str, Any], kind: str) -> Template:
-    """Template of a print's relief, for the ridge matcher."""
-    return make_template(ridge_band(prints[f"{kind}_values"], prints[f"{kind}_known"], PRINT_PITCH_MM))
-
-
-def compared(sides: dict[tuple[int, int], dict[str, Any]]) -> list[dict[str, Any]]:
-    """Scores of all pairs of different sessions, front alone and rolled, by ridges and by minutiae."""
-    ridges = {kind: {key: ridges_of(prints, kind) for key, prints in sides.items()} for kind in ("front", "rolled")}
-    points = {
-        kind: {key: extract(prints[f"{kind}_image"]) for key, prints in sides.items()} for kind in ("front", "rolled")
-    }
-    rows = []
-    for first, second in itertools.combinations(sorted(sides), 2):
-        if first[1] == second[1]:
-            continue
-        row: dict[str, Any] = {
-            "genuine": first[0] == second[0],
-            "fingers": [first[0], second[0]],
-            "apart_deg": abs(ROLLS_DEG[first[1]] - ROLLS_DEG[second[1]]),
-        }
-        for kind in ("front", "rolled"):
-            row[f"{kind}_ridge"] = round(float(ridge_match(ridges[kind][first], ridges[kind][second]).similarity), 4)
-            row[f"{kind}_minutiae"] = float(minutiae_match(points[kind][first], points[kind][second]))
-        rows.append(row)
-    return rows
-
-
-def interval(values: np.ndarray, fingers: np.ndarray, seed: int = 0) -> list[float]:
-    """Mean, and the middle 95 % of the means of fingers drawn with replacement."""
-    rng = np.random.default_rng(seed)
-    names = np.unique(fingers)
-    groups = [values[fingers == name] for name in names]
-    means = [
-        float(np.concatenate([groups[k] for k in rng.integers(0, len(names), len(names))]).mean()) for _ in range(2000)
-    ]
-    return [round(float(v), 4) for v in (values.mean(), *np.percentile(means, [2.5, 97.5]))]
-
-
-def roll_table(pairs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Genuine scores by roll apart, impostor scores, and how far they lie from each other."""
-    table: dict[str, Any] = {}
-    for column in ("front_ridge", "rolled_ridge", "front_minutiae", "rolled_minutiae"):
-        impostors = np.array([p[column] for p in pairs if not p["genuine"]])
-        part: dict[str, Any] = {
-            "impostor": {
-                "pairs": int(impostors.size),
-                "mean": round(float(impostors.mean()), 4) if impostors.size else None,
-                "max": round(float(impostors.max()), 4) if impostors.size else None,
-            }
-        }
-        for apart in sorted({p["apart_deg"] for p in pairs if p["genuine"]}):
-            some = [p for p in pairs if p["genuine"] and p["apart_deg"] == apart]
-            values, fingers = np.array([p[column] for p in some]), np.array([p["fingers"][0] for p in some])
-            above = float((values > impostors.max()).mean()) if impostors.size else None
-            part[f"genuine {apart} deg"] = {
-                "pairs": len(some),
-                "mean [95 %]": interval(values, fingers),
-                "min": round(float(values.min()), 4),
-                "above every impostor": above if above is None else round(above, 3),
-            }
-        table[column] = part
-    return table
+    return dict(json.loads(file.read_text()))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -196,22 +117,16 @@ def main() -> None:
     parser.add_argument("--model", default="orthographic", help="or perspective; each in its own folder")
     parser.add_argument("--folder", type=Path, default=Path("/tmp/rolled-captures"))
     parser.add_argument("--keep", action="store_true", help="keep the captures")
-    parser.add_argument("--done", action="store_true", help="only what is there already")
     parser.add_argument("--out", type=Path, default=HERE / "rolled.json")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    rows, refused, sides = [], [], {}
-    for number in range(options.rolls):
-        for seed in range(options.seed, options.seed + options.fingers):
-            if options.done and not (options.folder / f"{seed}_{number}.npz").is_file():
-                continue
-            row, prints = kept(options.folder, seed, number, options.keep, options.scale, options.model)
-            if "refused" in row:
-                refused.append(row)
-                continue
-            rows.append(row)
-            sides[seed, number] = prints
-    pairs = compared(sides)
+    fingers = range(options.seed, options.seed + options.fingers)
+    every = [
+        kept(options.folder, seed, number, options.keep, options.scale, options.model)
+        for number in range(options.rolls)
+        for seed in fingers
+    ]
+    rows, refused = [row for row in every if "refused" not in row], [row for row in every if "refused" in row]
     facts = {
         "scale": options.scale,
         "camera": options.model,
@@ -219,7 +134,6 @@ def main() -> None:
         "values": "median, least, largest over the captures; correlation of the ridge band by slant (deg)",
         "summary": summary(rows),
         "refused": refused,
-        "roll": roll_table(pairs) if any(pair["genuine"] for pair in pairs) else None,
         "captures": rows,
     }
     options.out.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")

@@ -1,8 +1,8 @@
-"""One capture with mirrors, rolled, against its truth: coverage, ridges by slant, seams, and prints to compare."""
+"""One capture with mirrors, rolled, against its truth: coverage, ridges by slant and seams."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.finger.ridges import ink
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
-from splitknit_match.prints.print_map import resample
-from splitknit_match.prints.rolled import laid_flat, rolled_facts
+from splitknit_match.prints.rolled import rolled_facts
 from splitknit_match.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import Rolled, rolled_finger
@@ -31,16 +29,7 @@ STEP = 2
 """Every so many of the chart's pixels."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """What is kept of a capture."""
-
-    row: dict[str, Any]
-    prints: dict[str, tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]]
-    """Of ``rolled`` and ``front``: the print, its relief in mm, and where it shows the finger."""
-
-
-def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
+def measure(folder: Path, settings: RolledSettings | None = None) -> dict[str, Any]:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
@@ -54,7 +43,7 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
             if name.startswith(("body_", "mirror_", "view_", "relief_um", "mask", "chart_mm"))
         }
     facts = rolled_facts(rolled)
-    row = {
+    return {
         "pattern_of": folder.name,
         "coverage_deg": facts["coverage_deg"]["median"],
         "coverage_front_deg": rolled_facts(front)["coverage_deg"]["median"],
@@ -66,8 +55,6 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
         "ridges_apart_um": ridges_apart(rolled, truth),
         **against_truth(rolled, front, truth),
     }
-    prints = {name: _print(one) for name, one in (("rolled", rolled), ("front", front))}
-    return Measured(row, prints)
 
 
 def front_alone(rolled: Rolled) -> Rolled:
@@ -78,12 +65,6 @@ def front_alone(rolled: Rolled) -> Rolled:
     fractions = np.stack([known.astype(np.float32)])
     blended = Blended(relief, rolled.blended.deviation_mm, known, fractions)
     return replace(rolled, blended=blended, names=("front",), view_reliefs=rolled.view_reliefs[:1])
-
-
-def _print(rolled: Rolled) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
-    _, print_map = laid_flat(rolled, "free", 500.0)
-    values, weight = resample(rolled.blended.relief_mm, rolled.blended.known, rolled.chart.pitch_mm, print_map)
-    return ink(values, weight), values, weight > 0.5
 
 
 def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from splitknit.io.capture import write_capture
@@ -29,19 +27,3 @@ def capture_folder(seed: int, amplitude_mm: float, scale: float, out: Path = OUT
         kept = {name: value for name, value in truth.items() if not name.startswith(("glare", "relief"))}
         write_capture(capture, folder, kept, overwrite=True)
     return folder
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Simulate what is missing."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
-    parser.add_argument("--amplitudes", type=float, nargs="+", default=(0.0, *AMPLITUDES_MM))
-    parser.add_argument("--scale", type=float, default=SCALE)
-    options = parser.parse_args(arguments)
-    for amplitude in options.amplitudes:
-        for seed in options.seeds:
-            print(capture_folder(seed, amplitude, options.scale), flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +13,9 @@ from captures import capture_folder
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
-from splitknit.accuracy import BAND_SIGMA_MM, compare, high_passed
+from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.finger.locate import find_finger
-from splitknit.finger.steady import find_steady_finger
 from splitknit.model import Capture, Reconstruction
-from splitknit.presets import preset_settings
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0
@@ -52,8 +48,6 @@ def moved_row(seed: int, amplitude_mm: float, scale: float) -> dict[str, Any]:
     row: dict[str, Any] = {"seed": seed, "amplitude_mm": amplitude_mm}
     plain = reconstruct(capture, settings={"motion.correct": "off"})
     row["uncorrected"] = figures(plain, truth)
-    row["uncorrected"]["ridge_correlation_shifted"] = shifted_correlation(plain, truth)
-    started = time.perf_counter()
     try:
         result = reconstruct(capture)
     except BadInput as error:
@@ -61,47 +55,10 @@ def moved_row(seed: int, amplitude_mm: float, scale: float) -> dict[str, Any]:
     else:
         row["corrected"] = figures(result, truth)
         row["undone"] = "motion" in result.facts
-        row["seconds"] = time.perf_counter() - started
         if row["undone"]:
-            row["registration_cpu_s"] = registration_cpu_s(capture)
             row["error_um"] = {name: flow_error_um(result, truth, name) for name in capture.bands}
     row["oracle"] = figures(reconstruct(undone(capture, truth), settings={"motion.correct": "off"}), truth)
     return row
-
-
-def registration_cpu_s(capture: Capture) -> float:
-    """Processor's seconds that registration and resampling take; the least of three."""
-    settings = preset_settings("metric")
-    found = []
-    for _ in range(3):
-        marks = [time.process_time()]
-        find_finger(capture, settings)
-        marks.append(time.process_time())
-        steady, _ = find_steady_finger(capture, settings)  # finds it before and after
-        marks.append(time.process_time())
-        find_finger(steady, settings)
-        marks.append(time.process_time())
-        first, all_of_it, second = np.diff(marks)
-        found.append(float(all_of_it - first - second))
-    return min(found)
-
-
-def shifted_correlation(result: Reconstruction, truth: Truth, reach_mm: float = 0.6) -> float:
-    """Largest correlation of the ridge bands over shifts: what is lost beside the place of the finger."""
-    mask = result.mask & np.asarray(truth["mask"], dtype=np.bool_)
-    sigma, reach = BAND_SIGMA_MM / result.pitch_mm, round(reach_mm / result.pitch_mm)
-    found = high_passed(mask, sigma)(np.where(mask, result.ridge_mm, 0).astype(np.float32))
-    inside = np.asarray(truth["mask"], dtype=np.bool_)
-    relief = np.where(inside, truth["height_mm"] - truth["shape_mm"], 0).astype(np.float32)
-    true = high_passed(inside, sigma)(relief)
-    core = cv2.erode(mask.astype(np.uint8), np.ones((3, 3)), iterations=reach + round(0.8 / result.pitch_mm)) > 0
-    rows, columns = np.nonzero(core)
-    box = (slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1))
-    template = np.where(core, found, 0)[box].astype(np.float32)
-    grown = true[box[0].start - reach : box[0].stop + reach, box[1].start - reach : box[1].stop + reach]
-    product = cv2.matchTemplate(grown, template, cv2.TM_CCORR)
-    power = cv2.matchTemplate(grown * grown, core[box].astype(np.float32), cv2.TM_CCORR)
-    return float((product / np.sqrt(np.maximum(power, 1e-12) * float((template**2).sum()))).max())
 
 
 def true_maps(truth: Truth, shot: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -146,7 +146,7 @@ def figures(pair: PairComparison) -> dict[str, Any]:
     return {"strain_um": round(1e3 * pair.strain_mm, 1), "scale": round(pair.scale, 4), "bands": kept}
 
 
-def measured(number: int, photographs: bool) -> dict[str, Any]:
+def measured(number: int) -> dict[str, Any]:
     """All comparisons of one finger."""
     finger, rig = draw_finger(number), default_rig(SCALE, number)
     master = finger.master()
@@ -176,19 +176,18 @@ def measured(number: int, photographs: bool) -> dict[str, Any]:
     rows["cast"] = compare_results(true, cast)
     rows["cast, elastic"] = compare_results(true, cast, fit="elastic")
     found = {"truth": {name: figures(pair) for name, pair in rows.items()}}
-    if photographs:
-        seed = np.random.SeedSequence([number, 62])
-        settings = TwinSettings(scale=SCALE, render=RenderSettings(workers=1))
-        optics = SkinRanges().draw(draws[6])
-        result = reconstruct(photograph(bare, rig, optics, seed.spawn(1)[0], settings=settings)[0])
-        second = reconstruct(opaque_capture(coated["powder 10 um"], rig, seed.spawn(1)[0]))
-        covered = truth_of(coated["powder 10 um"], "coated")
-        found["metric"] = {
-            "bare, against its truth": figures(compare_results(result, true)),
-            "powder 10 um, against its truth": figures(compare_results(second, covered)),
-            "bare, against powder 10 um": figures(compare_results(result, second)),
-            "bare, against gel": figures(compare_results(result, gel, fit="elastic")),
-        }
+    seed = np.random.SeedSequence([number, 62])
+    settings = TwinSettings(scale=SCALE, render=RenderSettings(workers=1))
+    optics = SkinRanges().draw(draws[6])
+    result = reconstruct(photograph(bare, rig, optics, seed.spawn(1)[0], settings=settings)[0])
+    second = reconstruct(opaque_capture(coated["powder 10 um"], rig, seed.spawn(1)[0]))
+    covered = truth_of(coated["powder 10 um"], "coated")
+    found["metric"] = {
+        "bare, against its truth": figures(compare_results(result, true)),
+        "powder 10 um, against its truth": figures(compare_results(second, covered)),
+        "bare, against powder 10 um": figures(compare_results(result, second)),
+        "bare, against gel": figures(compare_results(result, gel, fit="elastic")),
+    }
     return found
 
 
@@ -210,17 +209,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is not yet measured, or print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("fingers", type=int, nargs="*", default=FINGERS)
-    parser.add_argument("--truth-only", action="store_true", help="no photographs")
     parser.add_argument("--table", action="store_true", help="print the tables of an earlier run")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     results = json.loads(options.out.read_text()) if options.out.is_file() else {}
     if not options.table:
         for number in options.fingers:
-            known = results.get(str(number), {})
-            if "metric" in known or (options.truth_only and "truth" in known):
+            if "metric" in results.get(str(number), {}):
                 continue
-            results[str(number)] = measured(number, not options.truth_only)
+            results[str(number)] = measured(number)
             options.out.write_text(json.dumps(results, indent=1) + "\n")
             print(f"finger {number} done", file=sys.stderr, flush=True)
     for part in ("truth", "metric"):

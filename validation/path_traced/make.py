@@ -1,8 +1,8 @@
 """Fingers photographed by random walks in their volume: other light and skin than the fast twin's.
 
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
-    python validation/path_traced/make.py --out DIR --smoke      # two tiny fingers, half a minute
-    python validation/path_traced/make.py --out DIR --polarised  # behind linear films; --names p01 p02 for some
+    python validation/path_traced/make.py --out DIR --polarised  # behind linear films
+    python validation/path_traced/make.py --out DIR --names third_matt no_ridges    # some of either kind
 
 Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and ``info.json``, which
 has all optics and the noise of the walks; of polarised fingers these lie beside the folder, as ``NAME_truth.npz`` and
@@ -123,29 +123,22 @@ FINE = 3
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Fingers photographed by random walks in their volume.")
     parser.add_argument("--out", type=Path, required=True, help="folder of the captures")
-    parser.add_argument("--fingers", type=int, default=len(CASES), help="how many, 1 to 8")
-    parser.add_argument("--scale", type=float, default=0.3, help="of the images; 1 is 2200 x 3200 pixels")
+    parser.add_argument("--scale", type=float, help="of the images; 1 is 2200 x 3200 pixels; 0.3, behind films 0.5")
     parser.add_argument("--walks", type=float, default=16.0, help="for each pixel and channel")
     parser.add_argument("--threads", type=int, default=2, help="the result does not depend on it")
-    parser.add_argument("--smoke", action="store_true", help="two tiny fingers of few walks")
-    parser.add_argument("--polarised", action="store_true", help="fingers behind films, at scale 0.5")
+    parser.add_argument("--polarised", action="store_true", help="fingers behind films")
     parser.add_argument("--names", nargs="+", help="which of them")
     options = parser.parse_args(arguments)
-    if options.smoke:
-        options.fingers, options.scale, options.walks = 2, 0.08, 2.0
     try:
-        if options.polarised:
-            known = {case.name: case for case in POLARISED}
-            names, scale = options.names or list(known), 0.08 if options.smoke else 0.5
-            require(set(names) <= set(known), f"--names are some of {', '.join(known)}, not {', '.join(names)}.")
-            for name in names:
-                if not (options.out / f"{name}_info.json").exists():
-                    make_polarised(known[name], options.out, scale, options.walks, options.threads)
-            return 0
-        for case in CASES[: options.fingers]:
-            folder = options.out / case.name
-            if not (folder / "info.json").exists():
-                make(case, folder, options.scale, options.walks, options.threads)
+        known = {case.name: case for case in (POLARISED if options.polarised else CASES)}
+        names = options.names or list(known)
+        require(set(names) <= set(known), f"--names are some of {', '.join(known)}, not {', '.join(names)}.")
+        for case in (known[name] for name in names):
+            if isinstance(case, PolarisedCase):
+                if not (options.out / f"{case.name}_info.json").exists():
+                    make_polarised(case, options.out, options.scale or 0.5, options.walks, options.threads)
+            elif not (options.out / case.name / "info.json").exists():
+                make(case, options.out / case.name, options.scale or 0.3, options.walks, options.threads)
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2

@@ -5,7 +5,6 @@
 For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both series, which is the
 photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
 
-    python validation/path_traced/polarised.py --picture FILE CAPTURE    # true relief, error without and with films
     python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]    # fingers of the fast simulator with these
         # seeds, behind films with seven lights to the side: each, and their means
 """
@@ -18,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 import splitknit
@@ -29,7 +27,7 @@ from splitknit_simulator import simulate_capture
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from score import _ridge_band, score
+from score import score
 
 CLASSES = ("", "_0_15", "_15_30", "_30_45", "_45_60")
 
@@ -38,10 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
-        if given[:1] == ["--picture"]:
-            require(len(given) == 3, "give a file and a capture: --picture FILE CAPTURE.")
-            picture(Path(given[1]), Path(given[2]))
-            return 0
         if given[:1] == ["--twins"]:
             seeds = given[1:3]
             require(len(seeds) == 2 and all(one.isdigit() for one in seeds), "give two seeds: --twins FIRST LAST.")
@@ -76,25 +70,6 @@ def both_ways(folder: Path) -> dict[str, dict[str, float]]:
     return {way: _figures(one, truth) for way, one in ways.items()}
 
 
-def picture(file: Path, folder: Path) -> None:
-    """Relief of the truth, and what the results have beyond it without and with films: mid-grey is zero."""
-    capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
-    pitch_mm, shape = capture.rig.camera.pitch_mm, np.asarray(truth["shape_mm"], dtype=np.float64)
-    panels = []
-    for one in (None, without_films(capture), capture):
-        result = splitknit.reconstruct(capture if one is None else one)
-        inside = result.mask & np.asarray(truth["mask"], dtype=np.bool_)
-        true, found = (_ridge_band(np.where(inside, z - shape, 0.0), inside, pitch_mm)
-                       for z in (np.asarray(truth["height_mm"], dtype=np.float64), result.height_mm))  # fmt: skip
-        values = true if one is None else found - true
-        panels.append(np.where(inside, np.clip(128 + values * 127 / FULL_MM, 0, 255), 255).astype(np.uint8))
-    rows, columns = (np.flatnonzero(truth["mask"].any(axis=axis)) for axis in (1, 0))
-    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    row = np.concatenate([panel[part] for panel in panels], axis=1)
-    size = (PICTURE_PX, round(row.shape[0] * PICTURE_PX / row.shape[1]))
-    cv2.imwrite(str(file), cv2.resize(row, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
-
-
 def twins(seeds: Sequence[int], scale: float) -> None:
     """Print surface (mm), and correlation, gain, rms (um) and error over stated by slant, with lights to the side."""
     rows = []
@@ -112,10 +87,6 @@ def twins(seeds: Sequence[int], scale: float) -> None:
 
 TWINS = {"films.kind": "analyser", "side_lights": 7}
 """The simulator's settings; those of its fingers' skin and pose are drawn."""
-PICTURE_PX = 1260
-"""Width of the picture."""
-FULL_MM = 0.04
-"""Height of white above mid-grey in the picture."""
 
 
 def without_films(capture: Capture) -> Capture:

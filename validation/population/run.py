@@ -2,7 +2,7 @@
 
     pip install nbis-py==0.1.3
     python validation/population/run.py                 # all parts, ten minutes of one core
-    python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines, picture
+    python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines
 
 writes ``results.json`` beside this file; parts that are not run stay as they are there. The outlines are those of the
 surfaces that the camera sees, without light and noise.
@@ -31,7 +31,6 @@ from splitknit_simulator.population.sessions import (
     PopulationSettings,
     draw_impression,
     finger_of_today,
-    population_capture,
 )
 
 HERE = Path(__file__).resolve().parent
@@ -46,7 +45,7 @@ def people(seed: int, count: int) -> Iterator[Person]:
     return (settings.person(number) for number in range(1, count + 1))
 
 
-def sizes(count: int) -> dict[str, Any]:
+def sizes(count: int = 2000) -> dict[str, Any]:
     """Breadths, lengths, ridge periods and classes of many people, against what was asked for."""
     everybody = list(people(0, count))
     ranges = PopulationSettings().people
@@ -121,7 +120,7 @@ def _distribution(scores: Sequence[int]) -> dict[str, float]:
     }
 
 
-def impostors(draws: int) -> dict[str, Any]:
+def impostors(draws: int = 5) -> dict[str, Any]:
     """Scores of NIST's mindtct and bozorth3 between 40 prints: of four people, and of forty, for some populations."""
     result: dict[str, Any] = {"matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"}
     for seed in range(draws):
@@ -138,7 +137,7 @@ def impostors(draws: int) -> dict[str, Any]:
     return result
 
 
-def outlines(subjects: int, sessions: int) -> dict[str, Any]:
+def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
     """How well breadth, length of the tip and whole outline alone distinguish fingers."""
     settings = PopulationSettings(scale=0.2)
     fingers, edges = [], []
@@ -224,49 +223,15 @@ def _overlap(outline: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -
     return best
 
 
-def picture() -> dict[str, Any]:
-    """``docs/images/population.jpg``: ten fingers of a person, and one of them in four sessions."""
-    settings = PopulationSettings(scale=0.12)
-    person = settings.person(2)
-
-    def shown(name: str, session: int) -> NDArray[np.uint8]:
-        pixels = population_capture(settings, person, name, session).capture.bands["white"].pixels
-        light = np.clip(1.5 * pixels.astype(np.float32).mean(axis=0) / 255, 0, 1) ** (1 / 2.2)
-        cut = light[:, light.shape[1] // 8 : -light.shape[1] // 8, ::-1]
-        return np.pad(np.round(255 * cut).astype(np.uint8), ((0, 4), (0, 4), (0, 0)), constant_values=255)
-
-    rows = [np.hstack([shown(f"{side}_{digit}", 1) for digit in DIGITS]) for side in ("right", "left")]
-    sessions = np.hstack([shown("right_index", session) for session in range(1, 5)])
-    blank = np.full((sessions.shape[0], rows[0].shape[1] - sessions.shape[1], 3), 255, np.uint8)
-    sheet = np.vstack([*rows, np.hstack([sessions, blank])])
-    file = HERE.parents[1] / "docs" / "images" / "population.jpg"
-    cv2.imwrite(str(file), sheet, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return {"file": file.name, "size": list(sheet.shape[:2])}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", default="sizes,impostors,outlines")
-    parser.add_argument("--people", type=int, default=2000, help="of the part sizes")
-    parser.add_argument("--draws", type=int, default=5, help="populations of the part impostors")
-    parser.add_argument("--subjects", type=int, default=17, help="of the part outlines")
-    parser.add_argument("--sessions", type=int, default=4, help="of the part outlines")
-    parser.add_argument("--out", type=Path, default=HERE / "results.json")
-    arguments = parser.parse_args()
-    results = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {}
-    for part in arguments.parts.split(","):
-        if part == "sizes":
-            results[part] = sizes(arguments.people)
-        elif part == "impostors":
-            results[part] = impostors(arguments.draws)
-        elif part == "outlines":
-            results[part] = outlines(arguments.subjects, arguments.sessions)
-        elif part == "picture":
-            print(picture())
-            continue
-        else:
-            parser.error(f"there is no part {part}")
-        arguments.out.write_text(json.dumps(results, indent=1) + "\n")
+    options = parser.parse_args()
+    file, parts = HERE / "results.json", {"sizes": sizes, "impostors": impostors, "outlines": outlines}
+    results = json.loads(file.read_text()) if file.is_file() else {}
+    for part in options.parts.split(","):
+        results[part] = parts[part]()
+        file.write_text(json.dumps(results, indent=1) + "\n")
         print(part, json.dumps(results[part], indent=1))
 
 

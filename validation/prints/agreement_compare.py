@@ -30,51 +30,31 @@ def turned(one: Array, other: Array) -> Array:
 
 
 def table(found: dict[str, Array], true: dict[str, Array], reach: float) -> dict[str, Any]:
-    """One print's record. Both sides hold ``place`` (N, 2), ``direction`` and ``border``, ``slant`` (N,); `found` also
-    ``quality``. Whoever lies outside the evaluated region may still be another's partner."""
+    """One print's record. Both sides hold ``place`` (N, 2), ``direction``, ``border`` and ``slant`` (N,). Whoever lies
+    outside the evaluated region may still be another's partner."""
     i, j = paired(found["place"], true["place"], reach)
-    hit = np.full(len(found["place"]), -1)
-    hit[i] = j
-    met = np.full(len(true["place"]), -1)
-    met[j] = i
+    hit, met = np.zeros(len(found["place"]), int), np.zeros(len(true["place"]), int)
+    hit[i], met[j] = 1, 1
     angle = np.full(len(met), np.nan)
     angle[j] = turned(found["direction"][i], true["direction"][j])
-    gap = np.full(len(met), np.nan)
-    if len(met) > 1:
-        apart = np.linalg.norm(true["place"][:, None] - true["place"][None], axis=2)
-        gap = np.sort(apart, axis=1)[:, 1] / (2.0 * reach)  # in ridge periods
-    near = np.full(len(hit), np.nan)
-    if len(met) and len(hit):
-        near = np.linalg.norm(found["place"][:, None] - true["place"][None], axis=2).min(axis=1) / (2.0 * reach)
-    away = np.full(len(hit), np.nan)
-    if len(hit) > 1:
-        apart = np.linalg.norm(found["place"][:, None] - found["place"][None], axis=2)
-        away = np.sort(apart, axis=1)[:, 1] / (2.0 * reach)
     columns = {
-        "true_met": (met >= 0).astype(int), "true_partner_quality": np.where(met >= 0, found["quality"][met], -1)
-        if len(hit) else np.full(len(met), -1), "true_border": true["border"], "true_slant": true["slant"],
-        "true_angle": angle, "true_gap": gap, "true_crease": true["crease"],
-        "found_hit": (hit >= 0).astype(int), "found_quality": found["quality"], "found_border": found["border"],
-        "found_slant": found["slant"], "found_near": near, "found_away": away, "found_crease": found["crease"],
+        "true_met": met, "true_border": true["border"], "true_slant": true["slant"], "true_angle": angle,
+        "found_hit": hit, "found_border": found["border"], "found_slant": found["slant"],
     }  # fmt: skip
     return {
         name: [None if not np.isfinite(v) else round(float(v), 3) for v in values] for name, values in columns.items()
     }
 
 
-def counts(
-    record: dict[str, Any], margin_px: float, slant: tuple[float, float] = (0.0, 90.0), quality: float = 0.0
-) -> dict[str, Any]:
-    """True ones, those found, found ones, those that are true, and angles, inside a region, above a quality."""
+def counts(record: dict[str, Any], margin_px: float, slant: tuple[float, float] = (0.0, 90.0)) -> dict[str, Any]:
+    """True ones, those found, found ones, those that are true, and angles, inside a region."""
     col = {name: np.array(record[name], dtype=np.float64) for name in record if name.startswith(("true_", "found_"))}
 
     def region(side: str) -> NDArray[np.bool_]:
         where = (col[f"{side}_border"] >= margin_px) & (col[f"{side}_slant"] >= slant[0])
         return where & (col[f"{side}_slant"] < slant[1])
 
-    true, kept = region("true"), col["found_quality"] >= quality
-    found = region("found") & kept
-    met = (col["true_met"] > 0) & (col["true_partner_quality"] >= quality)
+    true, found, met = region("true"), region("found"), col["true_met"] > 0
     angles = col["true_angle"][true & met]
     return {
         "true": int(true.sum()), "met": int((true & met).sum()), "found": int(found.sum()),

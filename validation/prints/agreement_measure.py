@@ -1,9 +1,8 @@
-"""What is measured of one capture's prints and of one finger's pressed print; plain numbers, kept on disk."""
+"""What is measured of one capture's prints; plain numbers, kept on disk."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,13 @@ import cv2
 import numpy as np
 from agreement_compare import table
 from agreement_phase import phase_minutiae
-from agreement_truth import Truth, people, true_source
+from agreement_truth import Truth, true_source
 from numpy.typing import NDArray
-from pressed_finger import press_finger
 
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
-from splitknit_match.batch.chunks import read_chunk
-from splitknit_match.batch.reading import stored_places
 from splitknit_match.batch.store import Store
-from splitknit_match.batch.surfaces import unpack_surface
 from splitknit_match.matching.minutiae import extract, nfiq2
 from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.make import Print, enhance, make_print
@@ -44,21 +39,15 @@ class Surfaces:
     def source(self, case: str, capture: str) -> Source | None:
         """A reconstruction as prints need it; its height is shape and relief together."""
         if case not in self.places:
-            self.places[case] = stored_places(self.store.files("features", case))
+            self.places[case] = self.store.places("features", case)
         where = self.places[case].get(capture)
-        payload = None if where is None else _payloads(where.file)[where.row]
-        if not payload:
+        s = None if where is None else where.surface()
+        if s is None:
             return None
-        s = unpack_surface(payload)
         return Source(
             "result", s.mask, s.pitch_mm, s.input_from_upright, s.upright_size, s.ridge_mm + s.shape_mm, s.ridge_mm,
             s.shape_mm, preset=case,
         )  # fmt: skip
-
-
-@lru_cache(maxsize=2)
-def _payloads(file: Path) -> list[bytes | None]:
-    return list(read_chunk(file, ["images"])["images"].tolist())
 
 
 def photograph(folder: Path) -> NDArray[np.float32]:
@@ -103,7 +92,7 @@ def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, An
     on = _sampled(border, there) > 0
     true = {
         "place": there[on], "direction": angle[on], "border": _sampled(border, there)[on],
-        "slant": truth.slant_at(truth.places_px)[on], "crease": truth.above_crease_mm[on],
+        "slant": truth.slant_at(truth.places_px)[on],
     }  # fmt: skip
     place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
     back = made.map.input_from_print(place)
@@ -111,10 +100,10 @@ def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, An
     back[beside] = -100.0
     found = {
         "place": place, "direction": minutiae.direction_rad, "border": _sampled(border, place),
-        "slant": truth.slant_at(back), "crease": truth.chart_at(back)[:, 1], "quality": minutiae.quality,
+        "slant": truth.slant_at(back),
     }  # fmt: skip
     record = table(found, true, 0.5 * truth.period_mm * PX_PER_MM)
-    return record | {"true_index": np.flatnonzero(on).tolist(), "minutiae": pack_minutiae(minutiae).hex()}
+    return record | {"minutiae": pack_minutiae(minutiae).hex()}
 
 
 def _sampled(values: NDArray[np.float32], places: Array) -> Array:
@@ -144,28 +133,3 @@ def capture_record(
     if "photo" in methods:
         source = replace(source, photo=photograph(population / name))
     return prints_of(source, truth, methods, quality=session == 1 and preset in ("metric", "truth"))
-
-
-def pressed_record(population: Path, subject: str, finger: str, seed: int) -> dict[str, Any]:
-    """A finger's pressed print: its minutiae, as they come and after enhancement, against the truth."""
-    own = people(population).person(int(subject[1:])).fingers[finger].finger
-    master = own.master()
-    pressed = press_finger(own, seed, master=master)
-    border = border_px(pressed.contact)
-    true_places = pressed.minutiae[:, :2]
-    on = _sampled(border, true_places) > 0
-    rows: dict[str, Any] = {"nfiq2": nfiq2(pressed.image), "area_mm2": pressed.area_mm2}
-    for name, minutiae in (
-        ("print", extract(pressed.image)),
-        ("enhanced", extract(pressed.image, 500.0, enhance=True)),
-    ):
-        place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
-        sides = [
-            {"place": p, "direction": d, "border": _sampled(border, p), "slant": np.zeros(len(p)),
-             "crease": np.zeros(len(p))}
-            for p, d in ((place, minutiae.direction_rad), (true_places[on], pressed.minutiae[on, 2]))
-        ]  # fmt: skip
-        sides[0]["quality"] = minutiae.quality
-        record = table(sides[0], sides[1], 0.5 * master.period_mm * PX_PER_MM)
-        rows[name] = record | {"minutiae": pack_minutiae(minutiae).hex()}
-    return rows

@@ -22,20 +22,17 @@ def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) ->
         return {}
     methods = list(next(iter(first.values())))
     found = {
-        f"{preset} {method} {picture}": told_apart(first, second, (method, picture), (method, picture))
+        f"{preset} {method} {picture}": told_apart(first, second, method, picture)
         for method in methods
         for picture in pictures
     }
     return {name: one for name, one in found.items() if one}
 
 
-def told_apart(
-    first: dict[str, Any], second: dict[str, Any], one: tuple[str, str], other: tuple[str | None, str]
-) -> dict[str, Any]:
+def told_apart(first: dict[str, Any], second: dict[str, Any], method: str, picture: str) -> dict[str, Any]:
     """Fraction of genuine scores above every impostor's; all of one side against all of the other."""
     names = [name for name in first if name in second]
-    sides = [[_minutiae(first[n][one[0]], one[1]) for n in names]]
-    sides.append([_minutiae(second[n] if other[0] is None else second[n][other[0]], other[1]) for n in names])
+    sides = [[_minutiae(side[name][method], picture) for name in names] for side in (first, second)]
     scores = np.array([[minutiae_match(a, b) for b in sides[1]] for a in sides[0]])
     if len(names) < 2:
         return {}

@@ -37,15 +37,8 @@ class Truth:
     """(N,) counter-clockwise in the picture, towards the side with one more ridge; NaN if not known."""
     slant_deg: NDArray[np.float32]
     """(H, W) of the smooth shape, NaN outside."""
-    above_crease_mm: Array
-    """(N,) arc length from the first crease, towards the tip."""
     period_mm: float
     arrays: dict
-    charts: Charts
-
-    def chart_at(self, places: Array) -> Array:
-        """(N, 2) u, v in mm of places (N, 2) in the picture; NaN beside the finger."""
-        return self.charts.at(places, _sampled(self.arrays["shape_mm"], places))
 
     def slant_at(self, places: Array) -> Array:
         """(N,) degrees; 89.9 beside the finger."""
@@ -84,7 +77,7 @@ def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
     directions[apart > SAME_MM] = np.nan
     down, right = np.gradient(shape.astype(np.float64), pitch)
     slant = np.rad2deg(np.arctan(np.hypot(down, right))).astype(np.float32)
-    return Truth(places, directions, slant, here[:, 1], float(arrays["landmark_period_mm"]), arrays, charts)
+    return Truth(places, directions, slant, float(arrays["landmark_period_mm"]), arrays)
 
 
 class Charts:

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "match"))
-from pressed_prints import PressRanges, press
+from pressed_prints import SENSORS, press
 
 import splitknit
 import splitknit_match
@@ -43,11 +43,8 @@ from splitknit_simulator.scene import TwinSettings
 
 OUT = Path(__file__).with_suffix(".json")
 SEED = 99_000
-SENSOR = replace(
-    PressRanges(), half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
-    patches=0.2,
-)  # fmt: skip
-"""Dry and wet presses, as of FVC2004 DB2."""
+SENSOR = SENSORS["fvc2004_db2b"]
+"""Dry and wet presses."""
 
 
 def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:

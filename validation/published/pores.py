@@ -2,7 +2,6 @@
 
     python validation/published/pores.py A B                       # captures of at least 29 px/mm
     python validation/published/pores.py PEOPLE --out scores.csv
-    python validation/published/pores_found.py --out FOLDER        # how many of a simulated finger's are found
 
 Found: what is left when a ridge is taken for the same along itself (Q. Zhao et al., Pattern Recognition 43, 2010).
 Compared, as pairs where the ridges lie on each other: A. K. Jain, Y. Chen and M. Demirkus, "Pores and ridges", IEEE

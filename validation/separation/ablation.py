@@ -1,6 +1,6 @@
 """What each part of the light does to the surface: contrast, direct light, glare and blur, alone and together.
 
-    python validation/separation/ablation.py             # eight fingers, 23 ways each: about seven minutes of one core
+    python validation/separation/ablation.py             # eight fingers, 17 ways each: about seven minutes of one core
     python validation/separation/ablation.py --clahe     # the contrast enhancement of snk on 24 fingers: clahe.json
     python validation/separation/ablation_report.py      # the tables of docs/experiments/separation.md and of
     docs/explain/reconstruction.md from ablation.json and clahe.json
@@ -8,7 +8,7 @@
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
 same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in
 ``validation/out/ablation`` under a hash of the code that it follows from, so that a run that was stopped goes on where
-it was; where a network has changed, its rows are measured again. One process a core; figures do not depend on how many.
+it was. One process a core; figures do not depend on how many.
 """
 
 from __future__ import annotations
@@ -21,16 +21,14 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "ablation"
 FRACTION = 0.95
+FIRST_SEED = 1000
 RECIPES = ("ablation_rows", "ablation_light")
-Needed = Mapping[str, Mapping[str, str]]
-"""Networks of every row, by name, and their hashes."""
 Found = Mapping[str, Mapping[str, Any]]
 """Figures of one finger by row; a row that was refused has only ``refused``."""
 
@@ -38,31 +36,21 @@ Found = Mapping[str, Mapping[str, Any]]
 def main(arguments: Sequence[str] | None = None) -> int:
     # before numpy is imported: one thread of linear algebra a process
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from ablation_rows import CONTRAST_ROWS, ROWS, Options
+    from ablation_rows import CHECK_MM, CONTRAST_ROWS, ROWS
 
-    parser = _parser()
-    chosen = parser.parse_args(arguments)
-    unknown = set(chosen.rows or ()) - set(ROWS)
-    if unknown:
-        parser.error(f"there is no row '{min(unknown)}'; known are {', '.join(ROWS)}.")
-    wanted = chosen.rows or [name for name in ROWS if (name in CONTRAST_ROWS) == chosen.clahe]
-    names = [name for name in ROWS if name in wanted]
+    chosen = _parser().parse_args(arguments)
+    names = [name for name in ROWS if (name in CONTRAST_ROWS) == chosen.clahe]
     fingers = chosen.fingers or (24 if chosen.clahe else 8)
     out = chosen.out or HERE / ("clahe.json" if chosen.clahe else "ablation.json")
-    options = Options(chosen.scale, chosen.check_mm, chosen.direct, chosen.relief, chosen.shape)
-    networks = _networks({need for name in names for need in ROWS[name].networks}, options)
     code = source_hash()
-    folder = chosen.scratch / f"{code[:12]}_{chosen.scale:g}_{chosen.check_mm:g}"
-    seeds = list(range(chosen.first_seed, chosen.first_seed + fingers))
-    needed = {name: {need: networks[need] for need in ROWS[name].networks} for name in names}
-    found = _measure_all(seeds, needed, options, folder, chosen.workers)
+    seeds = list(range(FIRST_SEED, FIRST_SEED + fingers))
+    found = measure_all(seeds, names, chosen.scale, chosen.scratch / f"{code[:12]}_{chosen.scale:g}", chosen.workers)
     results = {
         "format": "splitknit-ablation",
         "version": 1,
         "source_sha256": code,
-        "networks": networks,
         "scale": chosen.scale,
-        "check_mm": chosen.check_mm,
+        "check_mm": CHECK_MM,
         "seeds": seeds,
         **summarised(found, names),
         "fingers": [{"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)],
@@ -80,23 +68,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clahe", action="store_true", help="the contrast enhancement of snk, and nothing else")
     parser.add_argument("--fingers", type=int, help="default: 8, of --clahe 24")
-    parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
-    parser.add_argument("--check-mm", type=float, default=0.42, help="checks of the true direct light")
-    parser.add_argument("--rows", nargs="+", metavar="NAME", help="these ways only")
-    for name in ("direct", "relief", "shape"):
-        parser.add_argument(f"--{name}", default=name, help="network: name of a shipped one, or path of an .onnx file")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, help="default: ablation.json, of --clahe clahe.json, beside this file")
     parser.add_argument("--scratch", type=Path, default=OUT, help="folder of the single results")
     return parser
-
-
-def _networks(needed: set[str], options: Any) -> dict[str, str]:
-    """Hashes of the networks that the rows need, by name. Refuses if one is missing, before anything is measured."""
-    from splitknit.networks.unet import read_network
-
-    return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
 
 
 def source_hash() -> str:
@@ -117,23 +93,15 @@ def source_hash() -> str:
     return digest.hexdigest()
 
 
-def _measure_all(
-    seeds: Sequence[int], needed: Needed, options: Any, folder: Path, workers: int
+def measure_all(
+    seeds: Sequence[int], names: Sequence[str], scale: float, folder: Path, workers: int
 ) -> list[dict[str, Any]]:
     """Figures of every finger's rows; those that are on disk already are not measured again."""
     folder.mkdir(parents=True, exist_ok=True)
-    if workers <= 1 or len(seeds) <= 1:
-        _one_thread()
-        for seed in seeds:
-            _measure_one(seed, needed, asdict(options), folder)
-    else:
-        context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-            jobs = [pool.submit(_measure_one, seed, needed, asdict(options), folder) for seed in seeds]
-            for job in concurrent.futures.as_completed(jobs):
-                job.result()
-    files = [_read(folder / f"{seed:05d}.json") for seed in seeds]
-    return [{name: rows[name]["figures"] for name in needed} for rows in files]
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        jobs = [pool.submit(measure_one, seed, names, scale, folder) for seed in seeds]
+        return [job.result() for job in jobs]
 
 
 def _one_thread() -> None:
@@ -142,26 +110,19 @@ def _one_thread() -> None:
     cv2.setNumThreads(1)
 
 
-def _measure_one(seed: int, needed: Needed, options: dict[str, Any], folder: Path) -> None:
-    from ablation_rows import Bench, Options
+def measure_one(seed: int, names: Sequence[str], scale: float, folder: Path) -> dict[str, Any]:
+    from ablation_rows import Bench
 
     file = folder / f"{seed:05d}.json"
-    rows = _read(file)
-    missing = [name for name, networks in needed.items() if rows.get(name, {}).get("networks") != networks]
-    if not missing:
-        return
-    bench = Bench(seed, Options(**options))
+    rows = dict(json.loads(file.read_text())) if file.is_file() else {}
+    missing = [name for name in names if name not in rows]
+    bench = Bench(seed, scale) if missing else None
     for name in missing:
-        rows[name] = {"figures": bench.figures(name), "networks": needed[name]}
+        rows[name] = bench.figures(name)
         partial = file.with_suffix(".partial")
         partial.write_text(json.dumps(rows, indent=1))
         partial.replace(file)
-        if sys.stderr.isatty():
-            print(f"{seed} {name}: {rows[name]['figures']}", file=sys.stderr, flush=True)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    return dict(json.loads(file.read_text())) if file.is_file() else {}
+    return {name: rows[name] for name in names}
 
 
 def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:

@@ -22,12 +22,11 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "experiments" / "separation.md"
 TABLES = HERE / "tables"
-HEADING = "## Ablation"
 MARKS = ("<!-- ablation -->", "<!-- /ablation -->")
+RESULTS = HERE / "ablation.json"
 CONTRAST = HERE / "clahe.json"
 CONTRAST_PAGE = HERE.parents[1] / "docs" / "explain" / "reconstruction.md"
 CONTRAST_MARKS = ("<!-- clahe -->", "<!-- /clahe -->")
-CONTRAST_CSV = HERE / "tables" / "clahe.csv"
 CONTRAST_SHOWN = (
     "sRGB code, cells of 64 px, limit 3",
     "*sRGB code instead of linear light*",
@@ -188,34 +187,26 @@ def contrast_csv(results: Tree) -> str:
     return text.getvalue()
 
 
-def filled(page: str, text: str, marks: tuple[str, str] = MARKS) -> str:
-    """The page with `text` between its marks; they are added at its end, under a heading, if it has none."""
+def filled(page: str, text: str, marks: tuple[str, str]) -> str:
+    """The page with `text` between its marks."""
     first, last = marks
-    if first not in page:
-        return f"{page.rstrip()}\n\n{HEADING}\n\n{first}\n{text}\n{last}\n"
     before, rest = page.split(first, 1)
-    if last not in rest:
-        raise ValueError(f"the page has {first}, but no {last} after it.")
     return f"{before}{first}\n{text}\n{last}{rest.split(last, 1)[1]}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
-    parser.add_argument("--results", type=Path, default=HERE / "ablation.json")
-    parser.add_argument("--page", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
-    jobs = [(options.page, options.results, section, MARKS)]
-    if options.page == PAGE:
-        jobs.append((CONTRAST_PAGE, CONTRAST, contrast_section, CONTRAST_MARKS))
-    wanted = {}
-    for place, file, text_of, marks in jobs:
-        page = place.read_text(encoding="utf-8") if place.exists() else ""
-        wanted[place] = filled(page, text_of(json.loads(file.read_text(encoding="ascii"))), marks)
-    if options.page == PAGE:
-        results = json.loads(options.results.read_text(encoding="ascii"))
-        wanted |= {TABLES / "ablation.csv": rows_csv(results), TABLES / "ablation_pairs.csv": pairs_csv(results)}
-        wanted[CONTRAST_CSV] = contrast_csv(json.loads(CONTRAST.read_text(encoding="ascii")))
+    results, contrast = (json.loads(file.read_text(encoding="ascii")) for file in (RESULTS, CONTRAST))
+    page, contrast_page = (place.read_text(encoding="utf-8") for place in (PAGE, CONTRAST_PAGE))
+    wanted = {
+        PAGE: filled(page, section(results), MARKS),
+        CONTRAST_PAGE: filled(contrast_page, contrast_section(contrast), CONTRAST_MARKS),
+        TABLES / "ablation.csv": rows_csv(results),
+        TABLES / "ablation_pairs.csv": pairs_csv(results),
+        TABLES / "clahe.csv": contrast_csv(contrast),
+    }
     stale = [place for place, text in wanted.items() if not place.exists() or place.read_text(encoding="utf-8") != text]
     if not options.check:
         for place, text in wanted.items():

@@ -8,21 +8,19 @@ from functools import cached_property
 from typing import Any
 from unittest import mock
 
-import cv2
 import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 from splitknit import pipeline
 from splitknit.accuracy import compare
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.imaging.band import linear_channels
-from splitknit.methods import metric, photographs, thesis
+from splitknit.methods import photographs, thesis
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
-from splitknit.skin.learned import glare_of
 
 FIGURES = (
     "ridge_correlation",
@@ -47,10 +45,8 @@ class Row:
     """What of the white light is let through instead of the network's grey output: that of the twin's truth by this
     name, or of the ``network`` that is given the colours; empty: nothing is changed."""
     glare: str = "in"
-    """``in``, or what takes it out of the images: ``network``, ``truth`` (white), ``truth_both`` (both bands)."""
+    """``in``, or ``truth``: taken out of the white images, as the twin knows it."""
     grey: bool = False
-    networks: tuple[str, ...] = ()
-    """Networks without which there is no such row."""
 
 
 THESIS = "thesis's chain (`snk`)"
@@ -75,12 +71,7 @@ LIGHTS = {
     "direct_matt": ("true direct light without its glare", "direct without glare"),
     "matt": ("glare truly out", "all but glare"),
 }
-GLARES = {
-    "in": "glare in",
-    "network": "glare out by the network",
-    "truth": "glare truly out (white)",
-    "truth_both": "glare truly out (white and near-infrared)",
-}
+GLARES = {"in": "glare in", "truth": "glare truly out (white)"}
 
 
 def _rows() -> dict[str, Row]:
@@ -89,20 +80,14 @@ def _rows() -> dict[str, Row]:
         for light, (words, fraction) in LIGHTS.items():
             # where the twin gives the light, it does so in the network's place
             change = {"enhance.clahe": clahe, "direct.method": "none" if light == "all" else "network"}
-            needs = ("direct",) if light in ("network", "colours") else ()
             text = f"CLAHE {'on' if clahe else 'off'}, {words}"
-            name = f"snk_{'clahe' if clahe else 'plain'}_{light}"
-            rows[name] = Row(THESIS, text, "snk", change, fraction, networks=needs)
-    everything = ("relief", "shape")
-    for glare, words in GLARES.items():
-        needs = everything if glare == "network" else ()
-        rows[f"near_{glare}"] = Row(NEAR, words, change={"skin.invert_blur": False}, glare=glare, networks=needs)
+            rows[f"snk_{'clahe' if clahe else 'plain'}_{light}"] = Row(THESIS, text, "snk", change, fraction)
     by_colour = {"metric.relief": "colour"}
     for glare, words in GLARES.items():
-        needs = everything if glare == "network" else ()
-        rows[f"grey_{glare}"] = Row(GREY, words, change=by_colour, glare=glare, grey=True, networks=needs)
+        rows[f"near_{glare}"] = Row(NEAR, words, change={"skin.invert_blur": False}, glare=glare)
+        rows[f"grey_{glare}"] = Row(GREY, words, change=by_colour, glare=glare, grey=True)
     rows["colour"] = Row(COLOUR, "glare and blur by colour", change=by_colour)
-    rows["metric"] = Row(COLOUR, "glare and blur by networks, as shipped", networks=everything)
+    rows["metric"] = Row(COLOUR, "glare and blur by networks, as shipped")
     return rows
 
 
@@ -112,7 +97,7 @@ def _contrast_rows() -> dict[str, Row]:
         grey, cells, clip = name.split("_")
         of_cells = {f"enhance.cells.{key}": value for key, value in change.items()}
         words = f"{'linear light' if grey == 'linear' else 'sRGB code'}, {CELLS[cells]}, limit {clip}"
-        rows[f"clahe_{name}"] = Row(CONTRAST, words, "snk", of_cells, networks=("direct",))
+        rows[f"clahe_{name}"] = Row(CONTRAST, words, "snk", of_cells)
         if cells == "cells" and clip == "3":
             no_network = of_cells | {"direct.method": "none"}
             rows[f"clahe_{name}_all"] = Row(CONTRAST, f"{words}, all light", "snk", no_network)
@@ -135,10 +120,8 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("true direct light without its glare, CLAHE off", "snk_plain_direct_matt", "snk_plain_all"),
     ("glare truly out, CLAHE off", "snk_plain_matt", "snk_plain_all"),
     ("glare truly out, CLAHE on", "snk_clahe_matt", "snk_clahe_all"),
-    ("near lights: glare out by the network", "near_network", "near_in"),
     ("near lights: glare truly out", "near_truth", "near_in"),
     ("blur inverted (grey), glare in", "grey_in", "near_in"),
-    ("blur inverted (grey): glare out by the network", "grey_network", "grey_in"),
     ("blur inverted (grey): glare truly out", "grey_truth", "grey_in"),
     ("`metric` by colour against glare and blur left in", "colour", "near_in"),
     ("`metric` by networks against `metric` by colour", "metric", "colour"),
@@ -153,26 +136,16 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
 """Words, row, and the row that it is compared with, finger by finger."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What all rows have in common."""
-
-    scale: float = 0.5
-    check_mm: float = 0.42
-    """Of the true direct light."""
-    direct: str = "direct"
-    relief: str = "relief"
-    shape: str = "shape"
-    """Networks, or paths of ``.onnx`` files."""
+CHECK_MM = 0.42
+"""Of the true direct light."""
 
 
 class Bench:
     """One finger; what several rows need is made once."""
 
-    def __init__(self, seed: int, options: Options) -> None:
+    def __init__(self, seed: int, scale: float = 0.5) -> None:
         """Photograph the finger and find it in the images as they are."""
-        self.options = options
-        self.twin = twin_of(seed, options.scale)
+        self.twin = twin_of(seed, scale)
         self.finger = find_finger(self.twin.capture, preset_settings("metric"))
 
     def figures(self, name: str) -> dict[str, Any]:
@@ -185,9 +158,7 @@ class Bench:
         return {key: float(figures[key]) for key in FIGURES}
 
     def reconstructed(self, row: Row) -> Reconstruction:
-        if row == ROWS["metric"]:
-            return self._by_network[0]
-        capture, settings = self._capture(row), self._settings(row)
+        capture, settings = self._capture(row), override(preset_settings(row.preset), row.change)
         if not row.fraction:
             return reconstruct(capture, self.finger, settings)
         fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]
@@ -197,20 +168,13 @@ class Bench:
 
     def _capture(self, row: Row) -> Capture:
         capture = in_grey(self.twin.capture) if row.grey else self.twin.capture
-        if row.glare == "network":
-            return without_glare(capture, "white", self._by_network[1])
-        for name in {"truth": ("white",), "truth_both": ("white", "nir")}.get(row.glare, ()):
-            capture = without_glare(capture, name, self.twin.truth[f"glare_{name}"].astype(np.float32))
+        if row.glare == "truth":
+            capture = without_glare(capture, "white", self.twin.truth["glare_white"].astype(np.float32))
         return capture
-
-    def _settings(self, row: Row) -> PipelineSettings:
-        names = {"direct.network": self.options.direct, "metric.network": self.options.relief}
-        names["metric.shape_network"] = self.options.shape
-        return override(preset_settings(row.preset), {**names, **row.change})
 
     @cached_property
     def _fractions(self) -> dict[str, FloatArray]:
-        return true_shares(self.twin, self.options.check_mm)
+        return true_shares(self.twin, CHECK_MM)
 
     @cached_property
     def _coloured(self) -> FloatArray:
@@ -219,50 +183,11 @@ class Bench:
         light = linear_channels(capture.bands["white"], capture.encoding, ("red", "green", "blue"), window)
         light = np.maximum(light, np.float32(0.0)) * self.finger.wider[window]
         fraction = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
-        fraction[(slice(None), *window)] = direct_of_enhanced(
-            np.ones_like(light[0]), light.swapaxes(0, 1), self.options.direct
-        )
+        fraction[(slice(None), *window)] = direct_of_enhanced(np.ones_like(light[0]), light.swapaxes(0, 1), "direct")
         return fraction
-
-    @cached_property
-    def _by_network(self) -> tuple[Reconstruction, FloatArray]:
-        """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
-        drawn: list[FloatArray] = []
-        lit: list[Any] = []
-        estimate, describe = metric.relief_of_output, metric.features
-
-        def describing(white: Any, grid: Any, smooth_mm: Any, light: Any) -> Any:
-            lit[:] = white.rig, light
-            return describe(white, grid, smooth_mm, light)
-
-        def listening(*given: Any) -> Any:
-            found = estimate(*given)
-            drawn.append(glare_of(found, *lit))
-            return found
-
-        capture = self.twin.capture
-        with mock.patch.multiple(metric, relief_of_output=listening, features=describing):
-            result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
-        require(
-            len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."
-        )
-        return result, _on_pixels(drawn[-1], self.finger, capture.shape)
 
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
     with mock.patch.object(photographs, "locate_finger", lambda capture, _: (capture, finger)):
         return pipeline.reconstruct(capture, settings=settings)
-
-
-def _on_pixels(fields: FloatArray, finger: Finger, shape: tuple[int, int]) -> FloatArray:
-    """(L, H, W) of fields on the fine grid, zero beside the finger's window."""
-    rows, columns = finger.window
-    size = (rows.stop - rows.start, columns.stop - columns.start)
-    factor = size[0] // fields.shape[1]
-    whole = np.zeros((len(fields), *shape), dtype=np.float32)
-    for place, field_ in zip(whole[:, rows, columns], fields, strict=True):
-        large = cv2.resize(field_, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
-        missing = ((0, size[0] - large.shape[0]), (0, size[1] - large.shape[1]))
-        place[...] = np.pad(large, missing, mode="edge")
-    return whole

@@ -1,8 +1,8 @@
 """The checkerboard separation against the twin's own direct light, on palms and fingers.
 
-    python validation/separation/checkerboard.py [--smoke]
+    python validation/separation/checkerboard.py
 
-takes some minutes on one core (``--smoke`` seconds), writes ``checkerboard.json`` beside this file and prints a
+takes some minutes on one core, writes ``checkerboard.json`` beside this file and prints a
 Markdown summary. The truth is the maximum minus the minimum over *all* phases of a checkerboard of that check
 size, in steps of a pixel; what is judged sees only the shifts that a projector takes. PSNR is given for two peaks: the
 white image's 99.9th percentile, and that of the truth itself.
@@ -10,44 +10,34 @@ white image's 99.9th percentile, and that of the truth itself.
 - ``noise_free``: PSNR of direct and global light by check size and shifts.
 - ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum against least squares with states known
   or found in the images, over all lit and dark images or in the middle of the checks.
-- ``ratio``: direct light over surface reflection by check size, a whole finger and a palm under the seven white LEDs.
 - ``centred``: the fast truth against the one over all phases; with the projector at its LED, and in the camera's axis.
-
-``--only PART ...`` measures some of them anew and keeps the rest.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from patches import (
-    LEDS,
     PX_PER_MM,
     SIZE,
     Patch,
     decibels,
-    draw_palm,
     draw_patches,
     inner,
     known_states,
     noisy_images,
-    palm_surface,
     photograph,
     truth_of,
 )
 
-from splitknit.model import Camera, Led
+from splitknit.model import Led
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation, StackSettings, estimate_patterns
-from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.separation import Checkerboard, Separated
-from splitknit_simulator.light.skin import SkinOptics
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
@@ -132,21 +122,6 @@ def _estimates(stack: np.ndarray, check_mm: float, mask: np.ndarray, states: np.
     }
 
 
-def ratios(smoke: bool) -> list[dict[str, Any]]:
-    """Direct light over surface reflection for the default skin, summed over a surface and the white LEDs."""
-    camera = Camera(20.0 if smoke else PX_PER_MM, (200, 200) if smoke else (1060, 720))
-    finger = finger_surface(draw_finger(500, "whorl"), FingerPose(insertion_mm=26.0), camera, workers=1)
-    rows = []
-    for name, surface in (("finger", finger), ("palm", palm_surface(draw_palm(500), camera))):
-        for check in CHECKS_MM:
-            total = np.zeros((2, 3))
-            for led in LEDS[:7]:
-                truth = truth_of((surface, led, SkinOptics()), check, phases="centred")
-                total += truth.direct.sum(axis=(1, 2), dtype=np.float64), np.full(3, truth.glare.sum(dtype=np.float64))
-            rows.append({"surface": name, "check_mm": check, "direct_over_glare": (total[0] / total[1]).tolist()})
-    return rows
-
-
 def centred(patches: dict[str, Patch], checks: Iterable[float]) -> list[dict[str, Any]]:
     """The fast truth against the full one."""
     rows = []
@@ -179,9 +154,6 @@ def summary(results: dict[str, Any]) -> str:
         bias = [100 * value for row in group for value in row["bias_by_noise"]]
         level = f"{min(levels):.1f} to {max(levels):.1f} dB (own peak)"
         lines.append(f"noise, {method}: {level}, by noise {min(bias):+.1f} to {max(bias):+.1f} %")
-    for row in results["ratio"]:
-        over = ", ".join(f"{value:.2f}" for value in row["direct_over_glare"])
-        lines.append(f"{row['surface']}, {row['check_mm']} mm: direct over surface reflection {over}")
     for row in results["centred"]:
         lines.append(f"{row['surface']}, {row['check_mm']} mm, the fast truth: {100 * row['led_rms']:.2f} % rms")
     return "\n".join(lines)
@@ -189,30 +161,18 @@ def summary(results: dict[str, Any]) -> str:
 
 def main() -> None:
     """Run everything and store it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--smoke", action="store_true", help="small crops, one check size, nothing stored")
-    parser.add_argument("--only", nargs="+", help="parts to measure")
-    parser.add_argument("--out", type=Path, default=HERE / "checkerboard.json")
-    arguments = parser.parse_args()
-    start = time.monotonic()
-    patches = draw_patches(arguments.smoke)
-    checks = (0.21,) if arguments.smoke else CHECKS_MM
+    patches = draw_patches(False)
     one = {name: patch for name, patch in patches.items() if name.endswith("0")}
-    parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "noise_free": lambda: noise_free(patches, checks, STEPS[:1] if arguments.smoke else STEPS),
-        "noise": lambda: noise(patches, checks[-1] if arguments.smoke else 0.42),
-        "ratio": lambda: ratios(arguments.smoke),
-        "centred": lambda: centred(one, checks[:3]),
+    results: dict[str, Any] = {
+        "px_per_mm": PX_PER_MM,
+        "size": list(SIZE),
+        "noise_free": noise_free(patches, CHECKS_MM, STEPS),
+        "noise": noise(patches, 0.42),
+        "centred": centred(one, CHECKS_MM[:3]),
+        "psnr_peak": "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself",
     }
-    results: dict[str, Any] = {"px_per_mm": PX_PER_MM, "size": list(SIZE)}
-    if arguments.only:
-        results |= json.loads(arguments.out.read_text(encoding="utf-8"))
-    results |= {name: part() for name, part in parts.items() if name in (arguments.only or parts)}
-    results["psnr_peak"] = "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself"
-    if not arguments.smoke:
-        arguments.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    (HERE / "checkerboard.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     print(summary(results))
-    print(f"{time.monotonic() - start:.0f} s")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
 
 from __future__ import annotations
 
-import argparse
 import csv
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,20 +130,16 @@ def compared(patches: dict[str, Patch]) -> list[dict[str, Any]]:
     return rows
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--smoke", action="store_true", help="small crops; nothing is stored")
-    options = parser.parse_args(arguments)
-    rows = compared(draw_patches(options.smoke))
+def main() -> None:
+    """Compare, print and store."""
+    rows = compared(draw_patches(False))
     for row in rows:
         print(*row.values(), sep=", ")
-    if not options.smoke:
-        with TABLE.open("w", encoding="ascii", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-    return 0
+    with TABLE.open("w", encoding="ascii", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -31,9 +31,6 @@ from variants import (
     spreads,
 )
 
-from splitknit import __version__
-from splitknit.io.provenance import settings_hash
-from splitknit_match.batch.reading import stored_places
 from splitknit_match.evaluation.intervals import BootstrapSettings
 from tables import Row, write_csv
 
@@ -41,7 +38,6 @@ COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
 FAMILY_CASES = ("kumar", "zheng", "lin")
 FAMILY_MATCHERS = ("ridge", "minutiae")
-ROLL_VARIANTS = (Variant("none", "single", "pairs"), Variant("gate", "averaged", "fingers"))
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 
@@ -135,18 +131,9 @@ def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
 
 
 def run_people(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """One finger each of many people, by the present matchers and the thesis's, and small windows by ``ridge``."""
-    from windows import window_trials
-
+    """One finger each of many people, by the present matchers and the thesis's."""
     matchers = {"ridge": "", "minutiae": "", "thesis": "relief"}
-    facts = _by_matchers(options, store, truth, "people", options.cases, matchers)
-    case = options.cases[0]
-    captures = read_captures(store, (case,))
-    table = read_table(store, captures, (case,), ("ridge",))
-    trials = window_trials(table.pairs, stored_places(store.files("features", case)), case, options.jobs)
-    rows = rate_rows(_work(options, replace(table, trials=tuple(trials)), truth), trials, options.jobs, (PLAIN, WHOLE))
-    write_csv(options.out / "people_windows.csv", rows)
-    return facts
+    return _by_matchers(options, store, truth, "people", options.cases, matchers)
 
 
 def _by_matchers(  # noqa: PLR0917
@@ -204,29 +191,6 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
         if chart:
             save(chart, options.out / f"{factor}-{matcher}.svg")
     return facts
-
-
-def run_rolls(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Section 5.1: roll between captures by their surfaces, and what the rules of roll keep by it and by the truth."""
-    from rolls import CASES, agreement, beside_truth, estimated  # the others need no surfaces
-
-    case = next(name for name in CASES if name in options.cases)
-    captures = read_captures(store, options.cases)
-    scratch = _scratch(options, "rolls", [store.document()["cases"][case], __version__])
-    rows = estimated(store.files("features", case), captures.names.tolist(), scratch, options.jobs)
-    rows = beside_truth(rows, truth)
-    write_csv(options.out / "rolls.csv", rows)
-    table = read_table(store, captures, options.cases, ("thesis",))
-    by_truth = _work(options, table, truth)
-    found = {(row["a"], row["b"]): row["roll_deg"] for row in rows if row["roll_deg"] is not None}
-    by_surface = replace(by_truth, known=known_of(table.pairs, truth, found))
-    judged_rows = [
-        {"roll by": words, **row}
-        for words, work in (("truth", by_truth), ("surfaces", by_surface))
-        for row in rate_rows(work, _of(table, "thesis", "relief"), options.jobs, ROLL_VARIANTS)
-    ]
-    write_csv(options.out / "rolls_gate.csv", judged_rows)
-    return {"case": case, **agreement(rows, options.seed)}
 
 
 def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
@@ -309,25 +273,6 @@ def _on_images(  # noqa: PLR0917
     return facts | {"people": options.people}
 
 
-def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
-    """The distance of the patterns' neighbours, on captures of several scales."""
-    from neighbours import FINGERS, PEOPLE, SCALES, SMALL_SCALES, neighbours_table
-
-    scales, people, fingers = (SMALL_SCALES, 3, FINGERS[:1]) if options.small else (SCALES, PEOPLE, FINGERS)
-    seed = options.seed + 1  # other people than the population's
-    table = neighbours_table(options.scratch / "neighbours", people, fingers, seed, scales, options.jobs)
-    work = _work(options, table, {})
-    rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
-    groups = [
-        (table.trials[k], trial)
-        for k in (0, 1)
-        for trial in table.trials
-        if trial is not table.trials[k] and trial.attribute == table.trials[k].attribute
-    ]
-    _write(options, "neighbours", rows, difference_rows(work, groups, (PLAIN,), options.jobs))
-    return _facts(table, table.trials) | {"people": people, "scales": list(scales), "own_seed": seed}
-
-
 def run_normals(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Normals of the surface, which the store has, and normals as measured, by case."""
     from normals import MEASURED_AS, normals_table
@@ -346,7 +291,7 @@ def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     from figures import choose, run
 
     whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
-    chosen = choose(whole, options.seed)[: 2 if options.small else options.captures]
+    chosen = choose(whole, options.seed)[: options.captures]
     return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
 
 
@@ -356,14 +301,12 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 
 
 PARTS = (
-    "fusion", "cases", "matchers", "sensitivity", "failures", "rolls", "descriptors", "figures", "scales", "neighbours",
-    "normals",
+    "fusion", "cases", "matchers", "sensitivity", "failures", "descriptors", "figures", "scales", "normals",
 )  # fmt: skip
 """What ``all`` makes; ``family`` and ``people`` have populations and stores of their own."""
 WITHOUT_STORE = {
     "scales": run_scales,
     "descriptors": run_descriptors,
-    "neighbours": run_neighbours,
     "figures": run_figures,
 }
 PART_OF = {
@@ -372,7 +315,6 @@ PART_OF = {
     "matchers": run_matchers,
     "sensitivity": run_sensitivity,
     "failures": run_failures,
-    "rolls": run_rolls,
     "normals": run_normals,
     "family": run_family,
     "people": run_people,
@@ -393,11 +335,10 @@ def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
     }  # fmt: skip
 
 
-def _scratch(options: argparse.Namespace, part: str, further: Any = None) -> Path:
+def _scratch(options: argparse.Namespace, part: str) -> Path:
     """Folder of what a part keeps of a population."""
     population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))["settings_sha256"]
-    made_from = population if further is None else settings_hash([population, further])
-    return Path(options.scratch / part / made_from[:12])
+    return Path(options.scratch / part / population[:12])
 
 
 def _of(table: Table, matcher: str, attribute: str) -> list[Trial]:

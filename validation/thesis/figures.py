@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -352,7 +351,3 @@ def _keep(population: Path, scratch: Path, name: str) -> None:
 
 def _file(scratch: Path, name: str) -> Path:
     return scratch / (name.replace("/", "_") + ".json")
-
-
-if __name__ == "__main__":  # figures.py CAPTURE: figure 3.22 of one capture
-    write_image(Path(__file__).parent / "figure-3-22-shapes.png", shapes(read_capture(sys.argv[1])))

@@ -82,7 +82,7 @@ def run_table(runs: Mapping[str, Any]) -> Lines:
     lines = [
         ["table", "genuine / impostor pairs", "impostors that pass", "fingers", "left out", "seconds", "population"]
     ]
-    parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases", "descriptors", "neighbours")]
+    parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases", "descriptors")]
     matchers = runs.get("matchers", {})
     parts += [(name, {**matchers, **matchers.get(name, {})}) for name in ("ridge", "minutiae")]
     for name, part in parts:

@@ -1,9 +1,8 @@
-"""Figures as SVG files: ROC curves over a logarithmic FAR, rates over bins of a factor, bars, and heat maps of rigs."""
+"""Figures as SVG files: ROC curves over a logarithmic FAR, rates over bins of a factor, lines and bars."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,51 +82,3 @@ def bars_figure(groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[flo
         ax.legend(ncols=2, loc="upper left", bbox_to_anchor=(0, 1.25))
 
     return chart(draw, wide=6.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One rig in the heat map."""
-
-    column: float
-    row: float
-    value: float | None
-    """None where it was refused or failed."""
-    note: str
-    """Text of the cell instead of a value."""
-    best: bool = False
-    as_good: bool = False
-    thesis: bool = False
-
-
-def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, title: str = "") -> bytes:
-    """A table of coloured cells: low values are dark, the best has a frame, those as good a dot, others stripes."""
-    columns, rows = (sorted({getattr(cell, side) for cell in cells}) for side in ("column", "row"))
-    values = np.full((len(rows), len(columns)), np.nan)
-    for cell in cells:
-        if cell.value is not None:
-            values[rows.index(cell.row), columns.index(cell.column)] = cell.value
-
-    def draw(ax: Any) -> None:
-        image = ax.pcolormesh(values, cmap="cividis", edgecolors="white", linewidth=1.5)
-        for cell in cells:
-            x, y = columns.index(cell.column), rows.index(cell.row)
-            dark = cell.value is not None and image.norm(cell.value) < 0.5
-            dot = " •" if cell.as_good and not cell.best else ""
-            words = cell.note if cell.value is None else f"{cell.value:#.3g}".rstrip(".") + dot
-            style = {"color": "white" if dark else "#222222", "weight": "bold" if cell.best else "normal"}
-            ax.text(x + 0.5, y + 0.5, words, ha="center", va="center", **style)
-            for framed, paint, dashes in ((cell.best, "#D55E00", "-"), (cell.thesis, "black", "--")):
-                if framed:
-                    low, high = np.array([0.06, 0.94]) if paint == "black" else np.array([0.02, 0.98])
-                    ax.plot(
-                        x + np.array([low, high, high, low, low]), y + np.array([low, low, high, high, low]),
-                        color=paint, linestyle=dashes, linewidth=2,
-                    )  # fmt: skip
-        ax.set_xticks(np.arange(len(columns)) + 0.5, [f"{value:g}" for value in columns])
-        ax.set_yticks(np.arange(len(rows)) + 0.5, [f"{value:g}" for value in rows])
-        ax.grid(visible=False)
-        ax.set(title=title, ylabel=y_label)
-        ax.set_xlabel(f"{x_label}\n{unit}\norange: best; •: as good; dashed: the thesis's")
-
-    return chart(draw, max(0.8 * len(columns) + 1.0, 3.5), 0.45 * len(rows) + 1.4)

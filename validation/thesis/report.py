@@ -127,7 +127,7 @@ def readable(folder: Path) -> dict[str, Lines]:
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
         made[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
         made[f"{name}_margin"] = margin_table(rows)
-    for name in ("family", "people", "people_windows"):
+    for name in ("family", "people"):
         made[name] = rate_table(
             read(folder / f"{name}.csv"),
             "case, matcher",
@@ -136,14 +136,10 @@ def readable(folder: Path) -> dict[str, Lines]:
         )
     made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
     described, apart = (read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences"))
-    near, nearer = (read(folder / f"neighbours{ending}.csv") for ending in ("", "_differences"))
     for name in ("normals", "relief"):
         rows, two = ([row for row in part if row["attribute"] == name] for part in (described, apart))
         made[f"descriptors_{name}"] = rate_table(rows, f"feature, {name}", lambda row: row["case"], UNDILUTED)
         made[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
-        rows, two = ([row for row in part if row["attribute"] == name] for part in (near, nearer))
-        made[f"neighbours_{name}"] = rate_table(rows, f"neighbours, {name}", lambda row: row["case"], (PLAIN,))
-        made[f"neighbours_{name}_differences"] = difference_table(two, (PLAIN,))
     made["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):

@@ -32,6 +32,6 @@ step "$python" -m splitknit simulate population --out "$out/people" --seed 3170 
     --fingers right_index --sessions 4 --set sessions.partial_share=0 --workers "$jobs"
 step "$python" -m splitknit batch "$out/people" --out "$out/store" --cases "$cases" --matchers thesis \
     --impostors 1 --seed 3170 --jobs "$jobs"
-for part in cases fusion rolls figures; do experiment "$part"; done
+for part in cases fusion figures; do experiment "$part"; done
 step "$python" validation/thesis/claims.py "$out/tables"
 echo "$((SECONDS - started)) seconds"

@@ -9,18 +9,12 @@ efficiency are electrons.
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # hardware/ is not installed
-
-from hardware.films import SIDE_HEIGHT_MM, SIDE_RADIUS_MM, side_leds
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, Led, Rig
 from splitknit_simulator.calibration_set.solids import unit
@@ -47,12 +41,6 @@ class RigCandidate:
     """Tilt of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
     px_per_mm: float = 12.0
     """Resolution of the camera on the finger plane; the field stays."""
-    side: int = 0
-    """Number of side lights, as bright in the middle of the finger plane as the others."""
-    side_radius_mm: float = SIDE_RADIUS_MM
-    """Their distance from the camera's axis."""
-    side_height_mm: float = SIDE_HEIGHT_MM
-    """Their height above the finger plane."""
 
     @property
     def beam_deg(self) -> float:
@@ -64,8 +52,7 @@ class RigCandidate:
     def name(self) -> str:
         """Short, unique, fit for a file."""
         tilt = "centre" if self.tilt_deg is None else f"{self.tilt_deg:g}"
-        side = f"_n{self.side}_r{self.side_radius_mm:g}_h{self.side_height_mm:g}" if self.side else ""
-        return f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}{side}"
+        return f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}"
 
     @property
     def volume_l(self) -> float:
@@ -92,24 +79,16 @@ class BuildSettings:
         return float(np.log(0.5) / np.log(np.cos(np.deg2rad(self.half_angle_deg))))
 
 
-def grid(  # noqa: PLR0917 - one list an axis
+def grid(
     heights_mm: Sequence[float],
     radii_mm: Sequence[float],
     powers_w: Sequence[float],
-    tilts_deg: Sequence[float | None] = (None,),
-    resolutions: Sequence[float] = (12.0,),
-    side: Sequence[int] = (0,),
-    side_radii_mm: Sequence[float] = (SIDE_RADIUS_MM,),
-    side_heights_mm: Sequence[float] = (SIDE_HEIGHT_MM,),
+    tilts_deg: Sequence[float | None],
+    resolutions: Sequence[float],
 ) -> tuple[RigCandidate, ...]:
-    """All combinations, in the lists' order, each once. BadInput if a list is empty or has an impossible value."""
-    axes: dict[str, Sequence[Any]] = {"heights_mm": heights_mm, "radii_mm": radii_mm, "powers_w": powers_w}
-    axes |= {"tilts_deg": tilts_deg, "resolutions": resolutions, "side": side}
-    axes |= {"side_radii_mm": side_radii_mm, "side_heights_mm": side_heights_mm}
-    for name, values in axes.items():
-        require(len(values) > 0, f"{name} is empty; list one value at least.")
-    found = (values if values[5] else values[:6] for values in itertools.product(*axes.values()))
-    return tuple(dict.fromkeys(RigCandidate(*values) for values in found))
+    """All combinations, in the lists' order, each once."""
+    axes = itertools.product(heights_mm, radii_mm, powers_w, tilts_deg, resolutions)
+    return tuple(dict.fromkeys(RigCandidate(*values) for values in axes))
 
 
 def _camera_of(candidate: RigCandidate, build: BuildSettings) -> Camera:
@@ -133,9 +112,6 @@ def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Ma
             place = (candidate.radius_mm * x, candidate.radius_mm * y, z)
             aim = (-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt)))
             leds.append(Led(band, place, intensity=intensity, lobe_exponent=build.lobe_exponent, aim=aim))
-    if candidate.side and "white" in intensities:
-        white = [led for led in leds if led.band == "white"]
-        leds += side_leds(white, candidate.side, candidate.side_radius_mm, candidate.side_height_mm)
     return Rig(_camera_of(candidate, build), tuple(leds), {"source": "search of rigs", "candidate": candidate.name})
 
 
@@ -181,10 +157,6 @@ class PhotonSettings:
         """Focal length that images from `height_mm` with this magnification (thin lens)."""
         return height_mm * MAGNIFICATION / (1.0 + MAGNIFICATION)
 
-    def depth_of_field_mm(self, blur_mm: float) -> float:
-        """Depth within which a point's image stays below `blur_mm` on the finger; the height drops out of it."""
-        return 2.0 * self.f_number * blur_mm * (1.0 + MAGNIFICATION) / MAGNIFICATION
-
 
 @dataclass(frozen=True, slots=True)
 class PlannedExposure:
@@ -222,25 +194,12 @@ _LED_BODY_MM = 2.5  # radius of an LED's case
 _CAMERA_BODY_MM = 17.3  # half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
 _FINGER_MM = 12.0  # half the breadth of the opening that a large finger needs
 _WALL_MM = 8.0  # from the circle of the LEDs to the outside of the box
-_LAMP_MM = 14.0  # from the outside of the box to a side light in its lamp
 _BED_MM = (220.0, 250.0)  # side of the printer's bed, and its height
 _ROUGHNESS = 0.25  # GGX alpha of the skin whose specular reflection is evaluated
 _MAX_BLIND = 0.05
 """Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal needs."""
-_BLUR_MM = 0.11  # disc of defocus that is allowed: a quarter of a ridge period
 ALBEDO = 0.6  # albedo of skin in its brightest channel, for the exposure
 _MIN_BEAM = 0.1  # smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One constraint and what a rig makes of it."""
-
-    name: str
-    ok: bool
-    value: float
-    words: str  # one sentence
-    hard: bool = True  # whether a rig that fails is left out; otherwise it is only said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,22 +217,19 @@ def examine(
     *,
     finger: PrintPoints,
     bands: Sequence[str] = ("white",),
-) -> tuple[Finding, ...]:
-    """One finding for every constraint on a candidate, failed ones included; `bands`: whose exposure is judged."""
+) -> dict[str, str]:
+    """By constraint why the candidate breaks it, "" where it does not; `bands`: whose exposure is judged."""
     leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
     white = [led for led in leds if led.band == leds[0].band]
-    ring = white[:_LEDS_PER_BAND]  # lamps shade the side lights against the lens
-    return (
-        _in_view(white, candidate, build),
-        _into_lens(ring, candidate),
-        _room(candidate),
-        *([_beside(candidate)] if candidate.side else []),
-        _bed(candidate),
-        _beam(candidate, build.lobe_exponent),
-        _glare(white, candidate, build, finger),
-        *(_exposed(band, planned_exposure(leds, band, photons)) for band in bands),
-        _depth(photons, finger),
-    )
+    return {
+        "leds_in_view": _in_view(white, candidate, build),
+        "direct_light": _into_lens(white, candidate),
+        "room": _room(candidate),
+        "printer": _bed(candidate),
+        "beam": _beam(candidate, build.lobe_exponent),
+        "glare": _glare(white, candidate, build, finger),
+        **{f"exposure_{band}": _exposed(band, planned_exposure(leds, band, photons)) for band in bands},
+    }
 
 
 def led_intensities(candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]) -> dict[str, float]:
@@ -281,7 +237,7 @@ def led_intensities(candidate: RigCandidate, build: BuildSettings, bands: Sequen
     return {band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in bands}
 
 
-def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> Finding:
+def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> str:
     """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
     clear = 1e3
     for led in leds:
@@ -292,13 +248,10 @@ def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> 
             half_y, half_x = (0.5 * side * fraction for side in FIELD_MM)
             outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
             clear = min(clear, float(outside) - _LED_BODY_MM)
-    words = f"the LEDs stand {clear:.1f} mm beside what the camera sees."
-    if clear <= 0.0:
-        words = f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture; widen the circle or raise it."
-    return Finding("leds_in_view", clear > 0.0, clear, words)
+    return "" if clear > 0.0 else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture."
 
 
-def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
+def _into_lens(leds: list[Led], candidate: RigCandidate) -> str:
     """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
     worst = 0.0
     for led in leds:
@@ -307,56 +260,31 @@ def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
             distance = float(np.linalg.norm(to_lens))
             leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
             worst = max(worst, float(to_lens[2]) / distance * leaves**led.lobe_exponent)
-    words = "no LED shines into the lens."
-    if worst >= 1e-3:
-        words = f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light); raise or shade them."
-    return Finding("direct_light", worst < 1e-3, worst, words)
+    return "" if worst < 1e-3 else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light)."
 
 
-def _room(candidate: RigCandidate) -> Finding:
+def _room(candidate: RigCandidate) -> str:
     inside, needed = candidate.radius_mm - _LED_BODY_MM, max(_CAMERA_BODY_MM, _FINGER_MM)
-    words = f"{inside:.1f} mm are free inside the circle"
-    words = f"{words}." if inside >= needed else f"only {words}, but camera and finger need {needed:.1f} mm; widen it."
-    return Finding("room", inside >= needed, inside - needed, words)
+    return "" if inside >= needed else f"{inside:.1f} mm are free in the circle, {needed:.1f} are needed."
 
 
-def _beside(candidate: RigCandidate) -> Finding:
-    spare = candidate.side_radius_mm - candidate.radius_mm - _WALL_MM - _LAMP_MM
-    words = f"{spare:.0f} mm are to spare between box and side lights."
-    if spare < 0.0:
-        needed = candidate.side_radius_mm - spare
-        words = f"side lights {candidate.side_radius_mm:g} mm from the axis need {needed:.0f} mm outside this box."
-    return Finding("side_lights", spare >= 0.0, spare, words)
-
-
-def _bed(candidate: RigCandidate) -> Finding:
+def _bed(candidate: RigCandidate) -> str:
     breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
-    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
-    words = f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, "
-    fits_not = f"does not fit a printer of {_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
-    return Finding("printer", spare >= 0.0, spare, words + ("fits the printer." if spare >= 0.0 else fits_not))
+    fits = breadth <= _BED_MM[0] and candidate.height_mm <= _BED_MM[1]
+    return "" if fits else f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits no printer."
 
 
-def _beam(candidate: RigCandidate, exponent: float) -> Finding:
-    centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
-    off = abs(candidate.beam_deg - centre)
+def _beam(candidate: RigCandidate, exponent: float) -> str:
+    off = abs(candidate.beam_deg - float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm))))
     fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
     ok = fraction >= _MIN_BEAM and off < 75.0
-    words = f"the finger gets {100 * fraction:.0f} % of the LEDs' axial intensity."
-    if not ok:
-        words = f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} %; tilt them by {centre:.0f} deg."
-    return Finding("beam", ok, fraction, words)
+    return "" if ok else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of their light."
 
 
-def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> Finding:
+def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> str:
     glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
     blind = float(np.mean((~glare).sum(axis=0) < 3))
-    covered = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
-    words = f"{covered}, and {100 * blind:.0f} % of it under all but two."
-    if blind > _MAX_BLIND:
-        few = f"on {100 * blind:.0f} % of it fewer than three LEDs are free of it"
-        words = f"{covered}; {few}; widen or lower the circle."
-    return Finding("glare", blind <= _MAX_BLIND, blind, words)
+    return "" if blind <= _MAX_BLIND else f"on {100 * blind:.0f} % of the print fewer than three LEDs show no glare."
 
 
 def _glaring(
@@ -386,21 +314,9 @@ def _glare_lobe_rad(roughness: float) -> float:
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
 
 
-def _exposed(band: str, plan: PlannedExposure | None) -> Finding:
+def _exposed(band: str, plan: PlannedExposure | None) -> str:
     if plan is None:
-        return Finding(f"exposure_{band}", False, 0.0, "no light falls on the finger; turn the beams towards it.")
-    how = f"{1000 * plan.time_s:.3g} ms at gain {plan.gain:.2g}"
-    words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
-    if plan.level < MIN_LEVEL:
-        words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
-    elif plan.level > 1.0:
-        words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
-    return Finding(f"exposure_{band}", MIN_LEVEL <= plan.level <= 1.0, plan.level, words)
-
-
-def _depth(photons: PhotonSettings, finger: PrintPoints) -> Finding:
-    seen = float(np.ptp(finger.points_mm[:, 2]))
-    sharp = photons.depth_of_field_mm(_BLUR_MM)
-    words = f"{sharp:.1f} mm of depth are sharp within {_BLUR_MM:g} mm at f/{photons.f_number:g}; the print has "
-    words += f"{seen:.1f} mm." if sharp >= seen else f"{seen:.1f} mm: stop down."
-    return Finding("depth_of_field", sharp >= seen, sharp - seen, words, hard=False)
+        return "no light falls on the finger."
+    if MIN_LEVEL <= plan.level <= 1.0:
+        return ""
+    return f"the {band} band is exposed to {100 * plan.level:.2g} % of full scale."

@@ -22,7 +22,6 @@ from rig_candidates import (
     READ_NOISE_E,
     W_PER_UNIT,
     BuildSettings,
-    Finding,
     PhotonSettings,
     PlannedExposure,
     PrintPoints,
@@ -107,28 +106,23 @@ class ThesisStudy:
         """Bands that the method looks at."""
         return ("white", "nir") if self.method == "metric" else ("white",)
 
-    def findings(self, candidate: RigCandidate) -> tuple[Finding, ...]:
+    def broken(self, candidate: RigCandidate) -> dict[str, str]:
         """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
         found = examine(candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands)
         rendered = self.camera == "renderer"
-        return tuple(one for one in found if not (rendered and one.name.startswith(("exposure", "depth"))))
-
-    def measure(self, candidate: RigCandidate, seed: int) -> dict[str, float]:
-        """Figures of one finger."""
-        return _measure(candidate, self, seed)
+        return {name: why for name, why in found.items() if not (rendered and name.startswith("exposure"))}
 
     def record(self, candidate: RigCandidate) -> dict[str, Any]:
         """Judge and measure one candidate: ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger
         could not be reconstructed), ``reason``, ``constraints``, and the figures of all ``fingers`` and their ``mean``.
         """
-        findings = self.findings(candidate)
+        constraints = self.broken(candidate)
         record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}}
-        record |= {"constraints": [asdict(finding) for finding in findings], "fingers": [], "mean": None}
-        broken = [finding.words for finding in findings if finding.hard and not finding.ok]
-        if broken:
-            return {**record, "status": "refused", "reason": broken[0]}
+        record |= {"constraints": constraints, "fingers": [], "mean": None}
+        if any(constraints.values()):
+            return {**record, "status": "refused", "reason": next(filter(None, constraints.values()))}
         try:
-            fingers = [self.measure(candidate, seed) for seed in self.seeds]
+            fingers = [_measure(candidate, self, seed) for seed in self.seeds]
         except BadInput as error:
             return {**record, "status": "failed", "reason": str(error)}
         mean = {name: float(np.mean([one[name] for one in fingers])) for name in fingers[0]}
@@ -453,15 +447,7 @@ def _trembled(frame: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
-    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,). Raises BadInput if a set is
-    empty, not (N, 3) or not finite.
-    """
-    for name, points in (("first", first), ("second", second)):
-        require(
-            points.ndim == 2 and points.shape[1] == 3 and points.shape[0] > 0,
-            f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
-        )
-        require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
+    """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,)."""
     return np.asarray(cKDTree(second).query(first)[0]), np.asarray(cKDTree(first).query(second)[0])
 
 
@@ -475,7 +461,6 @@ def _surface_distances(there: Array, back: Array) -> dict[str, float]:
     Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their partial distance, equation
     (8).
     """
-    require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
     return {
         "hausdorff_mm": float(max(there.max(), back.max())),
         "hausdorff95_mm": float(max(np.percentile(there, 95), np.percentile(back, 95))),

@@ -1,12 +1,11 @@
 """Which rig would the thesis's own experiment choose? Sweeps of height, radius, power, tilt and resolution.
 
     python validation/thesis/rigs.py                    # all sweeps: 15 minutes of one core; may be interrupted
-    python validation/thesis/rigs.py --report           # only the tables (as kept in tables/rig) and the picture of
-                                                        # docs/experiments/rig-optimise.md
+    python validation/thesis/rigs.py --report           # only the tables (some are kept in tables/rig)
     python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric    # a sweep of your own
 
 Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run that was stopped goes
-on where it was. ``rigs.json`` beside this script holds the figures that the report follows from.
+on where it was. ``rigs.json`` beside this script holds the figures that the tables follow from.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ SWEEPS: dict[str, Sweep] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--report", action="store_true", help="tables and picture from rigs.json alone")
+    parser.add_argument("--report", action="store_true", help="tables from rigs.json alone")
     parser.add_argument("--sweeps", nargs="*", choices=SWEEPS, metavar="NAME", help=f"of {', '.join(SWEEPS)}")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scratch", type=Path, default=OUT)
@@ -103,19 +102,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.heights:
         study = ThesisStudy(chosen.method, chosen.fingers, material="skin" if chosen.method == "metric" else "opaque")
-        rigs = grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,))
-        _print_best(sweep_rigs(chosen.scratch / f"own_{chosen.method}_{chosen.fingers}", rigs, study, chosen.workers))
+        sweep = Sweep("own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,)))
+        folder = chosen.scratch / f"own_{chosen.method}_{chosen.fingers}"
+        print("\n".join(table("own", measured(sweep, folder, chosen.workers))))
         return 0
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() and (chosen.report or chosen.sweeps) else {}
     if not chosen.report:
-        results = json.loads(RESULTS.read_text()) if chosen.sweeps and RESULTS.exists() else {}
         for name in chosen.sweeps or SWEEPS:
-            results[name] = _run(name, chosen.scratch / name, chosen.workers)
-            print(f"{name}: {len(results[name]['rows'])} rigs")
+            results[name] = measured(SWEEPS[name], chosen.scratch / name, chosen.workers)
         RESULTS.write_text(json.dumps(results, separators=(",", ":")).replace("},{", "},\n{") + "\n")
-    from rig_report import write_report
-
-    print(write_report(json.loads(RESULTS.read_text())))
+    for name, result in results.items():
+        print("\n".join(table(name, result)))
     return 0
+
+
+def table(name: str, result: Mapping[str, Any]) -> list[str]:
+    """Lines of one sweep: every rig with its distances in mm (95 % intervals), the smallest first."""
+    lines = [
+        f"{name}: {result['method']}, {result['material']}, {result['camera']}, {result['fingers']} fingers",
+        "height radius power  tilt px/mm  Hausdorff (x: on the Pareto front; =: as good as the best)   whole  ridges",
+    ]
+    rows = [row for row in result["rows"] if row["status"] == "done"]
+    for row in sorted(rows, key=lambda row: row["hausdorff_mm"]):
+        its = dict(zip(COMPARED, row["compared"]["hausdorff"], strict=True))
+        interval = "" if its["low"] is None else f" ({its['low']:.3f} to {its['high']:.3f}), {its['worse_by']:+.3f} mm"
+        marks = " x" * (row["name"] in result["pareto"]) + " =" * its["as_good"]
+        tilt = "centre" if row["tilt_deg"] is None else f"{row['tilt_deg']:g}"
+        lines.append(
+            f"{row['height_mm']:6g} {row['radius_mm']:6g} {row['power_w']:5g} {tilt:>6} {row['px_per_mm']:5g}  "
+            f"{row['hausdorff_mm']:.3f}{interval}{marks}   {row['whole_mm']:.3f}  {row['ridge_correlation']:.3f}"
+        )
+    return lines + [f"{row['name']}: {row['reason']}" for row in result["rows"] if row["reason"]]
 
 
 def sweep_rigs(
@@ -182,30 +199,15 @@ def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[s
     return compared
 
 
-def _print_best(records: Sequence[Mapping[str, Any]]) -> None:
-    found = summarise(records, "hausdorff_mm")
-    print("height  radius   power  Hausdorff (95 % interval), mm, smallest first; x: on the Pareto front; =: as good")
-    by_error = sorted((one for one in records if one["mean"]), key=lambda one: one["mean"]["hausdorff_mm"])
-    for one in by_error:
-        rig, its = one["candidate"], found["compared"][one["candidate"]["name"]]
-        between = "" if its["low"] is None else f" ({its['low']:.3f} to {its['high']:.3f})"
-        marks = "".join(mark for mark, on in ((" x", rig["name"] in found["pareto"]), (" =", its["as_good"])) if on)
-        print(f"{rig['height_mm']:6g} {rig['radius_mm']:7g} {rig['power_w']:7g}  {its['value']:.3f}{between}{marks}")
-    for one in records:
-        if one["reason"]:
-            print(f"{one['candidate']['name']}: {one['reason']}")
-
-
-def _run(name: str, out: Path, workers: int) -> dict[str, Any]:
-    """Sweep, and keep of it what the report needs."""
-    asked = SWEEPS[name]
+def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
+    """Sweep, and what the tables follow from."""
     records = sweep_rigs(out, asked.candidates, asked.study, workers)
     summaries = {objective: summarise(records, f"{objective}_mm") for objective in ("hausdorff", "whole", "rms")}
     rows = []
     for one in records:
         row = {name: value for name, value in one["candidate"].items() if name != "name"}
         row |= {"name": one["candidate"]["name"], "status": one["status"], "reason": one["reason"]}
-        row["broken"] = [rule["name"] for rule in one["constraints"] if rule["hard"] and not rule["ok"]]
+        row["broken"] = [name for name, reason in one["constraints"].items() if reason]
         if one["mean"] is not None:
             row |= {key: round(value, 5) for key, value in one["mean"].items()}
             row["compared"] = {

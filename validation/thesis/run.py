@@ -1,20 +1,15 @@
 """The thesis's matching experiments on a simulated population: one command each, figures and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
-    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|normals \\
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|normals \\
         --store STORE --population POPULATION
-    python validation/thesis/run.py scales|descriptors|neighbours|figures --population POPULATION
+    python validation/thesis/run.py scales|descriptors|figures --population POPULATION
     python validation/thesis/run.py family|people --store STORE --population POPULATION
-    python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
-    python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
-    python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
     python validation/thesis/report.py     # tables for reading, from what lies here
 
-``all`` and ``chain`` may be stopped at any moment: the same command goes on. A part is made again only if the
-population, the store, the options or the version changed since (or with --again); within a part finished captures and
-comparisons are kept in --scratch.
-
-A population with polarised captures has the case ``snk-crossed`` besides: ``snk`` on the crossed images (crossed.py).
+``all`` may be stopped at any moment: the same command goes on. A part is made again only if the population, the store,
+the options or the version changed since; within a part finished captures and comparisons are kept in
+--scratch.
 
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
 finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
@@ -31,12 +26,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from chain import crossed_of, run_chain
-from crossed import CASE, WithCrossed
 from experiments import PARTS, WITHOUT_STORE, run_part
 from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
 
-from report import PAGE, write
 from splitknit.io.atomic import atomic_file
 from splitknit.io.provenance import provenance, settings_hash
 from tables import Row
@@ -47,17 +39,12 @@ CASES = ("snk", "pr", "ea", "pr-split", "ea-split", "metric")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
-    if options.part == "chain":
-        run_chain(options)
-    if options.store is not None and crossed_of(options.store).is_dir() and CASE not in options.cases:
-        options.cases.append(CASE)
-    options.out = options.out or (options.scratch / "small" if options.small else HERE)
-    parts = PARTS if options.part in ("all", "chain") else (options.part,)
+    parts = PARTS if options.part == "all" else (options.part,)
     options.out.mkdir(parents=True, exist_ok=True)
     truth = read_truth(options.population)
     for part in parts:
         inputs = _inputs(options, part)
-        if len(parts) > 1 and not options.again and finished(options.out, part, inputs):
+        if len(parts) > 1 and finished(options.out, part, inputs):
             print(part, "is finished", flush=True)
             continue
         started = time.perf_counter()
@@ -65,10 +52,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         facts |= {"seconds": round(time.perf_counter() - started, 1), "inputs_sha256": inputs}
         _remember(options.out / "runs.json", part, facts | _origin(options))
         print(part, json.dumps(facts), flush=True)
-    if options.part == "chain":
-        page = PAGE if options.out == HERE else options.out / PAGE.name
-        write(options.out, page)
-        print(f"{page} is written", flush=True)
     return 0
 
 
@@ -81,11 +64,10 @@ def finished(out: Path, part: str, inputs: str) -> bool:
 
 def _inputs(options: argparse.Namespace, part: str) -> str:
     """Hash of what a part's figures follow from: options, version, population and the files of the store."""
-    names = ("cases", "people", "fraction", "small")
+    names = ("cases", "people", "fraction")
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
-    stores = [] if store is None else [store, crossed_of(store)]
-    files = [path for one in stores for path in sorted(one.rglob("*.npz")) if path.is_file()]
+    files = [] if store is None else sorted(path for path in store.rglob("*.npz") if path.is_file())
     sizes = [[Path(os.path.relpath(path, store)).as_posix(), path.stat().st_size] for path in files]
     captures = len(list(options.population.glob("*/session_*/*/impression.json")))
     return settings_hash([given, _origin(options), sizes, captures])
@@ -126,34 +108,27 @@ def _store(options: argparse.Namespace) -> Any:
 
     if options.store is None:
         raise SystemExit("--store is needed: the folder that splitknit batch wrote.")
-    store, apart = Store(options.store), crossed_of(options.store)
-    return WithCrossed(store, Store(apart)) if apart.is_dir() else store
+    return Store(options.store)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "family", "people", "all", "chain"])
+    parser.add_argument("part", choices=[*PARTS, "family", "people", "all"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
-    parser.add_argument("--out", type=Path, default=None, help="of tables and plots (default: this folder)")
+    parser.add_argument("--out", type=Path, default=HERE, help="of tables and plots")
     parser.add_argument(
         "--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="what parts keep to go on when stopped"
     )
-    parser.add_argument("--prints", type=Path, default=None, help="of chain: folder of real prints for a third")
-    parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument(
         "--people", type=int, default=5, help="whose fingers scales and descriptors take, from the first on"
     )
     parser.add_argument("--fraction", type=float, default=1.0, help="of the impostor pairs, in normals")
-    parser.add_argument(
-        "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
-    )
     parser.add_argument("--captures", type=int, default=24, help="of the part figures, each of another finger")
     parser.add_argument("--replicates", type=int, default=300)
     parser.add_argument("--seed", type=int, default=680)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--small", action="store_true", help="of chain: 3 people, 2 fingers, 2 sessions, small images")
     return parser
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from trials import Captures, Pairs, Table, Trial, Values, scores_of
+from trials import Pairs, Table, Trial, Values, scores_of
 
 from splitknit_match.evaluation.protocol import average_sessions
 from splitknit_match.evaluation.scores import Scores
@@ -69,13 +69,8 @@ class Known:
     """(N,) comparisons with a finger that has the ridges of a real print."""
 
 
-def known_of(
-    pairs: Pairs, truth: Mapping[str, Mapping[str, Any]], estimated: Mapping[tuple[str, str], float] | None = None
-) -> Known:
-    """Apply the rule for fingers; `truth` is ``impression.json`` by capture.
-
-    `estimated` : differences of roll by two captures, from their surfaces; they take the place of the truth's.
-    """
+def known_of(pairs: Pairs, truth: Mapping[str, Mapping[str, Any]]) -> Known:
+    """Apply the rule for fingers; `truth` is ``impression.json`` by capture."""
     captures = pairs.captures
     rolls = np.array([float(truth.get(str(name), {}).get("roll_deg", np.nan)) for name in captures.names])
     partial, printed = (
@@ -84,26 +79,10 @@ def known_of(
     )
     sides = pairs.of_both(rolls)
     roll_difference = np.abs(sides[:, 0] - sides[:, 1])
-    apart = spreads(captures.finger, rolls)
-    if estimated is not None:
-        names = zip(captures.names[pairs.a].tolist(), captures.names[pairs.b].tolist(), strict=True)
-        found = [estimated.get((a, b), estimated.get((b, a), np.nan)) for a, b in names]
-        roll_difference = np.abs(np.array(found, dtype=np.float64))  # unknown: the pair stays
-        apart = _largest(captures, estimated)
-    gone = [name for name, spread in apart.items() if spread > FINGER_LIMIT_DEG]
+    gone = [name for name, spread in spreads(captures.finger, rolls).items() if spread > FINGER_LIMIT_DEG]
     out = np.isin(captures.finger, gone)
     either = [found[pairs.a] | found[pairs.b] for found in (out, partial, printed)]
     return Known(roll_difference, *either)
-
-
-def _largest(captures: Captures, estimated: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """Largest estimated difference between two sessions, by finger."""
-    finger = dict(zip(captures.names.tolist(), captures.finger.tolist(), strict=True))
-    found: dict[str, float] = {}
-    for (a, _), value in estimated.items():
-        if a in finger:
-            found[finger[a]] = max(found.get(finger[a], 0.0), abs(value))
-    return found
 
 
 def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:

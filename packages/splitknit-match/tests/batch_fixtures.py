@@ -7,21 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from batch_stores import EA, waves
+from batch_stores import CASES, run, waves
 from splitknit.io.enrolment import open_enrolment
-from splitknit_match.batch.chunks import SUFFIX, write_chunk
-from splitknit_match.batch.engine import run_batch
-from splitknit_match.batch.features import BANDS, COLUMNS, QUALITY
+from splitknit_match.batch.features import failed_row
 from splitknit_match.batch.population import read_population
-from splitknit_match.batch.settings import BatchSettings, preset_cases
 from splitknit_match.batch.store import open_store
+from splitknit_match.batch.tables import write_table
 
 
 @pytest.fixture(scope="session")
 def reconstructed(people: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Their store after the first stage, in two chunks; not to be changed."""
+    """Their store after the first stage, a file a capture; not to be changed."""
     out = tmp_path_factory.mktemp("batch") / "store"
-    run_batch(people, out, EA, jobs=1)
+    run(people, out)
     return out
 
 
@@ -45,18 +43,13 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         (enrolment.path(place) / "capture.json").touch()
     out.mkdir()
     there = read_population(population)
-    settings = BatchSettings(cases=preset_cases(("ea",)), matchers=())
-    open_store(out, there, settings)
-    rows = []
+    open_store(out, there.sha256, {case.name: case.document() for case in CASES}, {}, {})
     for number, capture in enumerate(there.captures):
-        failed = capture.name == "S02/session_3/right_index"
-        row = dict.fromkeys(f"{name}_{band}" for band in BANDS for name in QUALITY)
-        row |= {"capture": capture.name, "subject": capture.subject, "finger": capture.finger}
-        row |= {"session": capture.session, "acquired": not failed, "failure": "no finger." if failed else ""}
-        row |= {"area_mm2": 0.0 if failed else 70.0, "warnings": [], "input_sha256": f"{number:064x}"}
-        row |= {"template": b"" if failed else waves(capture.finger, number), "print": b"", "images": b""}
-        rows.append(row)
-    write_chunk(out / "features" / "ea" / f"00000-invented{SUFFIX}", rows, COLUMNS, {"kind": "features"})
+        row = failed_row(capture, "no finger.")
+        if capture.name != "S02/session_3/right_index":
+            row |= {"acquired": True, "failure": "", "area_mm2": 70.0, "template": waves(capture.finger, number)}
+        origin = {"kind": "features", "inputs": {capture.name: f"{number:064x}"}}
+        write_table(out / "features" / "ea" / f"{capture.name}.npz", [row], origin)
     return population, out
 
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from splitknit_match.batch.chunks import SUFFIX
-from splitknit_match.batch.settings import BatchSettings, preset_cases
+from splitknit_match.batch.cases import preset_cases
+from splitknit_match.batch.engine import run_batch
 from splitknit_match.batch.store import Store
+from splitknit_match.batch.tables import SUFFIX
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.template import make_template, pack
 
-EA = BatchSettings(cases=preset_cases(("ea",)), matchers=(), chunk_captures=2)
+CASES = preset_cases(("ea",))
 
 
-def chunks(out: Path) -> dict[str, bytes]:
+def run(people: Path, out: Path, *names: str, **changes: Any) -> dict[str, Any]:
+    """The batch of the case ``ea``, in this process."""
+    return run_batch(people, out, **{"cases": CASES, "matchers": names, "jobs": 1} | changes)
+
+
+def tables(out: Path) -> dict[str, bytes]:
     """Every table of a store by its place."""
     return {file.relative_to(out).as_posix(): file.read_bytes() for file in sorted(out.rglob(f"*{SUFFIX}"))}
 

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ANSI_2009_AM1, ISO_2005, ISO_2011
-from splitknit_match.records.minutiae_files import encode_minutiae_record
+from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     ANSI_2009_IMPRESSIONS,
     FINGER_CODES,
     ISO_2005_IMPRESSIONS,
     FingerView,
-    MinutiaeRecord,
 )
 
 THREE = """
@@ -61,6 +60,30 @@ ANSI_2009_BYTES = bytes.fromhex(
 """One view: a contactless left little finger at 1000 ppi, quality not computed."""
 
 
+def transaction(*records: bytes, content: bytes = b"") -> bytes:
+    """A transaction of ANSI/NIST-ITL: a Type-1 record, and these; `content` of 1.003 where some are binary."""
+    fields = b"\x1d1.002:0502\x1d1.003:" + content + b"\x1d1.004:OTHER\x1d1.011:39.37\x1d1.012:39.37\x1c"
+    return _with_length(b"1.001:", fields) + b"".join(records)
+
+
+def type_14(image: NDArray[np.uint8], kind: int = 14, **changes: bytes) -> bytes:
+    """A record of Type-14 (or -13), fields by hand: IMP to FGP, and the image."""
+    rows, columns = image.shape
+    fields = {
+        "IMP": (3, b"24"), "SRC": (4, b"LAB"), "HLL": (6, b"%d" % columns), "VLL": (7, b"%d" % rows), "SLC": (8, b"1"),
+        "THPS": (9, b"500"), "TVPS": (10, b"500"), "CGA": (11, b"NONE"), "BPX": (12, b"8"), "FGP": (13, b"2"),
+        "COM": (20, b"a comment"), "DATA": (999, image.tobytes()),
+    }  # fmt: skip
+    fields = {name: (number, changes.get(name, value)) for name, (number, value) in fields.items()}
+    parts = [b"\x1d%d.%03d:%s" % (kind, number, value) for number, value in fields.values() if value]
+    return _with_length(b"%d.001:" % kind, b"".join(parts) + b"\x1c")
+
+
+def _with_length(tag: bytes, rest: bytes) -> bytes:
+    length = next(n for n in range(len(rest), len(rest) + 20) if n == len(tag) + len(b"%d" % n) + len(rest))
+    return tag + b"%d" % length + rest
+
+
 def three_minutiae(**changes: Any) -> FingerView:
     """The view of :data:`ISO_BYTES`, in our terms."""
     view = FingerView(
@@ -78,61 +101,27 @@ def three_minutiae(**changes: Any) -> FingerView:
 
 
 @st.composite
-def views(draw: st.DrawFn, impressions: list[str], number: int, finger: str, special: bool) -> FingerView:
-    """A view with anything that a standard can say; `special` qualities where it has them."""
+def views(draw: st.DrawFn, standard: str) -> FingerView:
+    """A view with anything that a standard can say."""
+    table = {ISO_2005: ISO_2005_IMPRESSIONS, ANSI_2004: ANSI_2004_IMPRESSIONS}.get(standard, ANSI_2009_IMPRESSIONS)
     rows, columns = draw(st.integers(1, 16383)), draw(st.integers(1, 16383))
     count = draw(st.integers(0, 12))
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
-    quality = random.integers(0, 101, count)
-    if special and count:
-        quality[0] = draw(st.sampled_from([0, 100, 254, 255]))
     return FingerView(
         random.integers(0, columns, count),
         random.integers(0, rows, count),
         random.uniform(-10, 10, count),
         random.integers(0, 3, count),
-        quality,
+        random.integers(0, 101, count),
         (rows, columns),
-        finger_quality=draw(st.sampled_from([0, 55, 100, 254, 255] if special else [0, 55, 100])),
-        finger=finger,
-        impression=draw(st.sampled_from(impressions)),
-        view=number,
+        finger_quality=draw(st.sampled_from([0, 55, 100])),
+        finger=draw(st.sampled_from(list(FINGER_CODES))),
+        impression=draw(st.sampled_from(list(table))),
         resolution_ppcm=(draw(st.integers(99, 65535)), draw(st.integers(99, 65535))),
-        extended=draw(st.binary(max_size=20)),
     )
 
 
-@st.composite
-def records(draw: st.DrawFn, standard: str) -> MinutiaeRecord:
-    """A record with one to four views."""
-    table = {ISO_2005: ISO_2005_IMPRESSIONS, ANSI_2004: ANSI_2004_IMPRESSIONS}.get(standard, ANSI_2009_IMPRESSIONS)
-    old = standard in (ISO_2005, ANSI_2004)
-    keys = draw(
-        st.lists(
-            st.tuples(st.sampled_from(list(FINGER_CODES)), st.integers(0, 15)), min_size=1, max_size=4, unique=True
-        )
-    )
-    made = [draw(views(list(table), number, finger, not old)) for finger, number in keys]
-    if old:  # one size and one resolution a record
-        first = made[0]
-        made = [dataclasses.replace(first, finger=view.finger, view=view.view) for view in made]
-    if standard == ISO_2011:  # states neither device nor product
-        return MinutiaeRecord(tuple(made), standard=standard)
-    return MinutiaeRecord(
-        tuple(made),
-        device=draw(st.integers(0, 4095 if old else 65535)),
-        certification=draw(st.integers(0, 15 if old else 255)),
-        product=(draw(st.integers(1, 65535)), draw(st.integers(0, 65535))),
-        standard=standard,
-    )
-
-
-def encode(record: MinutiaeRecord) -> bytes:
-    """Bytes of a record in its own standard."""
-    return encode_minutiae_record(record, record.standard)
-
-
-STANDARDS = (ISO_2005, ISO_2011, ANSI_2004, ANSI_2009, ANSI_2009_AM1)
+STANDARDS = (ISO_2005, ANSI_2004, ANSI_2009)
 
 
 FIR_2011 = bytes.fromhex(

@@ -45,7 +45,7 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
     rows = table_of(tmp_path / "report")
     assert len(rows) == 15
     with GalleryFile(gallery) as opened:
-        payloads = opened.templates()
+        payloads = opened.people().templates
         place = {one.names: payloads[one.row] for one in opened.entries()}
     for row in rows:
         a, b = (place[row[f"subject_{k}"], row[f"finger_{k}"], row[f"session_{k}"]] for k in "ab")

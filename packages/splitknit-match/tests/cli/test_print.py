@@ -80,7 +80,7 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
 
     out = tmp_path / "out"
     facts = facts_of(capsys, result, "--set", f"minutiae={way}", "--out", out)
-    view = read_minutiae_record(out / "minutiae.iso").views[0]
+    view = read_minutiae_record(out / "minutiae.iso")[0]
     assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
     found = np.stack([view.x_px, view.y_px], axis=1).astype(float)
@@ -249,9 +249,7 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     if facts["minutiae"]["written"]:
         from splitknit_match.records.minutiae_files import read_minutiae_record
 
-        assert read_minutiae_record(tmp_path / "shallow" / "minutiae.iso").views[0].finger_quality == round(
-            weak["ours"]
-        )
+        assert read_minutiae_record(tmp_path / "shallow" / "minutiae.iso")[0].finger_quality == round(weak["ours"])
         assert 0 <= weak["nfiq2"]["print"] <= 100
 
 

@@ -178,7 +178,7 @@ def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
 
 
 def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatch) -> None:
-    """A full disk: the act that met it is said to be in doubt, no other is begun, and its line comes with the room."""
+    """A full disk: nothing is enrolled, and nothing is answered."""
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
     before = (tmp_path / "audit").read_bytes()
     write = os.fdopen
@@ -202,14 +202,16 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
 
     with monkeypatch.context() as change:
         change.setattr("splitknit.io.atomic.os.fdopen", full)
-        first = service.post("/enroll", json=good)
-        second = service.post("/enroll", json={**good, "person": "Bob"})
-    assert [one.status_code for one in (first, second)] == [503, 503]
-    assert "may have been done" in first.json()["error"] and "nothing is done" in second.json()["error"]
+        answers = [service.post("/enroll", json=good), service.post("/quality", json={"print": good["print"]})]
+    assert [one.status_code for one in answers] == [503, 503]
+    assert {one.json()["error"] for one in answers} == {
+        "the audit file 'audit' cannot be written (No space left on device), and without it nothing is done."
+    }
     assert (tmp_path / "audit").read_bytes() == before
+    assert not (tmp_path / "people.skg").exists()
     assert service.post("/quality", json={"print": good["print"]}).status_code == 200
     acts = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()]
-    assert [(act["act"], act.get("person")) for act in acts] == [("start", None), ("enroll", "Ann"), ("quality", None)]
+    assert [(act["act"], act.get("person")) for act in acts] == [("start", None), ("quality", None)]
 
 
 def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(service, tmp_path: Path) -> None:

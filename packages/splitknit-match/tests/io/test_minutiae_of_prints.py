@@ -9,7 +9,7 @@ from splitknit_match.matching.minutiae import extract
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
-from splitknit_match.records.minutiae_record import FingerView, MinutiaeRecord
+from splitknit_match.records.minutiae_record import FingerView
 
 pytest.importorskip("nbis")
 
@@ -27,14 +27,14 @@ def test_an_ending_points_along_its_ridge() -> None:
     print_image = np.round(127 + 100 * np.cos(phase)).astype(np.uint8)
     found = extract(print_image)
     inner = (np.abs(found.x_px - 140) < 100) & (np.abs(found.y_px - 150) < 100)
-    record = MinutiaeRecord((view_of(found.taken(inner)),))
-    data = encode_minutiae_record(record)
+    view = view_of(found.taken(inner))
+    data = encode_minutiae_record(view)
     assert data[27] == 1
     x, y = int.from_bytes(data[28:30], "big") & 0x3FFF, int.from_bytes(data[30:32], "big")
     assert abs(x - 140) <= 4
     assert abs(y - 150) <= 4
     assert data[32] == 192
-    assert encode_minutiae_record(record, ANSI_2004)[34] == 135
+    assert encode_minutiae_record(view, ANSI_2004)[34] == 135
 
 
 def test_minutiae_come_back_as_they_were() -> None:
@@ -48,7 +48,7 @@ def test_minutiae_come_back_as_they_were() -> None:
         random.integers(0, 101, count).astype(np.uint8),
         (500, 350),
     )
-    view = decode_minutiae_record(encode_minutiae_record(MinutiaeRecord((view_of(found),)))).views[0]
+    view = decode_minutiae_record(encode_minutiae_record(view_of(found)))[0]
     again = Minutiae(view.x_px, view.y_px, view.direction_rad, view.type, view.quality, view.size)
     for name in ("x_px", "y_px", "type", "quality"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))

@@ -235,7 +235,7 @@ def test_other_files_are_refused_in_one_sentence(tmp_path: Path, data: Data, wor
 def test_minutiae_of_records_lie_on_the_grid_of_500_ppi() -> None:
     same = minutiae_of(three_minutiae())
     np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
-    fine = three_minutiae(resolution_ppcm=pixels_per_cm(1000), quality=np.array([80, 254, 255]))
+    fine = three_minutiae(resolution_ppcm=pixels_per_cm(1000), quality=np.array([80, 0, 0]))
     half = minutiae_of(fine)
     assert np.abs(half.x_px - fine.x_px / 2).max() <= 0.51
     assert half.size == (round(fine.size[0] / 2), round(fine.size[1] / 2))

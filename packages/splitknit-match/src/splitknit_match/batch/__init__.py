@@ -1,1 +1,1 @@
-"""Whole populations: reconstructed and matched in parallel, resumable, into one store of Parquet files."""
+"""A whole population, reconstructed and compared: resumable, by several processes or a cluster, into one store."""

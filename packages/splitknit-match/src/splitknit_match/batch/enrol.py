@@ -13,7 +13,8 @@ from splitknit.io.enrolment import FINGERS
 from splitknit.model import no_progress
 from splitknit.verbs import Progress
 from splitknit.workers import run_jobs
-from splitknit_match.gallery.enrol import (
+from splitknit_match.gallery.file import Entry, GalleryFile, Key, check_session, known_finger, session_order
+from splitknit_match.gallery.gallery import (
     Enrolling,
     Made,
     content_of,
@@ -22,10 +23,7 @@ from splitknit_match.gallery.enrol import (
     settings_of,
     source_hash,
 )
-from splitknit_match.gallery.entry import Entry, check_session, known_finger, session_order
-from splitknit_match.gallery.file import GalleryFile
 from splitknit_match.gallery.identify import MINUTIAE_HASH
-from splitknit_match.gallery.key import Key
 
 _SESSION = "session_"
 

@@ -1,8 +1,8 @@
-"""Reconstruction of a few captures in all cases: one chunk of the store for each case."""
+"""Reconstruction of one capture in all cases: one file of the store for each case."""
 
 from __future__ import annotations
 
-import time
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,166 +10,116 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, read_capture, reconstruct
-from splitknit.errors import BadExposure, require
+from splitknit.errors import BadExposure
 from splitknit.finger.ridges import surface_print
-from splitknit.io.fields import inside
 from splitknit.io.png import decode_png
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import provenance, settings_hash
 from splitknit.model import surface_of
 from splitknit.networks.unet import running
 from splitknit.steps import Memory
-from splitknit_match.batch.chunks import SUFFIX, chunk_name, read_chunk, read_origin, write_chunk, write_timings
-from splitknit_match.batch.execution import TaskDone
+from splitknit_match.batch.cases import Case
 from splitknit_match.batch.population import CaptureRef
-from splitknit_match.batch.settings import Case
+from splitknit_match.batch.store import TEMPLATES
 from splitknit_match.batch.surfaces import pack_surface
+from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
+from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.minutiae import extract
 from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
 from splitknit_match.matching.surface import MatchingSettings, surface_template
 from splitknit_match.matching.template import pack
 
 PRINT_PPI = 500.0
-QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
-BANDS = ("white", "nir")
-VERSION = 1  # version of a chunk's columns
-_EMPTY = "the ridge band that could be acquired is too small for a template."
+_QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
+QUALITY = {f"{name}_{band}": (band, name) for band in ("white", "nir") for name in _QUALITY}
+"""Columns of quality, and the band and figure of each."""
+_MINUTIAE_VERSION = 2  # minutiae of version 1 included ends at the outline
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureTask:
-    """Captures that are reconstructed together, and where they go."""
+class CaptureTask:
+    """A capture, and the cases that it lacks."""
 
-    group: int
-    population: Path
-    population_sha256: str
-    store: Path
-    captures: tuple[CaptureRef, ...]
-    cases: tuple[tuple[Case, tuple[str, ...]], ...]  # each case with the names of the captures that it lacks
-    matching: MatchingSettings
-    images: bool
+    capture: CaptureRef
+    cases: tuple[Case, ...]
 
 
-COLUMNS = (
-    "capture", "subject", "finger", "session", "acquired", "failure", "area_mm2",
-    *(f"{name}_{band}" for band in BANDS for name in QUALITY),
-    "warnings", "input_sha256", "template", "print", "images",
-)  # fmt: skip
-"""Of every chunk of features."""
+def reconstruct_capture(
+    store: Path, population: Path, population_sha256: str, surfaces: bool, task: CaptureTask
+) -> Done:
+    """Reconstruct a capture and write a table of one row for each case.
 
-
-def reconstruct_group(task: FeatureTask) -> TaskDone:
-    """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk.
-
-    A capture that cannot be read gets no row, so that a later run looks at it again; one whose sound images are black
-    or overexposed is a failure to acquire.
+    A capture that cannot be read gets no row, so that a later run looks at it again; one whose
+    sound images are black or overexposed is a failure to acquire.
     """
-    rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
-    seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
-    failures: list[str] = []
-    unreadable: list[tuple[str, str]] = []
-    threads = running().threads
-    for ref in task.captures:
-        memory: Memory | str
-        try:
-            folder = inside(task.population, ref.name, f"'{task.population}'", "the name of a capture")
-            memory = Memory(read_capture(folder, threads=threads))
-        except BadInput as error:
-            memory = str(error).replace(f"{task.population}/", "")  # wherever the population lies, the row is the same
-            if not isinstance(error, BadExposure):
-                unreadable.append((ref.name, memory))
-                continue
-        cases = [case for case, wanted in task.cases if ref.name in wanted]
-        for case in cases:
-            started = time.perf_counter()
-            row = _row(ref, memory, case, task, case is cases[-1])
-            seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
-            rows[case.name].append(row)
-            if not row["acquired"]:
-                failures.append(f"{case.name}, {ref.name}: {row['failure']}")
-        del memory  # before the next capture is read
-    for case, _ in task.cases:
-        document, names = case.document(), [row["capture"] for row in rows[case.name]]
-        if not names:
-            continue
-        name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], names])
-        origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
-        origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
+    name = task.capture.name
+    memory, unusable = None, ""
+    try:
+        memory = Memory(read_capture(population / name, threads=running().threads))
+    except BadInput as error:
+        unusable = str(error).replace(f"{population}/", "")  # the same wherever it lies
+        if not isinstance(error, BadExposure):
+            return Done(0, unreadable=((name, unusable),))
+    failures = []
+    for case in task.cases:
+        row = failed_row(task.capture, unusable)
+        if memory is not None:
+            last = case is task.cases[-1]  # its images may go once they are read
+            row |= _reconstructed(memory, case, surfaces, last)
+        if row["failure"]:
+            failures.append(f"{case.name}, {name}: {row['failure']}")
+        origin = provenance(case.document(), {name: row["input_sha256"]})
+        origin |= {"kind": "features", "kind_version": 1, "case": case.name}
+        origin |= {"population_sha256": population_sha256, "matching_sha256": TEMPLATES["settings_sha256"]}
         if running().device != "cpu":
-            origin |= {"device": running().device}
-        templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
-        origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
-        write_timings(task.store / "timings" / case.name, name, seconds[case.name])
-        write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", rows[case.name], COLUMNS, origin)
-    return TaskDone(sum(map(len, rows.values())), failures=tuple(failures), unreadable=tuple(unreadable))
+            origin["device"] = running().device
+        write_table(store / "features" / case.name / f"{name}{SUFFIX}", [row], origin)
+    return Done(len(task.cases), failures=tuple(failures))
 
 
-def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:
-    """Row of one case of a capture, or of why it shows no finger; `last`: the images may go once they are read."""
-    row: dict[str, Any] = {
-        "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
-        "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
-        **{f"{name}_{band}": None for band in BANDS for name in QUALITY},
+def failed_row(capture: CaptureRef, failure: str) -> dict[str, Any]:
+    """Row of a capture that could not be acquired."""
+    return {
+        "capture": capture.name, "subject": capture.subject, "finger": capture.finger,
+        "session": capture.session, "acquired": False, "failure": failure, "area_mm2": 0.0,
+        **dict.fromkeys(QUALITY), "warnings": "[]", "input_sha256": "",
         "template": b"", "print": b"", "images": b"",
     }  # fmt: skip
-    if isinstance(memory, str):
-        return row | {"failure": memory}
-    row["input_sha256"] = settings_hash(dict(sorted(memory.capture.hashes.items())))
+
+
+def _reconstructed(memory: Memory, case: Case, surfaces: bool, last: bool) -> dict[str, Any]:
+    """Columns of a reconstruction, or of why there is none."""
+    inputs = {"input_sha256": settings_hash(dict(sorted(memory.capture.hashes.items())))}
+    capture = memory.hand_over() if last else memory.capture
     try:
-        result = reconstruct(
-            memory.hand_over() if last else memory.capture, case.preset, case.settings(), memory=memory
-        )
+        result = reconstruct(capture, case.preset, case.settings(), memory=memory)
     except BadInput as error:
-        return row | {"failure": str(error)}
+        return inputs | {"failure": str(error)}
     surface = surface_of(result)
-    template = surface_template(surface, task.matching)
-    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    quality = {f"{name}_{band}": result.quality.get(band, {}).get(name) for band in BANDS for name in QUALITY}
-    return row | {
+    template = surface_template(surface, MatchingSettings())
+    small = "the ridge band that could be acquired is too small for a template."
+    texts = provenance_texts(provenance({"preset": result.preset, **result.settings}, result.hashes))
+    return inputs | {
+        **{key: result.quality.get(band, {}).get(name) for key, (band, name) in QUALITY.items()},
         "acquired": not template.empty,
-        "failure": _EMPTY if template.empty else "",
+        "failure": small if template.empty else "",
         "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
-        "warnings": list(result.warnings),
+        "warnings": json.dumps(list(result.warnings)),
         "template": pack(template),
-        # as ``splitknit reconstruct`` writes it
-        "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, provenance_texts(origin)),
-        "images": pack_surface(surface, result.height_mm) if task.images else b"",
-        **{name: None if value is None else float(value) for name, value in quality.items()},
+        "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, texts),
+        "images": pack_surface(surface, result.height_mm) if surfaces else b"",
     }
 
 
-# Minutiae of the prints of a chunk, kept beside it under the same name, for the matcher of minutiae.
-
-_MINUTIAE_VERSION = 2
-"""Version of the content. Minutiae of version 1 included ends at the outline."""
-
-
-@dataclass(frozen=True, slots=True)
-class MinutiaeTask:
-    """A chunk of features beside which minutiae are wanted."""
-
-    store: Path
-    case: str
-    name: str
-
-
-def extract_minutiae(task: MinutiaeTask) -> TaskDone:
-    """Find the minutiae of all captures of a chunk."""
-    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
-    rows, seconds, started = [], {}, time.perf_counter()
-    table = read_chunk(file, ["capture", "print"])
+def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
+    """Find the minutiae of all prints of a table of features."""
+    table = read_table(file, ["capture", "print"])
+    rows = []
     for capture, data in zip(table["capture"].tolist(), table["print"].tolist(), strict=True):
-        found = no_minutiae()
-        if data:
-            name = f"the print of '{capture}' in '{file}'"
-            pixels = decode_png(data, name)
-            require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-            found = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
-        rows.append({"capture": capture, "acquired": found.acquired, "minutiae": pack_minutiae(found)})
-        seconds[capture] = round(time.perf_counter() - started, 3)
-        started = time.perf_counter()
-    write_timings(task.store / "timings" / task.case / "extraction", task.name, seconds)
-    origin = {**read_origin(file), "kind": "minutiae", "kind_version": _MINUTIAE_VERSION}
-    target = task.store / "minutiae" / task.case / file.name
-    write_chunk(target, rows, ("capture", "acquired", "minutiae"), origin)
-    return TaskDone(1)
+        name = f"the print of '{capture}' in '{file}'"
+        minutiae = extract(decode_png(data, name)[..., 0].astype(np.uint8)) if data else no_minutiae()
+        packed = pack_minutiae(minutiae)
+        rows.append({"capture": capture, "acquired": minutiae.acquired, "minutiae": packed})
+    origin = read_origin(file) | {"kind": "minutiae", "kind_version": _MINUTIAE_VERSION}
+    write_table(target / file.relative_to(features), rows, origin)
+    return Done(1)

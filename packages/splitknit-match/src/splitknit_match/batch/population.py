@@ -1,4 +1,4 @@
-"""The captures of a population: those that are complete."""
+"""The captures of a population that are complete, and which of them are compared."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.errors import refusing, require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
 from splitknit.io.fields import Fields, read_json
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
-_SIMULATED = "population.json"
+PAIRS = 2048
+"""Comparisons of a task at most: what a run that is killed loses, for each of its workers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +24,9 @@ class CaptureRef:
 
     name: str  # path of its folder, relative to the population: ``S01/session_1/right_index``
     subject: str
-    finger: str  # the finger, unique in the world: ``S01/right_index``
+    finger: str  # unique in the world: ``S01/right_index``
     session: str
-    place: int  # in the order of subjects, fingers and sessions of the plan, captured or not
-    number: int = 0  # number of the finger in that order, the same in every session
+    number: int  # number of the finger in the plan, the same in every session
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,102 +34,73 @@ class Population:
     """A population on disk."""
 
     folder: Path
-    sha256: str  # hash of the simulation's settings; for captures of real fingers, of the word ``enrolment``
+    sha256: str  # of the simulation's settings; for captures of real fingers, of the word ``enrolment``
     planned: int
-    captures: tuple[CaptureRef, ...]  # those that are complete, in the order of the plan
+    captures: tuple[CaptureRef, ...]  # those that are complete
 
 
 def read_population(folder: Path) -> Population:
-    """List the complete captures of an enrolment or a simulated population, even while it is still being filled. Raises
-    BadInput if it is neither, its plan is damaged, or it holds no complete capture.
+    """List the complete captures of an enrolment or a simulated population, still growing or not.
+
+    Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
-    try:
-        known = (folder / PLAN_FILE).is_file()
-    except (OSError, ValueError):
-        known = False
-    cure = "name a folder of 'splitknit simulate population' or of an enrolment."
-    require(known, f"'{folder}' is not a population: it holds no {PLAN_FILE}; {cure}")
+    remedy = "name a folder of 'splitknit simulate population' or of an enrolment."
+    fault = f"'{folder}' is not a population: it holds no {PLAN_FILE}; {remedy}"
+    with refusing(fault):
+        require((folder / PLAN_FILE).is_file(), fault)
     plan = open_enrolment(folder).plan
     captures = []
-    for number, (subject, finger, session) in enumerate(
-        (subject, finger, session)
-        for subject in plan.subject_ids()
-        for finger in plan.fingers
-        for session in range(1, plan.sessions + 1)
-    ):
-        place = PlannedCapture(subject, session, finger)
-        if (folder / place.folder / "capture.json").is_file():
-            who = subject, f"{subject}/{finger}", str(session)
-            captures.append(CaptureRef(place.folder, *who, number, number // plan.sessions))
+    fingers = [(subject, finger) for subject in plan.subject_ids() for finger in plan.fingers]
+    for number, (subject, finger) in enumerate(fingers):
+        for session in range(1, plan.sessions + 1):
+            name = PlannedCapture(subject, session, finger).folder
+            if (folder / name / "capture.json").is_file():
+                world = f"{subject}/{finger}"
+                captures.append(CaptureRef(name, subject, world, str(session), number))
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
     return Population(folder, _hash(folder), plan.total, tuple(captures))
 
 
 def _hash(folder: Path) -> str:
-    file = folder / _SIMULATED
+    file = folder / "population.json"
     if not file.is_file():
         return hashlib.sha256(b"enrolment").hexdigest()
     return Fields(read_json(file)[0], str(file)).text("settings_sha256")
 
 
-# Which captures are compared, in blocks: a block of one session with a block of a later one.
-#
-# Where a block ends depends on the plan of the population and on the matcher alone, never on what is there already, so
-# that two runs, however they were interrupted, do the same chunks.
-
-
-@dataclass(frozen=True, slots=True)
-class Blocks:
-    """How many captures stand together."""
-
-    database: int  # captures of the earlier session, kept ready for the whole block
-    query: int  # captures of the later session, taken one after the other
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """The comparisons of one block."""
-
-    number: int  # in the order of all blocks of the plan
-    pairs: Comparisons
-
-
 def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Comparisons:
-    """Every finger of a session with every finger of every later one; of different fingers a fraction only, drawn by
-    pairs of fingers, all sessions of a pair together. Raises BadInput if the captures are of one session.
+    """Every finger of a session with every finger of every later one.
+
+    Of different fingers only a fraction `impostors`, drawn by pairs of fingers, all sessions of a
+    pair together. Raises BadInput if the captures are of one session.
     """
-    drawn = None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors
-    return comparisons([one.finger for one in captures], [one.session for one in captures], drawn)
+
+    def drawn(finger: str, impostor: str) -> bool:
+        first, second = sorted((finger, impostor))
+        digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
+        return int.from_bytes(digest[:8], "big") < impostors * 2.0**64
+
+    fingers = [capture.finger for capture in captures]
+    sessions = [capture.session for capture in captures]
+    return comparisons(fingers, sessions, drawn if impostors < 1.0 else None)
 
 
-def draw(a: str, b: str, seed: int) -> float:
-    """Number in [0, 1) that belongs to two fingers; those below the fraction of impostors are compared."""
-    first, second = sorted((a, b))
-    digest = hashlib.sha256(f"{seed}|{first}|{second}".encode()).digest()
-    return int.from_bytes(digest[:8], "big") / 2.0**64
+def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], fingers: int) -> list[Comparisons]:
+    """Comparisons in blocks: at most :data:`PAIRS`, with earlier captures of at most `fingers`.
+
+    Blocks follow from the captures alone, not from what is done, so that a run that goes on makes
+    the same ones.
+    """
+    session = np.array([int(capture.session) for capture in captures])[pairs.a]
+    group = np.array([capture.number for capture in captures])[pairs.a] // fingers
+    order = np.lexsort((pairs.a, pairs.b, group, session))
+    changes = np.diff(session[order]) | np.diff(group[order])
+    starts = [0, *(np.flatnonzero(changes) + 1).tolist()]
+    ends = [*starts[1:], len(order)]
+    cuts = [cut for start, end in zip(starts, ends, strict=True) for cut in range(start, end, PAIRS)]
+    return [chosen_pairs(pairs, part) for part in np.split(order, cuts[1:])]
 
 
-def missing_pairs(pairs: Comparisons, count: int, done: NDArray[np.int64]) -> Comparisons:
-    """Those of `pairs` whose key ``a * count + b`` is not in `done`."""
-    kept = ~np.isin(pairs.a * count + pairs.b, done)
-    return Comparisons(pairs.a[kept], pairs.b[kept], pairs.genuine[kept])
-
-
-def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], blocks: Blocks) -> list[Block]:
-    """Comparisons block by block; those that share a database's block follow each other."""
-    session = np.array([int(one.session) for one in captures], dtype=np.int64)
-    number = np.array([one.number for one in captures], dtype=np.int64)
-    at_a, at_b = number[pairs.a] // blocks.database, number[pairs.b] // blocks.query
-    keys = np.stack([session[pairs.a], at_a, session[pairs.b], at_b])
-    order = np.lexsort((pairs.b, pairs.a, *keys[::-1]))
-    keys = keys[:, order]
-    if not order.size:
-        return []
-    starts = np.flatnonzero(np.concatenate([[True], (keys[:, 1:] != keys[:, :-1]).any(axis=0)]))
-    parts = np.split(order, starts[1:])
-    found = []
-    for start, part in zip(starts.tolist(), parts, strict=True):
-        first, low, second, high = (int(value) for value in keys[:, start])
-        place = ((first * 1000 + second) * 10_000 + low) * 10_000 + high
-        found.append(Block(place, Comparisons(pairs.a[part], pairs.b[part], pairs.genuine[part])))
-    return found
+def chosen_pairs(pairs: Comparisons, chosen: np.ndarray) -> Comparisons:
+    """Some of the comparisons, by their places or by a mask."""
+    return Comparisons(pairs.a[chosen], pairs.b[chosen], pairs.genuine[chosen])

@@ -1,4 +1,4 @@
-"""Comparisons of one block: one chunk of the store."""
+"""Comparisons of one block, one table of the store; and score files."""
 
 from __future__ import annotations
 
@@ -9,61 +9,64 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splitknit.io.provenance import canonical_json, provenance
-from splitknit_match.batch.chunks import SUFFIX, chunk_name, write_chunk, write_timings
-from splitknit_match.batch.execution import TaskDone
-from splitknit_match.batch.matchers import READY, matcher
-from splitknit_match.batch.reading import Place, small_column
-from splitknit_match.matching.surface import MatchingSettings
+import numpy as np
 
-VERSION = 1  # version of a chunk's columns
-COLUMNS = ("a", "b", "genuine", "similarity", "compared")
-"""Of every chunk of scores, before the matcher's own."""
+from splitknit.errors import refusing
+from splitknit.io.atomic import write_file
+from splitknit.io.provenance import provenance, settings_hash
+from splitknit_match.batch.matchers import MATCHERS
+from splitknit_match.batch.store import SCORES, Place
+from splitknit_match.batch.tables import SUFFIX, Table, read_origin, write_table
+from splitknit_match.batch.tasks import Done
+from splitknit_match.evaluation.protocol import Comparisons
+from splitknit_match.evaluation.scores import score_table
 
 
 @dataclass(frozen=True, slots=True)
-class ScoreTask:
-    """Comparisons that are made together, and where they go."""
+class Block:
+    """Comparisons that are made together."""
 
-    store: Path
-    case: str
-    case_sha256: str
-    population_sha256: str
-    matcher: str
-    matching: MatchingSettings
-    block: int
-    database: str  # by which a process knows what it has ready
-    pairs: tuple[tuple[str, str, bool], ...]  # earlier capture, later capture, whether they are of one finger
-    places: Mapping[str, Place]  # where the matcher's input is
-    origins: Mapping[str, Place]  # where the features came from, for the hashes of the input
-    seed: int
+    pairs: Comparisons
+    names: Mapping[int, str]  # of the captures that are compared
+    places: Mapping[int, Place]  # where the matcher's input is
 
 
-def score_block(task: ScoreTask) -> TaskDone:
-    """Make the comparisons of a task and write its chunk."""
+def compare_block(folder: Path, name: str, origin: Mapping[str, Any], block: Block) -> Done:
+    """Make the comparisons of a block by the matcher `name`, and write their table."""
     started = time.thread_time()
-    using = matcher(task.matcher, task.matching)
-    missing: dict[str, Any] = dict.fromkeys(("similarity", *using.columns), math.nan)
+    matcher, names, places = MATCHERS[name], block.names, block.places
+    missing = dict.fromkeys(("similarity", *matcher.columns), math.nan)
+    earlier = {int(a): matcher.database(places[a]) for a in np.unique(block.pairs.a)}
     rows: list[dict[str, Any]] = []
-    key = (task.store, task.database, canonical_json(using.document))
-    held: tuple[str, Any] = ("", None)
-    for a, b, genuine in sorted(task.pairs, key=lambda pair: (pair[1], pair[0])):  # one query after the other
-        if held[0] != b:
-            held = (b, using.query(task.places[b]))
-        left, right = READY.of(key, a, using, task.places[a]), held[1]
-        compared = left is not None and right is not None
-        values = using.compare(left, right) if compared else missing
-        rows.append({"a": a, "b": b, "genuine": genuine, "compared": compared, **values})
-    rows.sort(key=lambda row: (row["a"], row["b"]))
-    captures = sorted({name for a, b, _ in task.pairs for name in (a, b)})
-    origin = provenance(using.document, {name: small_column(task.origins[name], "input_sha256") for name in captures})
-    origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
-    origin |= {"matcher": task.matcher, "population_sha256": task.population_sha256, "seed": task.seed}
-    pairs = [[a, b] for a, b, _ in task.pairs]
-    name = chunk_name(f"{task.block:012d}", [task.case_sha256, task.matcher, using.document, pairs])
-    seconds = time.thread_time() - started
-    facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
-    write_timings(task.store / "timings" / task.case / task.matcher, name, facts)
-    file = task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}"
-    write_chunk(file, rows, (*COLUMNS, *using.columns), origin)
-    return TaskDone(len(rows), seconds)
+    query: Any = None
+    previous = -1
+    columns = (block.pairs.a, block.pairs.b, block.pairs.genuine)
+    for a, b, genuine in zip(*(column.tolist() for column in columns), strict=True):
+        if b != previous:  # one query after the other
+            query, previous = matcher.query(places[b]), b
+        compared = earlier[a] is not None and query is not None
+        values = matcher.compare(earlier[a], query) if compared else missing
+        row = {"a": names[a], "b": names[b], "genuine": genuine}
+        rows.append(row | {"similarity": values["similarity"], "compared": compared} | values)
+    inputs = {names[k]: read_origin(places[k].file)["inputs"][names[k]] for k in names}
+    origin = {**provenance(matcher.document, inputs), "kind": "scores", "kind_version": 1, **origin}
+    content = settings_hash([origin, [(row["a"], row["b"]) for row in rows]])
+    write_table(folder / f"{content[:24]}{SUFFIX}", rows, origin)
+    return Done(len(rows), time.thread_time() - started)
+
+
+def write_scores(path: Path, table: Table) -> None:
+    """Write comparisons of a store as a score file, with the matcher's own columns; what was not
+    compared is blank.
+    """
+    names: dict[str, list[list[str]]] = {"finger": [], "subject": [], "session": []}
+    with refusing("a table of scores names no capture, such as S01/session_2/right_index."):
+        for side in "ab":
+            parts = [capture.split("/") for capture in table[side].tolist()]
+            names["finger"].append([f"{subject}/{finger}" for subject, _, finger in parts])
+            names["subject"].append([subject for subject, _, _ in parts])
+            names["session"].append([session.removeprefix("session_") for _, session, _ in parts])
+    own = {name: column.tolist() for name, column in table.items() if name not in SCORES}
+    scores = {"score": table["similarity"].tolist(), **own}
+    sides = {kind: (a, b) for kind, (a, b) in names.items()}
+    write_file(path, score_table(table["genuine"].tolist(), sides, scores))

@@ -10,7 +10,6 @@ and a step of 0.05 um changed the features of the relief by 7 %.
 from __future__ import annotations
 
 import struct
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,48 +32,51 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     """Payload of a surface whose knitted height (H, W) is `height_mm`."""
     mask = surface.mask
     require(bool(mask.any()), "the mask of a surface is empty.")
-    require(mask.size <= _MAX_PIXELS, f"a surface of {mask.size} pixels is too large to be kept; reduce the images.")
+    fault = f"a surface of {mask.size} pixels is too large to be kept; reduce the images."
+    require(mask.size <= _MAX_PIXELS, fault)
     box = bounding_box(mask)
     height, shape = height_mm[mask], surface.shape_mm[mask]
-    follow = np.array_equal(_normals(height_mm, mask, surface.pitch_mm), surface.normals)
-    head = _HEAD.pack(
-        _MAGIC, *mask.shape, *(side.start for side in box), *(side.stop - side.start for side in box),
-        int(not follow) + 2 * int(surface.whole), surface.pitch_mm,
-        *np.asarray(surface.input_from_upright, dtype=np.float64).ravel().tolist(), *surface.upright_size,
-    )  # fmt: skip
-    parts = [head, np.packbits(mask[box]).tobytes(), _along(height), _along(shape)]
-    parts.append(_planes(_bits(surface.ridge_mm[mask]) - _bits(height - shape)))
-    if not follow:
-        parts += [_along(surface.normals[mask][:, k]) for k in range(3)]
-    return b"".join(parts)
+    normals = _normals(height_mm, mask, surface.pitch_mm)
+    stored = not np.array_equal(normals, surface.normals)
+    corner = [side.start for side in box] + [side.stop - side.start for side in box]
+    matrix = np.asarray(surface.input_from_upright, dtype=np.float64).ravel()
+    kinds = int(stored) + 2 * int(surface.whole)
+    head = _HEAD.pack(_MAGIC, *mask.shape, *corner, kinds, surface.pitch_mm, *matrix, *surface.upright_size)
+    words = [_differences(height), _differences(shape)]
+    words.append(_bits(surface.ridge_mm[mask]) - _bits(height - shape))
+    if stored:
+        words += [_differences(surface.normals[mask][:, k]) for k in range(3)]
+    planes = np.stack(words).astype("<i4").view(np.uint8).reshape(len(words), -1, 4)
+    return head + np.packbits(mask[box]).tobytes() + planes.transpose(0, 2, 1).tobytes()
 
 
 def unpack_surface(payload: bytes) -> Surface:
     """Read what :func:`pack_surface` wrote, to the last bit. Raises BadInput if it is damaged."""
     with refusing(_DAMAGED):
         magic, rows, columns, top, left, high, wide, kinds, pitch, *rest = _HEAD.unpack_from(payload)
-        require(magic == _MAGIC and 0 < top + high <= rows and 0 < left + wide <= columns, _DAMAGED)
-        require(rows * columns <= _MAX_PIXELS and rest[9] * rest[10] <= 2 * _MAX_PIXELS, _DAMAGED)
-        require(kinds in range(4) and 1e-6 < pitch < 1e3 and bool(np.isfinite(rest[:9]).all()), _DAMAGED)
-        at = _HEAD.size
-        size = (high * wide + 7) // 8
-        require(len(payload) > at + size, _DAMAGED)
-        bits = np.unpackbits(np.frombuffer(payload, np.uint8, size, at), count=high * wide)
-        at, count = at + size, int(np.count_nonzero(bits))
-        stored = kinds % 2
-        planes = 3 + 3 * stored
-        require(len(payload) == at + 4 * count * planes and count > 0, _DAMAGED)
-        words = [_words(payload, at + 4 * count * k, count) for k in range(planes)]
-    mask = np.zeros((rows, columns), dtype=np.bool_)
-    mask[top : top + high, left : left + wide] = bits.reshape(high, wide).astype(np.bool_)
-    height, shape, *parts = (_floats(np.cumsum(word, dtype=np.int32)) for word in (*words[:2], *words[3:]))
+        matrix, upright_size = np.array(rest[:9]).reshape(3, 3), (rest[9], rest[10])
+        largest = int(max(rows * columns, upright_size[0] * upright_size[1] // 2))
+        sound = magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= _MAX_PIXELS
+        sound = sound and top + high <= rows and left + wide <= columns
+        require(sound and bool(np.isfinite(matrix).all()), _DAMAGED)
+        bits = np.frombuffer(payload, np.uint8, (high * wide + 7) // 8, _HEAD.size)
+        inside = np.unpackbits(bits, count=high * wide).astype(np.bool_)
+        count = int(np.count_nonzero(inside))
+        layers = 6 if kinds % 2 else 3
+        at = _HEAD.size + len(bits)
+        require(count > 0 and len(payload) == at + 4 * count * layers, _DAMAGED)
+        planes = np.frombuffer(payload, np.uint8, offset=at).reshape(layers, 4, count)
+        words = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<i4")[..., 0]
+    height, shape, *normal = (_floats(np.cumsum(words[k], dtype=np.int32)) for k in (0, 1, *range(3, layers)))
     with np.errstate(invalid="ignore", over="ignore"):
         ridge = _floats(_bits(height - shape) + words[2])
-    sound = all(bool((np.abs(values) <= _MAX_MM).all()) for values in (height, shape, ridge, *parts))
+    sound = all(bool((np.abs(part) <= _MAX_MM).all()) for part in (height, shape, ridge, *normal))
     require(sound, _DAMAGED)
+    mask = np.zeros((rows, columns), dtype=np.bool_)
+    mask[top : top + high, left : left + wide] = inside.reshape(high, wide)
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
-    if stored:
-        normals[mask] = np.stack(parts, axis=1)
+    if normal:
+        normals[mask] = np.stack(normal, axis=1)
     else:  # where the mask is, and beside it: they follow from neighbours
         box = slice(max(top - 1, 0), top + high + 1), slice(max(left - 1, 0), left + wide + 1)
         normals[box] = _normals(_placed(height, mask[box]), mask[box], pitch)
@@ -84,8 +86,8 @@ def unpack_surface(payload: bytes) -> Surface:
         normals=normals,
         mask=mask,
         pitch_mm=pitch,
-        input_from_upright=np.asarray(rest[:9], dtype=np.float64).reshape(3, 3),
-        upright_size=(rest[9], rest[10]),
+        input_from_upright=matrix,
+        upright_size=upright_size,
         whole=kinds >= 2,
     )
 
@@ -111,15 +113,5 @@ def _floats(words: NDArray[np.int32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(words, dtype=np.int32).view(np.float32)
 
 
-def _along(values: NDArray[np.float32]) -> bytes:
-    bits = _bits(values)
-    return _planes(np.diff(bits, prepend=np.zeros(1, dtype=np.int32)))
-
-
-def _planes(words: NDArray[np.int32]) -> bytes:
-    return np.ascontiguousarray(words.astype("<i4").view(np.uint8).reshape(-1, 4).T).tobytes()
-
-
-def _words(payload: bytes, at: int, count: int) -> NDArray[np.int32]:
-    planes: NDArray[Any] = np.frombuffer(payload, np.uint8, 4 * count, at).reshape(4, count)
-    return np.ascontiguousarray(planes.T).view("<i4").ravel().astype(np.int32)
+def _differences(values: NDArray[np.float32]) -> NDArray[np.int32]:
+    return np.diff(_bits(values), prepend=np.zeros(1, dtype=np.int32))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any
 
-from splitknit import BadInput
 from splitknit.cli.verb import Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Device, Fraction, Help, Job, Natural, Progress, path
@@ -30,47 +30,35 @@ class BatchJob(Job):
     seed: Annotated[Natural, Help("which of them", "N")] = 0
     surfaces: Annotated[bool, Help(
         "keep no surfaces, which only the matcher thesis needs: a tenth of the disk")] = True
-    csv: Annotated[AnyPath | None, Help("folder of score files (default: csv in STORE)", "DIR")] = None
-    jobs: Annotated[Natural, Help("processes", "N")] = 2
+    jobs: Annotated[Natural, Help("processes at most, if memory allows", "N")] = 2
     device: Device = "cpu"
-    cluster: Annotated[str | None, Help("Dask scheduler whose workers do it instead", "tls://HOST:PORT")] = None
-    cluster_ca: Annotated[AnyPath | None, Help("CA of the cluster's certificates", "FILE")] = None
-    cluster_cert: Annotated[AnyPath | None, Help("certificate of this computer", "FILE")] = None
-    cluster_key: Annotated[AnyPath | None, Help("key of that certificate", "FILE")] = None
-    insecure_cluster: Annotated[bool, Help(
-        "allow tcp:// to another computer: anyone who reaches the cluster's ports can run code on it")] = False
+    scheduler: Annotated[str | None, Help(
+        "Dask scheduler whose workers do it instead", "tls://HOST:PORT")] = None
     # fmt: on
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Do what is missing."""
-        from splitknit_match.batch.engine import run_batch  # verbs import what they need
-        from splitknit_match.batch.settings import BatchSettings, preset_cases
+        from splitknit_match.batch.cases import preset_cases  # verbs import what they need
+        from splitknit_match.batch.engine import run_batch
 
-        cluster, cases = self._cluster(), tuple(_case(text) for text in self.case)
+        cases = tuple(_case(text) for text in self.case)
         if self.cases is not None:
-            cases = (*preset_cases(tuple(_names(self.cases, "`cases`", "such as metric,ea"))), *cases)
-        none = self.matchers == "none"
-        settings = BatchSettings(
+            presets = _names(self.cases, "`cases`", "such as metric,ea")
+            cases = (*preset_cases(tuple(presets)), *cases)
+        matchers = _names(self.matchers, "`matchers`", "such as ridge, or none")
+        return run_batch(
+            path(self.population),
+            path(self.out),
             cases=cases or preset_cases(),
-            matchers=() if none else tuple(_names(self.matchers, "`matchers`", "such as ridge, or none")),
+            matchers=[] if matchers == ["none"] else matchers,
             impostors=self.impostors,
             seed=self.seed,
             surfaces=self.surfaces,
+            jobs=self.jobs,
+            scheduler=self.scheduler,
+            device=self.device,
+            progress=progress,
         )
-        return run_batch(
-            path(self.population), path(self.out), settings,
-            jobs=self.jobs, cluster=cluster, csv=path(self.csv), device=self.device, progress=progress,
-        )  # fmt: skip
-
-    def _cluster(self) -> Any:
-        from splitknit_match.batch.execution import Cluster
-
-        files = (path(self.cluster_ca), path(self.cluster_cert), path(self.cluster_key))
-        if self.cluster is None:
-            unused = self.insecure_cluster or any(file is not None for file in files)
-            require(not unused, "certificates and `insecure_cluster` are of a cluster; name it with `cluster`.")
-            return None
-        return Cluster(self.cluster, *files, insecure=self.insecure_cluster)
 
 
 def _names(text: str, option: str, such: str) -> list[str]:
@@ -82,35 +70,30 @@ def _names(text: str, option: str, such: str) -> list[str]:
 def _case(text: str) -> Any:
     """Read ``NAME=PRESET:STAGE.FIELD=VALUE,...``; commas inside brackets belong to a value."""
     from splitknit.cli.options import parse_assignment
-    from splitknit_match.batch.settings import Case
+    from splitknit_match.batch.cases import Case
 
-    name, equals, rest = text.partition("=")
+    name, _, rest = text.partition("=")
     preset, _, changes = rest.partition(":")
-    if not equals or not preset.strip():
-        raise BadInput(f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,...")
-    parts: list[str] = []
-    for part in changes.split(","):
-        if parts and parts[-1].count("[") > parts[-1].count("]"):
-            parts[-1] += "," + part
-        elif part.strip():
-            parts.append(part)
-    return Case(name.strip(), preset.strip(), dict(parse_assignment(part) for part in parts))
+    fault = f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,..."
+    require(bool(preset.strip()), fault)
+    assignments = re.findall(r"(?:\[[^\]]*\]|[^,\[])+", changes)
+    parts = [parse_assignment(part) for part in assignments if part.strip()]
+    return Case(name.strip(), preset.strip(), dict(parts))
 
 
 def _words(facts: dict[str, Any]) -> list[str]:
-    waiting = facts["planned"] - facts["captures"]
     made = f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there"
     cases = f"{len(facts['cases'])} cases ({', '.join(facts['cases'])})"
     lines = [f"{made}: {facts['captures']} captures in {cases} in {facts['out']}."]
-    if waiting:
+    if waiting := facts["planned"] - facts["captures"]:
         lines.append(f"{waiting} captures of the plan are not there yet; run the same again when they are.")
-    failures = facts["failures"]
-    if failures:
+    if failures := facts["failures"]:
         lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
-    for one in facts["scores"]:
-        each = one["ms_per_comparison"]
-        speed = f" ({each:.1f} ms each on one core)" if each is not None else ""
-        lines.append(f"{one['case']}, {one['matcher']}: {one['compared']} comparisons made now{speed}.")
+    for scores in facts["scores"]:
+        each = scores["ms_per_comparison"]
+        speed = "" if each is None else f" ({each:.1f} ms each on one core)"
+        made = f"{scores['compared']} comparisons made now"
+        lines.append(f"{scores['case']}, {scores['matcher']}: {made}{speed}.")
     if facts["csv"]:
         lines.append(f"Score files for 'splitknit evaluate --scores': {', '.join(facts['csv'])}.")
     return lines

@@ -26,7 +26,7 @@ from splitknit_match.cli.pad import Refusal, refuse_attacks
 from splitknit_match.matching.photo_finger import PhotoBox, PhotoFinger, PhotoMask
 
 if TYPE_CHECKING:
-    from splitknit_match.gallery.enrol import EnrolledCapture, Enrolling
+    from splitknit_match.gallery.gallery import EnrolledCapture, Enrolling
     from splitknit_match.gallery.identify import RankedCandidate
 
 
@@ -47,8 +47,6 @@ class EnrollJob(Job):
         "instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on; "
         "resumable", "FOLDER")] = None
     workers: Annotated[Natural | None, Help("processes for a population (default: 1)", "N")] = None
-    keep_images: Annotated[Literal["none", "thumbnail", "raw"], Help(
-        "what is kept beside the template: nothing (default), a small print, or the source's files")] = "none"
     replace: Annotated[bool, Help("let a capture take the place of one of the same names")] = False
     with_time: Annotated[bool, Help("keep the time of enrolment as well")] = False
     duplicates: Annotated[Literal["refuse", "warn", "allow"], Help(
@@ -65,13 +63,14 @@ class EnrollJob(Job):
     def run(self, progress: Progress) -> Outcome:
         """Enrol sources, or a population."""
         from splitknit.settings import override
-        from splitknit_match.gallery.enrol import Enrolling  # verbs import what they need
-        from splitknit_match.gallery.key import key_of
+        from splitknit_match.gallery.file import key_of
+        from splitknit_match.gallery.gallery import Enrolling  # verbs import what they need
         from splitknit_match.matching.surface import MatchingSettings
 
         matching = override(MatchingSettings(), self.settings or {})
-        how = Enrolling(self.preset, matching, self.keep_images, self.replace, self.with_time, self.input_ppi,
-                        PhotoFinger(self.mask, self.box))  # fmt: skip
+        how = Enrolling(
+            self.preset, matching, self.replace, self.with_time, self.input_ppi, PhotoFinger(self.mask, self.box)
+        )
         key = key_of(self.key_file)
         presented = refuse_attacks(self.pad, self.sources, self.preset, progress)
         enrol = self._sources if self.population is None else self._population
@@ -97,7 +96,7 @@ class EnrollJob(Job):
         )  # fmt: skip
         facts = {**known_json(found.content), "enrolled": known_json(found.enrolled), "alike": known_json(found.alike)}
         return facts, [
-            *(_words(one, self.keep_images) for one in found.enrolled),
+            *map(_words, found.enrolled),
             *(_alike(one, self.person) for one in found.alike),
         ]
 
@@ -130,17 +129,13 @@ def _alike(one: RankedCandidate, person: str) -> str:
     return f"Please note: it matches {who}; is that {asked}?"
 
 
-def _words(one: EnrolledCapture, keep: str) -> str:
+def _words(one: EnrolledCapture) -> str:
     who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
     if not one.new:
         return f"{who} was enrolled from the same source already."
     if not one.acquired:
         lacks = "too few ridges or minutiae (failure to acquire)"
         return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
-    kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its files"}[one.images]
     held = f"{one.area_mm2:.0f} mm² of skin" if one.area_mm2 else "minutiae"
-    notes = [one.note] if one.note else []
-    if keep != "none" and one.images == "none":
-        notes.append(f"a {one.kind} has no image to keep.")
-    enrolled = f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}."
-    return " ".join([enrolled, *(f"Please note: {note}" for note in notes)])
+    enrolled = f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB."
+    return f"{enrolled} Please note: {one.note}" if one.note else enrolled

@@ -97,7 +97,7 @@ class EvaluationJob(Job):
 
     def _gallery(self, progress: Progress) -> Any:
         from splitknit_match.evaluation.gallery_scores import gallery_scores
-        from splitknit_match.gallery.key import key_of
+        from splitknit_match.gallery.file import key_of
 
         require(not self.dissimilarity, "`dissimilarity` is for `scores`; a gallery's scores are similarities.")
         assert self.gallery is not None

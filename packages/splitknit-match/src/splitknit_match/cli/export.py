@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.verb import Outcome, Verb, count
 from splitknit.verbs import refuse_given
-from splitknit_match.gallery.export_job import ExportJob
+from splitknit_match.prints.export_job import ExportJob
 
 if TYPE_CHECKING:
     from splitknit.cli.import_photos import ImportJob
@@ -14,10 +14,7 @@ if TYPE_CHECKING:
 
 
 def _show(facts: dict[str, Any], job: ExportJob) -> Outcome:
-    lines = export_words(facts)
-    if any("person" in one for one in facts["files"]):
-        lines.append("Please note: they are personal data, and they are not encrypted there.")
-    return facts, lines
+    return facts, export_words(facts)
 
 
 EXPORT = Verb(ExportJob, _show)
@@ -25,7 +22,7 @@ EXPORT = Verb(ExportJob, _show)
 
 def import_prints(job: ImportJob, progress: Progress) -> Outcome:
     """Write the prints of other systems: a part of ``splitknit import``."""
-    from splitknit_match.gallery.records import import_records  # verbs import what they need
+    from splitknit_match.prints.export import import_records  # verbs import what they need
 
     refuse_given(job, ("nir", "keep", "overwrite"), "goes with `folder`.")
     job.refuse_photographs((), "goes with `folder`.")

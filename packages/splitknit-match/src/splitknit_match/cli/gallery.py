@@ -1,4 +1,4 @@
-"""``splitknit gallery list|info|remove|export|import|check``."""
+"""``splitknit gallery list|info|remove|export|import``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import KW_ONLY, asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from splitknit.cli.verb import Outcome, Verb, count
-from splitknit.errors import Refused, require
-from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
+from splitknit.errors import require
+from splitknit.verbs import AnyPath, Help, Job, KeyFile, Progress, path
 
 if TYPE_CHECKING:
-    from splitknit_match.gallery.file import GalleryFile
+    from splitknit_match.gallery.gallery import Gallery
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +21,11 @@ class _OfGallery(Job):
     _: KW_ONLY
     key_file: KeyFile = None
 
-    def opened(self) -> GalleryFile:
+    def opened(self) -> Gallery:
         """Open it."""
-        from splitknit_match.gallery.file import GalleryFile  # verbs import what they need
+        from splitknit_match.gallery.gallery import Gallery  # verbs import what they need
 
-        return GalleryFile(self.gallery, self.key_file)
+        return Gallery(self.gallery, self.key_file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,22 +37,20 @@ class ListJob(_OfGallery):
 
     def run(self, progress: Progress) -> Outcome:
         """Read it."""
-        from splitknit_match.gallery.entry import check_person, session_order
+        from splitknit_match.gallery.file import check_person, session_order
 
         name = None if self.person is None else check_person(self.person)
         with self.opened() as gallery:
-            rows = gallery.entries(name)
-        require(name is None or len(rows) > 0, f"'{self.gallery}' holds nothing of person '{name}'.")
-        rows.sort(key=lambda one: (one.person, one.finger, session_order(one.session)))
-        lines = [f"{'row':>5}  {'person':24} {'finger':13} {'session':8} {'from':9} skin"]
+            entries = gallery.entries(name)
+        require(name is None or len(entries) > 0, f"'{self.gallery}' holds nothing of person '{name}'.")
+        entries.sort(key=lambda entry: (entry.person, entry.finger, session_order(entry.session)))
+        lines = [f"{'person':24} {'finger':13} {'session':8} {'from':9} skin"]
         captures = []
-        for one in rows:
-            acquired = one.template_bytes > 0
-            skin = f"{one.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({one.failure or 'unknown'})"
-            kept = f", with {one.images} image" if one.images else ""
-            lines.append(f"{one.row:>5}  {one.person:24} {one.finger:13} {one.session:8} {one.kind:9} {skin}{kept}")
-            facts = {**asdict(one), "acquired": acquired, "images": one.images or "none"}
-            captures.append(facts | {"enrolled_at": one.enrolled_at or None})
+        for entry in entries:
+            acquired = entry.template_bytes > 0
+            skin = f"{entry.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({entry.failure or 'unknown'})"
+            lines.append(f"{entry.person:24} {entry.finger:13} {entry.session:8} {entry.kind:9} {skin}")
+            captures.append({**asdict(entry), "acquired": acquired, "enrolled_at": entry.enrolled_at or None})
         return {"gallery": str(self.gallery), "captures": captures}, lines
 
 
@@ -63,32 +61,24 @@ class InfoJob(_OfGallery):
     def run(self, progress: Progress) -> Outcome:
         """Count."""
         from splitknit_match.gallery.file import VERSION
+        from splitknit_match.gallery.gallery import content_of
         from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
         with self.opened() as gallery:
-            rows, sha256 = gallery.entries(), gallery.settings_sha256
-        facts: dict[str, Any] = {
-            "gallery": str(self.gallery),
-            "version": VERSION,
-            "encrypted": gallery.key is not None,
-            "template_version": TEMPLATE_VERSION,
-            "settings_sha256": sha256,
-            "captures": len(rows),
-            "fingers": len({(one.person, one.finger) for one in rows}),
-            "people": len({one.person for one in rows}),
-            "failures": sum(one.template_bytes == 0 for one in rows),
-            "with_images": sum(one.images != "" for one in rows),
-            "template_bytes": sum(one.template_bytes for one in rows),
-            "file_bytes": path(self.gallery).stat().st_size,
-        }
+            facts: dict[str, Any] = asdict(content_of(gallery, created=False))
+            template_bytes = sum(entry.template_bytes for entry in gallery)
+        del facts["created"]
+        file_bytes = path(self.gallery).stat().st_size
+        facts |= {"version": VERSION, "template_version": TEMPLATE_VERSION}
+        facts |= {"template_bytes": template_bytes, "file_bytes": file_bytes}
         locked = "encrypted" if facts["encrypted"] else "not encrypted"
-        people = f"{count(len(rows), 'capture')} of {count(facts['fingers'], 'finger')} of "
-        people += count(facts["people"], "person", "people")
+        people = count(facts["people"], "person", "people")
         return facts, [
             f"{self.gallery}: a gallery of version {VERSION}, {locked}.",
-            f"{people}, {facts['template_bytes'] / 1e6:.2f} MB of templates (version {TEMPLATE_VERSION}), "
-            f"{facts['file_bytes'] / 1e6:.2f} MB in all.",
-            f"{facts['failures']} of them are failures to acquire, {facts['with_images']} have images.",
+            f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}.",
+            f"{template_bytes / 1e6:.2f} MB of templates (version {TEMPLATE_VERSION}), "
+            f"{file_bytes / 1e6:.2f} MB in all.",
+            f"{facts['failures']} of them are failures to acquire.",
         ]
 
 
@@ -97,30 +87,14 @@ class RemoveJob(_OfGallery):
     """Remove a person or a finger, so that nothing of it remains in the file."""
 
     _: KW_ONLY
-    person: Annotated[str | None, Help("whose fingers", "NAME")] = None
+    person: Annotated[str, Help("whose fingers", "NAME")]
     finger: Annotated[str | None, Help("this one only", "FINGER")] = None
     session: Annotated[str | None, Help("this one only", "S")] = None
-    row: Annotated[tuple[Natural, ...], Help("a row that is damaged", "N")] = ()
 
     def run(self, progress: Progress) -> Outcome:
         """Remove it."""
-        from splitknit_match.gallery.entry import check_person
-
-        fault = "name whose fingers are to be removed"
-        require((self.person is None) != (not self.row), f"{fault}: `person` NAME, or `row` N.")
-        alone = not self.row or (self.finger is None and self.session is None)
-        require(alone, "`row` goes without `finger` and `session`.")
         with self.opened() as gallery:
-            chosen = list(self.row)
-            if self.person is not None:
-                found = gallery.entries(check_person(self.person), self.finger, self.session)
-                session = self.session and f"session {self.session}"
-                words = ", ".join(word for word in (self.person, self.finger, session) if word)
-                shown = f"'{self.gallery}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
-                require(len(found) > 0, shown)
-                chosen = [one.row for one in found]
-            removed = gallery.remove(chosen)
-            require(removed > 0, f"'{self.gallery}' holds no row {', '.join(map(str, chosen))}.")
+            removed = gallery.remove(self.person, self.finger, self.session)
             left = len(gallery)
         facts = {"gallery": str(self.gallery), "removed": removed, "captures": left}
         return facts, [f"Removed {count(removed, 'capture')} from {self.gallery}; {left} are left."]
@@ -132,15 +106,14 @@ class ExportGalleryJob(_OfGallery):
 
     _: KW_ONLY
     out: Annotated[AnyPath, Help("folder to write", "DIR")]
-    images: Annotated[bool, Help("write kept images as well")] = False
-    person: Annotated[str | None, Help("all that is kept of this person, images included", "NAME")] = None
+    person: Annotated[str | None, Help("all that is kept of this person", "NAME")] = None
 
     def run(self, progress: Progress) -> Outcome:
         """Write it."""
-        from splitknit_match.gallery.manage import export_gallery
+        from splitknit_match.gallery.folder import export_gallery
 
         with self.opened() as gallery:
-            facts = export_gallery(gallery, path(self.out), images=self.images, person=self.person)
+            facts = export_gallery(gallery, path(self.out), person=self.person)
         lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
         lines.append("Please note: they are personal data, and they are not encrypted there.")
         return facts, lines
@@ -156,7 +129,7 @@ class ImportGalleryJob(_OfGallery):
 
     def run(self, progress: Progress) -> Outcome:
         """Read it."""
-        from splitknit_match.gallery.manage import import_gallery
+        from splitknit_match.gallery.folder import import_gallery
 
         with self.opened() as gallery:
             facts = import_gallery(gallery, path(self.folder), replaces=self.replace)
@@ -165,24 +138,5 @@ class ImportGalleryJob(_OfGallery):
         return facts, [f"{came}; {facts['captures']} are in it now."]
 
 
-@dataclass(frozen=True, slots=True)
-class CheckJob(_OfGallery):
-    """Look for damage."""
-
-    def run(self, progress: Progress) -> Outcome:
-        """Open every row."""
-        with self.opened() as gallery:
-            problems, captures = gallery.problems(), len(gallery)
-        listed = [{"row": row, "what": what} for row, what in problems]
-        facts = {"gallery": str(self.gallery), "captures": captures, "sound": not problems, "problems": listed}
-        if problems:
-            rows = sorted({row for row, _ in problems if row is not None})
-            shown = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-            where = f"rows {shown}; 'splitknit gallery remove' takes a row out" if rows else problems[0][1].rstrip(".")
-            places = count(len(problems), "place")
-            raise Refused(f"the gallery '{self.gallery}' is damaged in {places} ({where}).", facts)
-        return facts, [f"{self.gallery} is sound: all {captures} captures can be opened."]
-
-
 LIST, INFO, REMOVE = Verb(ListJob), Verb(InfoJob), Verb(RemoveJob)
-EXPORT, IMPORT, CHECK = Verb(ExportGalleryJob), Verb(ImportGalleryJob), Verb(CheckJob)
+EXPORT, IMPORT = Verb(ExportGalleryJob), Verb(ImportGalleryJob)

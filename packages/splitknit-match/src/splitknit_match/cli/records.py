@@ -30,7 +30,6 @@ class WhatJob(Job):
         from splitknit.io.atomic import write_file
         from splitknit.io.prints import PrintFile
         from splitknit.io.provenance import file_hash  # verbs import what they need
-        from splitknit_match.gallery.file import is_gallery
         from splitknit_match.records.fmr_bytes import standard_of, what_bytes_are
         from splitknit_match.records.print_formats import FORMATS, read_prints
         from splitknit_match.records.templates import MAGIC
@@ -40,8 +39,6 @@ class WhatJob(Job):
             first = stream.read(_FIRST_BYTES)
         form = next((one for one in FORMATS.values() if first.startswith(one.starts)), None)
         what = standard_of(first) or (form.words if form else what_bytes_are(first, "of an unknown kind"))
-        if is_gallery(file):
-            what = "a gallery of splitknit"
         facts: dict[str, Any] = {"file": str(file), "bytes": size, "sha256": file_hash(file), "what": what, "holds": []}
         lines = [f"{file}: {what}, {size:,} bytes."]
         if first.startswith(MAGIC):
@@ -82,7 +79,7 @@ def _drawn(held: tuple[PrintFile | FingerView, ...], name: str) -> bytes:
     from splitknit.io.images import encode_image
     from splitknit.io.pictures import ORANGE, SKY
     from splitknit.io.prints import PrintFile
-    from splitknit_match.gallery.records import minutiae_in
+    from splitknit_match.prints.export import minutiae_in
     from splitknit_match.prints.from_file import print_at_500_ppi
     from splitknit_match.records.finger_image import MAX_PIXELS
 

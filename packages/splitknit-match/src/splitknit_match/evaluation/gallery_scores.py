@@ -18,9 +18,7 @@ from splitknit.model import no_progress
 from splitknit.verbs import Progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
-from splitknit_match.gallery.entry import session_order
-from splitknit_match.gallery.file import GalleryFile
-from splitknit_match.gallery.key import Key
+from splitknit_match.gallery.file import GalleryFile, Key, session_order
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.minutiae import minutiae_match
 from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minutiae

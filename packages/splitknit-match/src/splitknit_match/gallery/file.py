@@ -1,7 +1,7 @@
-"""A gallery: an SQLite file of typed rows, encrypted as a whole by SQLCipher where a key is given.
+"""The file of a gallery: SQLite, encrypted as a whole by SQLCipher where a key is given.
 
-A rollback journal, not a write-ahead log: at rest a gallery is one file, which can be copied, moved and read from a
-read-only disk. What a killed writer began SQLite takes back. ``synchronous=EXTRA`` holds through a loss of power.
+One table of people, one of captures. Readers go on beside one writer (write-ahead log); each writer puts the log back
+into the file, so that a gallery at rest is one file. What a killed writer began SQLite takes back.
 """
 
 from __future__ import annotations
@@ -11,55 +11,189 @@ import datetime
 import getpass
 import hashlib
 import os
+import re
+import select
 import sqlite3
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
-from splitknit.errors import UNFINISHED, importing, printable, require, shown_path
+from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
 from splitknit.io.atomic import append_line, private_modes
+from splitknit.io.enrolment import FINGERS
 from splitknit.verbs import VERB, AnyPath
-from splitknit_match.gallery.entry import Entry, NewCapture
-from splitknit_match.gallery.key import Key, key_of
-from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
-from splitknit_match.matching.template import unpack
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import MinutiaIndex
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
-VERSION = 3
+VERSION = 4
 WAIT_S = 10.0
 """How long one waits for another program's transaction."""
 LOG = ".log"
 """End of the name of the access log that may lie beside a gallery."""
+KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
+MAX_NAME = 100
+"""Characters of a person's name, at most."""
+_MAX_KEY_BYTES = 4096
+_WRITER_S = 2.0
+"""How long a pipe may be without a program that writes into it."""
 _MAGIC = b"SQLite format 3\0"
-_KINDS = {
-    "person": str, "finger": str, "session": str, "kind": str, "source_sha256": str, "area_mm2": float, "failure": str,
-    "enrolled_at": str, "images": str, "template_bytes": int, "template_sha256": str,
-}  # fmt: skip
-_SQL = {str: "TEXT", float: "REAL", int: "INTEGER"}
-_COLUMNS = ", ".join(_KINDS)
-_DECLARED = ", ".join(f"{name} {_SQL[kind]} NOT NULL" for name, kind in _KINDS.items())
-_ABOUT = "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL)"
-_ROWS = {
-    "finger": f"CREATE TABLE finger (id INTEGER PRIMARY KEY, {_DECLARED}, UNIQUE (person, finger, session))",
-    "images": "CREATE TABLE images (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
-    "template": "CREATE TABLE template (id INTEGER PRIMARY KEY, content BLOB NOT NULL)",
-}
-"""What is large lies apart: names of very many fingers are read without it."""
-_SETTINGS = (
-    "trusted_schema=OFF", "cell_size_check=ON", "secure_delete=ON", "temp_store=MEMORY", "synchronous=EXTRA",
-)  # fmt: skip
+_SCHEMA = (
+    "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
+    "changes INTEGER NOT NULL, erasing INTEGER NOT NULL) STRICT",
+    "CREATE TABLE capture (id INTEGER PRIMARY KEY, person INTEGER NOT NULL REFERENCES person, "
+    "finger TEXT NOT NULL, session TEXT NOT NULL, kind TEXT NOT NULL, source_sha256 TEXT NOT NULL, "
+    "area_mm2 REAL NOT NULL, failure TEXT NOT NULL, enrolled_at TEXT NOT NULL, "
+    "template_sha256 TEXT NOT NULL, template BLOB NOT NULL, UNIQUE (person, finger, session)) STRICT",
+    "CREATE TABLE person (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE) STRICT",
+)
+_FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
+_PRAGMAS = (
+    "trusted_schema=OFF",
+    "cell_size_check=ON",
+    "foreign_keys=ON",
+    "secure_delete=ON",
+    "temp_store=MEMORY",  # what VACUUM copies never lies in another file
+    "synchronous=EXTRA",
+)
 
 
 class Unavailable(BadInput):
     """The file of a gallery cannot be used now, whatever is asked of it: gone, locked, on a full disk, damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What is known of an enrolled capture beside its template."""
+
+    person: str
+    """1 to 100 printable characters."""
+    finger: str
+    """Small letters, digits and _ ."""
+    session: str
+    """Letters, digits, - and _ ."""
+    kind: str
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` or ``minutiae``."""
+    source_sha256: str
+    """Hash of the files that it was made from."""
+    area_mm2: float = 0.0
+    """Area of skin in the template; 0 for a failure to acquire."""
+    failure: str = ""
+    """Why nothing could be acquired, where that is known."""
+    enrolled_at: str = ""
+    """ISO 8601, UTC; blank where it was not to be kept."""
+    template_sha256: str = ""
+    """The gallery fills it in, and what follows."""
+    template_bytes: int = 0
+    """0 for a failure to acquire."""
+    row: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "person", check_person(self.person))
+        sound = re.fullmatch(r"[a-z0-9_]{1,32}", self.finger) is not None
+        expected = "small letters, digits and _ are expected, such as right_index."
+        require(sound, f"{self.finger[:60]!a} cannot be a finger: {expected}")
+        check_session(self.session)
+        sound = 0 <= self.area_mm2 <= 1e6
+        require(sound, f"area_mm2 must be a number from 0 to a million, not {self.area_mm2}.")
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """By which a capture is found; no two captures of a gallery share them."""
+        return self.person, self.finger, self.session
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"{self.person}, {self.finger.replace('_', ' ')}, session {self.session}"
+
+
+@dataclass(frozen=True, slots=True)
+class NewCapture:
+    """What is put into a gallery."""
+
+    entry: Entry
+    template: bytes
+    """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
+
+
+def check_person(text: str) -> str:
+    """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
+    name = unicodedata.normalize("NFC", text).strip()
+    sound = 0 < len(name) <= MAX_NAME and name.isprintable()
+    shown = text.encode("unicode_escape").decode("ascii")[:60]
+    require(sound, f"'{shown}' cannot be a person's name: 1 to {MAX_NAME} printable characters are expected.")
+    return name
+
+
+def check_session(text: str) -> str:
+    """Return `text` if it can be a session's name."""
+    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None
+    expected = "up to 32 letters, digits, - and _ are expected, such as 1."
+    require(sound, f"{text[:60]!a} cannot be a session: {expected}")
+    return text
+
+
+def known_finger(finger: str) -> str:
+    """Return `finger` if it is one of the ten."""
+    require(finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
+    return finger
+
+
+def session_order(session: str) -> tuple[int, int, str]:
+    """Key to sort sessions by: numbers by their size, before names."""
+    number = session.isascii() and session.isdigit()
+    return (0, int(session), session) if number else (1, 0, session)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Key:
+    """64 hexadecimal digits, or a passphrase. Is never shown."""
+
+    text: str
+
+    @property
+    def pragma(self) -> str:
+        """SQLCipher's statement that opens a gallery; a passphrase is stretched (PBKDF2, 256,000 rounds of SHA-512)."""
+        if re.fullmatch("[0-9A-Fa-f]{64}", self.text):
+            return f"PRAGMA key = \"x'{self.text}'\""
+        quoted = self.text.replace("'", "''")
+        return f"PRAGMA key = '{quoted}'"
+
+
+def key_of(file: Key | AnyPath | None) -> Key | None:
+    """Key from a file or a pipe, else from the environment; None where neither has one.
+
+    Raises BadInput if the file cannot be read, or what it holds is not a key.
+    """
+    if isinstance(file, Key):
+        return file
+    if file is not None:
+        content, where = b"", f"the key file {shown_path(file)}"
+        try:
+            with open(file, "rb", opener=open_at_once) as stream:
+                select.select([stream], [], [], _WRITER_S)
+                os.set_blocking(stream.fileno(), True)  # a writer takes as long as it likes: it may ask for a password
+                content = stream.read(_MAX_KEY_BYTES + 1)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise BadInput(f"{where} cannot be read: {reason}.") from error
+    elif KEY_VARIABLE in os.environ:
+        content, where = os.fsencode(os.environ[KEY_VARIABLE]), f"the variable {KEY_VARIABLE}"
+    else:
+        return None
+    text = unicodedata.normalize("NFC", content.decode("utf-8", "replace").rstrip("\r\n"))
+    sound = len(content) <= _MAX_KEY_BYTES and text.isprintable() and "\ufffd" not in text and len(text) >= 8
+    expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
+    require(sound, f"{where} holds no key: {expected}")
+    return Key(text)
 
 
 class People:
@@ -68,42 +202,41 @@ class People:
     def __init__(self, path: Path, settings_sha256: str, entries: list[Entry], templates: dict[int, bytes]) -> None:
         """Take over what was read."""
         self.path, self.settings_sha256, self.templates = path, settings_sha256, templates
-        self.entries = {one.row: one for one in entries}
+        self.entries = {entry.row: entry for entry in entries}
         self.indexed: tuple[MinutiaIndex | None, dict[int, Entry]] = (None, {})
         self._lock = threading.Lock()
 
     def of(self, person: str | None, finger: str | None) -> list[Entry]:
         """Entries of a person, a finger, or all, in the order of enrolment."""
-        who = {"person": person, "finger": finger}
-        wanted = {name: value for name, value in who.items() if value is not None}
-        found = [
-            one for one in self.entries.values() if all(getattr(one, name) == value for name, value in wanted.items())
+        entries = [
+            entry
+            for entry in self.entries.values()
+            if person in (None, entry.person) and finger in (None, entry.finger)
         ]
-        words = " and ".join(f"{name} '{value}'" for name, value in wanted.items())
-        require(
-            bool(found) or not wanted,
-            f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it.",
-        )
-        return found
+        wanted = {"person": person, "finger": finger}
+        words = " and ".join(f"{name} '{value}'" for name, value in wanted.items() if value is not None)
+        missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+        require(bool(entries) or not words, missing)
+        return entries
 
     def index(self) -> MinutiaIndex:
         """Index of the minutiae of all templates; what an earlier one knows is not read again."""
         from splitknit_match.gallery.minutia_index import MinutiaIndex  # a list of names needs none of it
 
         with self._lock:
-            earlier, known = self.indexed
-            if earlier is None or known is not self.entries:
-                same = {row for row, one in known.items() if self.entries.get(row) == one}
-                earlier = MinutiaIndex(self.templates, self.path, earlier, same)
-                self.indexed = earlier, self.entries
-            return earlier
+            index, known = self.indexed
+            if index is None or known is not self.entries:
+                same = {row for row, entry in known.items() if self.entries.get(row) == entry}
+                index = MinutiaIndex(self.templates, self.path, index, same)
+                self.indexed = index, self.entries
+            return index
 
 
 class GalleryFile:
-    """The file of a gallery. It stays open; threads and forked processes may use one object.
+    """The file of a gallery; threads and forked processes may use one object.
 
-    Each call sees whichever file has the name then, and what other programs changed in it. One that was there and is
-    gone is refused.
+    Each call opens whichever file has the name then, and sees what other programs changed in it; what was read is kept.
+    One that was there and is gone is refused.
     """
 
     def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
@@ -111,139 +244,93 @@ class GalleryFile:
         self.path, self.key = Path(path), key_of(key)
         self._driver = sqlite3 if self.key is None else _sqlcipher()
         self._was_there = _stamp_of(self.path) is not None
-        self._forget()
-
-    def _forget(self) -> None:
-        self._lock, self._pid = threading.Lock(), os.getpid()
-        self._database: Any = None
-        self._stamp: tuple[int, ...] | None = None
-        """Of the file as it was opened last: where it lies, its size, and the time of its last change."""
-        self._settings_sha256 = ""
-        self._people: People | None = None
-        self._seen: tuple[Any, ...] | None = None
+        self._sound: tuple[int, ...] | None = None
+        """Device and inode of the file whose pages were checked."""
+        self._kept: tuple[object, People | None] = None, None
+        """What was read last, and of which state of which file."""
         self._logged = False
 
-    def __enter__(self) -> GalleryFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *unused: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file and what was read."""
-        if self._database is not None and self._pid == os.getpid():
-            self._database.close()
-        self._forget()
+        """Let go of what was read."""
+        self._kept = None, None
 
     @property
     def there(self) -> bool:
         """Whether there is one; an empty file is none yet. Raises Unavailable if it was there, and is gone."""
-        found = _stamp_of(self.path)
-        self._was_there |= found is not None
-        gone = found is None and self._was_there
+        was_there = self._was_there  # before the file is looked for: another thread may make it meanwhile
+        stamp = _stamp_of(self.path)
+        self._was_there |= stamp is not None
+        gone = stamp is None and was_there
         require(not gone, f"the gallery '{self.path}' is gone (moved or removed); put it back.", Unavailable)
-        return found is not None and found[2] > 0
+        return stamp is not None and stamp[2] > 0
 
     # What it holds.
 
     def __len__(self) -> int:
         with self._reading() as database:
-            return int(database.execute("SELECT count(*) FROM finger").fetchone()[0])
+            return int(database.execute("SELECT count(*) FROM capture").fetchone()[0])
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self.entries())
 
     @property
     def settings_sha256(self) -> str:
         """Hash of the settings that all its templates were made with."""
-        with self._reading():
-            return self._settings_sha256
+        with self._reading() as database:
+            return _settings_of(database)
 
     def entries(self, person: str | None = None, finger: str | None = None, session: str | None = None) -> list[Entry]:
-        """All rows in the order of enrolment, or those of a person, finger or session.
+        """All captures in the order of enrolment, or those of a person, finger or session.
 
-        Raises BadInput if a row is damaged.
+        Raises BadInput if one is damaged.
         """
         with self._reading() as database:
-            return self._entries(database, person=person, finger=finger, session=session)
-
-    def templates(self, rows: Sequence[int] | None = None) -> dict[int, bytes]:
-        """Templates (payloads) by row, of all or of those named; rows that were removed meanwhile are missing."""
-        with self._reading() as database:
-            return self._templates(database, rows)
-
-    def images(self, rows: Sequence[int] | None = None) -> dict[int, bytes]:
-        """What was kept of the pictures, by row."""
-        with self._reading() as database:
-            return _contents(database, "SELECT id, content FROM images", rows)
+            return self._entries(database, person, finger, session)
 
     def people(self, person: str | None = None) -> People:
         """What it holds, kept in memory for the next call; of one person alone if the rest was not read yet."""
         with self._reading() as database:
-            seen = (*(self._stamp or ()), *database.execute("PRAGMA data_version").fetchone())
-            if self._people is not None and seen == self._seen:
-                return self._people
-            entries = self._entries(database, person=person)
-            earlier = self._people or People(self.path, "", [], {})
-            same = {one.row for one in entries if earlier.entries.get(one.row) == one}
-            new = [one.row for one in entries if one.row not in same]
-            templates = {row: earlier.templates[row] for row in same}
-            templates |= self._templates(database, new if same or person is not None else None)
-            for row in new:
-                if row not in templates:
-                    raise self._damaged_row(row, "it has no template")
-            people = People(self.path, self._settings_sha256, entries, templates)
+            state = _stamp_of(self.path), database.execute("SELECT changes FROM about").fetchone()
+            known_state, kept = self._kept
+            if kept is not None and state == known_state:
+                return kept
+            entries = self._entries(database, person)
+            earlier = kept or People(self.path, "", [], {})
+            templates = {}
+            for entry in entries:
+                known = earlier.entries.get(entry.row) == entry
+                templates[entry.row] = earlier.templates[entry.row] if known else self._template(database, entry)
+            people = People(self.path, _settings_of(database), entries, templates)
             people.indexed = earlier.indexed
             if person is None:
-                self._people, self._seen = people, seen
+                self._kept = state, people
             return people
 
-    def problems(self) -> list[tuple[int | None, str]]:
-        """What is wrong, by row (None: with the file): SQLite's own checks, every entry, every template.
-
-        Nothing if all is sound. Each is one printable line.
-        """
-        found: list[tuple[int | None, str]] = []
-        with self._reading() as database:
-            for check in ("integrity_check(20)", *([] if self.key is None else ["cipher_integrity_check"])):
-                texts = database.execute(f"PRAGMA {check}").fetchall()
-                lines = [line for (text,) in texts for line in str(text).splitlines() if line.strip()]
-                found += [(None, printable(line)) for line in lines if line != "ok"]
-            every = " UNION ".join(f"SELECT id FROM {table}" for table in _ROWS)
-            for (row,) in database.execute(f"{every} ORDER BY id").fetchall():
-                try:
-                    require(len(self._entries(database, id=row)) == 1, f"row {row} has a content and no name.")
-                    payload = self._templates(database, [row]).get(row)
-                    require(payload is not None, f"row {row} has no template.")
-                    (unpack_minutiae if holds_minutiae(payload or b"") else unpack)(payload or b"")
-                except BadInput as error:
-                    found.append((row, str(error)))
-        return found
-
-    def _entries(self, database: Any, **wanted: Any) -> list[Entry]:
+    def _entries(
+        self, database: Any, person: str | None = None, finger: str | None = None, session: str | None = None
+    ) -> list[Entry]:
+        wanted = {"name": person, "finger": finger, "session": session}
         wanted = {name: value for name, value in wanted.items() if value is not None}
+        columns = ", ".join(("name", "finger", "session", *_FIELDS, "length(template)", "capture.id"))
         where = " AND ".join(f"{name} = ?" for name in wanted) or "TRUE"
-        query = f"SELECT id, {_COLUMNS} FROM finger WHERE {where} ORDER BY id"
-        found = []
-        for row, *values in database.execute(query, tuple(wanted.values())).fetchall():
-            try:
-                sound = all(type(value) is kind for value, kind in zip(values, _KINDS.values(), strict=True))
-                require(sound, "a value is of another kind.")
-                found.append(Entry(**dict(zip(_KINDS, values, strict=True)), row=row))
-            except BadInput as error:
-                raise self._damaged_row(row, str(error)) from error
-        return found
+        query = f"SELECT {columns} FROM capture JOIN person ON person = person.id WHERE {where} ORDER BY capture.id"
+        try:
+            return [Entry(*values) for values in database.execute(query, tuple(wanted.values()))]
+        except BadInput as error:
+            raise Unavailable(self._damaged(str(error).rstrip("."))) from error
 
-    def _templates(self, database: Any, rows: Sequence[int] | None) -> dict[int, bytes]:
-        found = _contents(database, "SELECT id, content, template_sha256 FROM template JOIN finger USING (id)", rows)
-        for row, (content, sha256) in found.items():
-            sound = isinstance(content, bytes) and hashlib.sha256(content).hexdigest() == sha256
-            if not sound:
-                raise self._damaged_row(row, "its template was changed.")
-        return {row: content for row, (content, _) in found.items()}
-
-    def _damaged_row(self, row: int, why: str) -> BadInput:
-        return BadInput(
-            f"row {row} of the gallery '{self.path}' is damaged ({why.rstrip('.')}); 'splitknit gallery check' lists "
-            f"what is sound, 'splitknit gallery remove' takes row {row} out."
-        )
+    def _template(self, database: Any, entry: Entry) -> bytes:
+        (template,) = database.execute("SELECT template FROM capture WHERE id = ?", (entry.row,)).fetchone()
+        sound = hashlib.sha256(template).hexdigest() == entry.template_sha256
+        cure = "take it out with 'splitknit gallery remove', and enrol it again"
+        require(sound, f"the template of {entry.words} in '{self.path}' is damaged; {cure}.")
+        return bytes(template)
 
     # What changes it.
 
@@ -264,89 +351,106 @@ class GalleryFile:
 
         Raises BadInput if another capture has these names (person, finger, session) and `replaces` is false.
         """
-        new, replaced = [], False
+        new = []
         with self._changing(settings_sha256) as database:
             first()
-            for one in captures:
-                digest = hashlib.sha256(one.template).hexdigest()
-                entry = replace(one.entry, template_bytes=len(one.template), template_sha256=digest)
-                person, finger, session = entry.names
-                earlier = self._entries(database, person=person, finger=finger, session=session)
+            for capture in captures:
+                digest = hashlib.sha256(capture.template).hexdigest()
+                entry = replace(capture.entry, template_sha256=digest)
+                earlier = self._entries(database, *entry.names)
                 same = [
-                    each.template_sha256 == digest and each.source_sha256 == entry.source_sha256 for each in earlier
+                    known.template_sha256 == digest and known.source_sha256 == entry.source_sha256 for known in earlier
                 ]
                 new.append(not any(same))
                 if any(same):
                     continue
-                require(
-                    replaces or not earlier,
-                    f"{entry.words} is in '{self.path}' already, made from something else; name another session, or "
-                    "give `replace`.",
-                )
-                replaced |= bool(_delete(database, [each.row for each in earlier]))
-                values = [getattr(entry, name) for name in _KINDS]
-                row = database.execute(
-                    f"INSERT INTO finger ({_COLUMNS}) VALUES (?{', ?' * (len(values) - 1)})", values
-                ).lastrowid
-                for table, content in (("template", one.template), ("images", one.images)):
-                    if content is not None:
-                        database.execute(f"INSERT INTO {table} VALUES (?, ?)", (row, content))
-            if replaced:
-                _rewrite(database)
+                fault = f"{entry.words} is in '{self.path}' already, made from something else"
+                require(replaces or not earlier, f"{fault}; name another session, or give `replace`.")
+                if earlier:
+                    _delete(database, *entry.names)
+                database.execute("INSERT OR IGNORE INTO person (name) VALUES (?)", (entry.person,))
+                (person,) = database.execute("SELECT id FROM person WHERE name = ?", (entry.person,)).fetchone()
+                facts = [getattr(entry, name) for name in _FIELDS]
+                values = [None, person, entry.finger, entry.session, *facts, capture.template]
+                database.execute(f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values)
+                database.execute("UPDATE about SET changes = changes + 1")
             last()
         return new
 
-    def remove(self, rows: Sequence[int]) -> int:
-        """Remove rows so that nothing of them remains in the file; return how many there were."""
+    def remove(self, person: str, finger: str | None = None, session: str | None = None) -> int:
+        """Remove captures so that nothing of them remains in the file; return how many there were.
+
+        Raises BadInput if there are none.
+        """
         with self._changing() as database:
-            gone = _delete(database, rows)
-            if gone:
-                _rewrite(database)
-        return gone
+            removed = _delete(database, check_person(person), finger, session)
+            words = ", ".join(word for word in (person, finger, session and f"session {session}") if word)
+            missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+            require(removed > 0, missing)
+        return removed
 
     # The file.
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[Any]:
-        """One state of the gallery, whatever others write meanwhile; keep it short, as it holds them up."""
-        if self._pid != os.getpid():  # a database must not cross a fork; the lock may be held by a thread left behind
-            self._forget()
-        with self._lock, self._told():
+        """One state of the gallery, whatever others write meanwhile."""
+        with self._refusing():
             require(self.there, f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
-            stamp = _stamp_of(self.path)
-            if self._database is None or self._stamp != stamp:  # another file, or another program's change
-                if self._database is not None:
-                    self._database.close()
-                self._database = None
-                self._put_down()
-                self._database, self._stamp = self._connect(), stamp
-            with _transaction(self._database, "BEGIN"):
-                self._settings_sha256 = self._checked(self._database)
-                yield self._database
+            self._log()
+            with contextlib.closing(self._connect()) as database, _transaction(database, "BEGIN"):
+                self._check(database)
+                yield database
 
     @contextlib.contextmanager
     def _changing(self, settings_sha256: str | None = None) -> Iterator[Any]:
         """All or nothing; a writer waits for other writers first. With settings a missing gallery is made."""
         there = self.there
         require(there or settings_sha256 is not None, f"there is no gallery '{self.path}'.")
-        with self._told():
-            self._put_down()
+        with self._refusing():
+            self._log()
             if not there:
                 self.path.touch(private_modes()[0])
             place = _stamp_of(self.path)
-            with contextlib.closing(self._connect()) as database, _transaction(database, "BEGIN IMMEDIATE"):
-                try:
-                    if not database.execute("PRAGMA schema_version").fetchone()[0]:
-                        _make(database, settings_sha256 or "")
-                    self.require_comparable(self._checked(database), settings_sha256)
-                    yield database
-                    now = _stamp_of(self.path)
-                    same = now is not None and place is not None and now[:2] == place[:2]
-                    require(same, f"'{self.path}' was replaced or removed meanwhile; run the same again.", Unavailable)
-                except BaseException:
-                    if not there and not self.there:  # it appears with its first finger, or not at all
-                        self.path.unlink(missing_ok=True)
-                    raise
+            try:
+                with contextlib.closing(self._connect()) as database:
+                    if _has_tables(database):
+                        self._check(database)
+                        self._erase(database)
+                    with _transaction(database, "BEGIN IMMEDIATE"):
+                        if not _has_tables(database):
+                            _make(database, settings_sha256 or "")
+                        self._check(database)
+                        self.require_comparable(_settings_of(database), settings_sha256)
+                        yield database
+                        now = _stamp_of(self.path)
+                        same = now is not None and place is not None and now[:2] == place[:2]
+                        fault = f"'{self.path}' was replaced or removed meanwhile; run the same again."
+                        require(same, fault, Unavailable)
+                    with contextlib.suppress(self._driver.OperationalError):
+                        database.execute("PRAGMA journal_mode=WAL")
+                    self._erase(database)
+            except BaseException:
+                if not there and not self.there:  # it appears with its first finger, or not at all
+                    self.path.unlink(missing_ok=True)
+                raise
+
+    def _erase(self, database: Any) -> None:
+        """Write a file anew that captures were deleted from: SQLite zeroes what it frees, but a page that it divided
+        may hold a second copy of a row. A writer that was killed before leaves it to the next.
+        """
+        (erasing,) = database.execute("SELECT erasing FROM about").fetchone()
+        if erasing:
+            try:
+                database.execute("VACUUM")
+                busy = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+                require(not busy, "another program reads it", Unavailable)
+                database.execute("UPDATE about SET erasing = 0")
+            except (self._driver.Error, Unavailable) as error:
+                raise Unavailable(
+                    f"what was removed from '{self.path}' is no longer listed, but its bytes may still lie in the "
+                    f"file ({shown_path(str(error))}); run the same again."
+                ) from error
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def require_comparable(self, own: str, settings_sha256: str | None) -> None:
         """Raise BadInput if its templates (`own`) were made with other settings: nothing is mixed."""
@@ -359,40 +463,50 @@ class GalleryFile:
     def _connect(self) -> Any:
         """A connection of its own."""
         require(self.path.is_file(), f"'{self.path}' is not a file; name the file of a gallery.")
+        writable = os.access(self.path, os.W_OK) and os.access(self.path.parent, os.W_OK)
+        mode = "mode=rw" if writable else "mode=ro&immutable=1"
         database = self._driver.connect(
-            f"{self.path.resolve().as_uri()}?mode=rw", uri=True, timeout=WAIT_S, isolation_level=None,
-            check_same_thread=False,
-        )  # fmt: skip
+            f"{self.path.resolve().as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None
+        )
         try:
             for statement in () if self.key is None else ("PRAGMA cipher_log_level=NONE", self.key.pragma):
                 database.execute(statement)
-            for setting in _SETTINGS:
-                database.execute(f"PRAGMA {setting}")
+            for pragma in _PRAGMAS:
+                database.execute(f"PRAGMA {pragma}")
+            place = (_stamp_of(self.path) or ())[:2]
+            if place != self._sound:
+                (fault,) = database.execute("PRAGMA quick_check(1)").fetchone()
+                require(fault == "ok", self._damaged(shown_path(fault)), Unavailable)
+                self._sound = place
         except BaseException:
             database.close()
             raise
         return database
 
-    def _checked(self, database: Any) -> str:
-        """Hash of the settings of its templates. Raises BadInput if it is not a gallery, or of another version."""
+    def _check(self, database: Any) -> None:
+        """Raise BadInput if it is not a gallery, or of another version."""
         (application,) = database.execute("PRAGMA application_id").fetchone()
         (version,) = database.execute("PRAGMA user_version").fetchone()
+        require(_has_tables(database), f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
         fault = f"'{self.path}' is another program's database, not a gallery; name another file."
         require(application == APPLICATION_ID, fault)
-        require(version == VERSION, self._other_version(version))
-        found = database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
-        require([row[0] for row in found] == [_ABOUT, *_ROWS.values()], self._damaged("its tables are not a gallery's"))
-        about = database.execute("SELECT settings_sha256, template_version FROM about LIMIT 2").fetchall()
-        sound = len(about) == 1 and isinstance(about[0][0], str) and type(about[0][1]) is int
-        require(sound, self._damaged("its own record cannot be read"))
         require(
-            about[0][1] == TEMPLATE_VERSION,
-            f"the templates in '{self.path}' are of version {about[0][1]}, but this program makes version "
+            version == VERSION,
+            f"'{self.path}' is a gallery of version {version}, but this program reads version {VERSION}; export it "
+            "with the program that wrote it and import that here, or enrol the fingers again.",
+        )
+        tables = database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+        sound = [sql for (sql,) in tables] == [*_SCHEMA]
+        require(sound, self._damaged("its tables are not a gallery's"), Unavailable)
+        versions = database.execute("SELECT template_version FROM about").fetchall()
+        require(len(versions) == 1, self._damaged("its own record is missing"), Unavailable)
+        require(
+            versions[0][0] == TEMPLATE_VERSION,
+            f"the templates in '{self.path}' are of version {versions[0][0]}, but this program makes version "
             f"{TEMPLATE_VERSION}; enrol the fingers again in a new gallery.",
         )
-        return str(about[0][0])
 
-    def _put_down(self) -> None:
+    def _log(self) -> None:
         """Add a line to the access log, where one lies beside the gallery: who opens it when, for which verb."""
         log = self.path.with_name(self.path.name + LOG)
         if self._logged or not os.path.lexists(log):
@@ -403,14 +517,12 @@ class GalleryFile:
         try:
             append_line(log, {**who, "gallery": str(self.path.resolve())})
         except OSError as error:
-            raise Unavailable(
-                f"the access log '{log}' cannot be written ({error.strerror}), and without it '{self.path}' is not "
-                "opened."
-            ) from error
+            fault = f"the access log '{log}' cannot be written ({error.strerror})"
+            raise Unavailable(f"{fault}, and without it '{self.path}' is not opened.") from error
         self._logged = True
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _refusing(self) -> Iterator[None]:
         """Turn errors of SQLite and of the system into one sentence."""
         path = self.path
         try:
@@ -418,45 +530,34 @@ class GalleryFile:
         except UnicodeDecodeError as error:  # a name in its schema, or in SQLite's own message
             raise Unavailable(self._damaged("a text in it is not UTF-8")) from error
         except OSError as error:
-            raise Unavailable(
-                f"the gallery '{path}' cannot be written: {error.strerror}; choose another place."
-            ) from error
+            fault = f"the gallery '{path}' cannot be written: {error.strerror}; choose another place."
+            raise Unavailable(fault) from error
         except self._driver.Error as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            words = {
-                5: f"another program is writing the gallery '{path}'; nothing was changed: run the same again.",
+            busy = f"another program is writing the gallery '{path}'; nothing was changed: run the same again."
+            faults = {
+                5: busy,
+                6: busy,
                 8: f"the gallery '{path}' may not be written here; change its permissions, or copy it.",
                 13: f"the disk of '{path}' is full; the gallery is as it was before: make room, run the same again.",
                 14: f"the gallery '{path}' cannot be opened, or its folder cannot be written; check the permissions.",
             }
-            words[6] = words[5]
-            text = self._why_not() if code == 26 else self._damaged(shown_path(str(error)))
-            raise Unavailable(words.get(code, text)) from error
+            fault = self._not_read() if code == 26 else self._damaged(shown_path(str(error)))
+            raise Unavailable(faults.get(code, fault)) from error
 
-    def _why_not(self) -> str:
+    def _not_read(self) -> str:
         """Sentence for a file that SQLite, or SQLCipher under this key, does not read."""
         with self.path.open("rb") as stream:
-            begin = stream.read(72)
-        if begin[:16] != _MAGIC:
-            cure = "give its key with `key_file` or in SPLITKNIT_GALLERY_KEY"
-            if self.key is None:
-                return f"'{self.path}' is not a gallery, or it is encrypted; {cure}."
-            return f"the key is not that of the gallery '{self.path}', or the file is not a gallery or damaged."
-        if self.key is None:
+            plain = stream.read(len(_MAGIC)) == _MAGIC
+        if self.key is None and plain:
             return self._damaged("its first page")
-        version = int.from_bytes(begin[60:64], "big")
-        if begin[68:] == APPLICATION_ID.to_bytes(4, "big") and version != VERSION:
-            return self._other_version(version)
-        return (
-            f"a key was given, but the gallery '{self.path}' is not encrypted; leave the key out, or put an export of "
-            "it into a new gallery with the key."
-        )
-
-    def _other_version(self, version: int) -> str:
-        return (
-            f"'{self.path}' is a gallery of version {version}, but this program reads version {VERSION}; enrol the "
-            "fingers again, or export it with the program that wrote it and import that here."
-        )
+        if self.key is None:
+            cure = f"give its key with `key_file` or in {KEY_VARIABLE}"
+            return f"'{self.path}' is not a gallery, or it is encrypted; {cure}."
+        if plain:
+            cure = "leave the key out, or put an export of it into a new gallery with the key"
+            return f"a key was given, but the gallery '{self.path}' is not encrypted; {cure}."
+        return f"the key is not that of the gallery '{self.path}', or the file is not a gallery or damaged."
 
     def _damaged(self, what: str) -> str:
         cure = "take a copy or an export of it, or enrol the fingers again"
@@ -466,10 +567,10 @@ class GalleryFile:
 def _stamp_of(path: Path) -> tuple[int, ...] | None:
     """Device, inode, size and time of the last change of a file; None where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _sqlcipher() -> Any:
@@ -478,39 +579,33 @@ def _sqlcipher() -> Any:
     return dbapi2
 
 
+def _has_tables(database: Any) -> bool:
+    return bool(database.execute("PRAGMA schema_version").fetchone()[0])
+
+
 def _make(database: Any, settings_sha256: str) -> None:
-    for statement in (_ABOUT, *_ROWS.values()):
+    for statement in _SCHEMA:
         database.execute(statement)
-    database.execute("INSERT INTO about VALUES (?, ?)", (settings_sha256, TEMPLATE_VERSION))
+    database.execute("INSERT INTO about VALUES (?, ?, 0, 0)", (settings_sha256, TEMPLATE_VERSION))
     database.execute(f"PRAGMA application_id={APPLICATION_ID}")
     database.execute(f"PRAGMA user_version={VERSION}")
 
 
-def _contents(database: Any, query: str, rows: Sequence[int] | None) -> dict[int, Any]:
-    """What a query gives by row: one value, or several."""
-    if rows is None:
-        found = database.execute(f"{query} ORDER BY id").fetchall()
-    else:
-        found = [one for row in rows for one in database.execute(f"{query} WHERE id = ?", (row,)).fetchall()]
-    return {row: values[0] if len(values) == 1 else values for row, *values in found}
+def _settings_of(database: Any) -> str:
+    return str(database.execute("SELECT settings_sha256 FROM about").fetchone()[0])
 
 
-def _delete(database: Any, rows: Sequence[int]) -> int:
-    counts = [
-        [database.execute(f"DELETE FROM {table} WHERE id = ?", (row,)).rowcount for table in _ROWS] for row in rows
-    ]
-    return sum(map(any, counts))
-
-
-def _rewrite(database: Any) -> None:
-    """Write all rows into new tables. SQLite zeroes what it frees, but a page that it divided may hold a second copy of
-    a row; tables that are written once, in order, hold none.
-    """
-    for table, statement in _ROWS.items():
-        database.execute(f"ALTER TABLE {table} RENAME TO old_{table}")
-        database.execute(statement)
-        database.execute(f"INSERT INTO {table} SELECT * FROM old_{table} ORDER BY id")
-        database.execute(f"DROP TABLE old_{table}")
+def _delete(database: Any, person: str, finger: str | None, session: str | None) -> int:
+    """Delete captures of a person, and the person with the last of them; the file is to be erased then."""
+    removed = database.execute(
+        "DELETE FROM capture WHERE person = (SELECT id FROM person WHERE name = ?) "
+        "AND finger = coalesce(?, finger) AND session = coalesce(?, session)",
+        (person, finger, session),
+    ).rowcount
+    if removed:
+        database.execute("DELETE FROM person WHERE id NOT IN (SELECT person FROM capture)")
+        database.execute("UPDATE about SET changes = changes + 1, erasing = 1")
+    return int(removed)
 
 
 @contextlib.contextmanager
@@ -528,11 +623,3 @@ def _transaction(database: Any, begin: str) -> Iterator[None]:
         finally:
             UNFINISHED.leave()
         raise
-
-
-def is_gallery(file: Path) -> bool:
-    """Whether a file begins as galleries do, or, as an encrypted one begins like noise, has their name (.skg)."""
-    with contextlib.suppress(OSError), file.open("rb") as stream:
-        begin = stream.read(72)
-        return file.suffix == ".skg" or (begin[:16] == _MAGIC and begin[68:] == APPLICATION_ID.to_bytes(4, "big"))
-    return False

@@ -1,37 +1,145 @@
-"""A gallery to enrol into and to search: :class:`splitknit_match.Gallery`, :func:`splitknit_match.enroll`."""
+"""A gallery to enrol into and to search: :class:`splitknit_match.Gallery`, :func:`splitknit_match.enroll`.
+
+Captures, results, templates, prints or records of minutiae go in. A gallery appears with its first finger, or not at
+all. It keeps templates of ridges, or, where a record of minutiae came first, minutiae: the two cannot be compared.
+"""
 
 from __future__ import annotations
 
+import datetime
+import hashlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
+from splitknit import BadInput, Capture, Reconstruction, read_capture
+from splitknit.errors import require
+from splitknit.io.provenance import file_hash
 from splitknit.model import no_progress
 from splitknit.verbs import AnyPath, Progress
-from splitknit_match.gallery.enrol import Duplicates, Enrolling, Enrolment, enroll_fingers
-from splitknit_match.gallery.file import GalleryFile
-from splitknit_match.gallery.identify import Identification, identify_finger
+from splitknit_match.gallery.file import (
+    Entry,
+    GalleryFile,
+    Key,
+    NewCapture,
+    check_person,
+    check_session,
+    known_finger,
+)
+from splitknit_match.gallery.identify import (
+    MINUTIAE_HASH,
+    Identification,
+    RankedCandidate,
+    identify_finger,
+    templates_hash,
+)
 from splitknit_match.gallery.identify_job import IdentifyJob
-from splitknit_match.gallery.key import Key
-from splitknit_match.matching.inputs import Side, held
+from splitknit_match.matching.inputs import Held, Pixels, Side, held, is_of_minutiae, read_side, undoubted
 from splitknit_match.matching.match_job import Finger
+from splitknit_match.matching.methods import side_minutiae
+from splitknit_match.matching.minutiae_record import pack_minutiae
+from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_match.matching.template import mirrored
+
+Duplicates = Literal["refuse", "warn", "allow"]
+_DISSIMILAR_FMR = 0.01
+"""Of captures that are called dissimilar: so often other fingers are at least as similar, or more often."""
+_NOT_INPUTS = ("truth.npz", ".splitknit")
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolling:
+    """How fingers are enrolled."""
+
+    preset: str = "metric"
+    """By which captures are reconstructed."""
+    matching: MatchingSettings = field(default_factory=MatchingSettings)
+    replace: bool = False
+    """Whether a capture takes the place of another of the same names."""
+    with_time: bool = False
+    """Whether the time of enrolment is kept."""
+    input_ppi: float | None = None
+    """Resolution of prints whose files do not state it."""
+    where: PhotoFinger = field(default_factory=PhotoFinger)
+    """Which finger of a photograph."""
+
+
+@dataclass(frozen=True, slots=True)
+class GalleryContent:
+    """What a gallery holds after an enrolment."""
+
+    gallery: str
+    created: bool
+    encrypted: bool
+    captures: int
+    fingers: int
+    people: int
+    failures: int
+    """Failures to acquire, which match nobody."""
+    settings_sha256: str
+    """Hash of the settings that its templates were made with."""
+
+
+@dataclass(frozen=True, slots=True)
+class EnrolledCapture:
+    """One source that was enrolled."""
+
+    person: str
+    finger: str
+    session: str
+    kind: str
+    area_mm2: float
+    acquired: bool
+    template_bytes: int
+    source_sha256: str
+    new: bool
+    """False: the very same source was there already."""
+    note: str | None = None
+    """What was changed of a print on reading, and whether it differs from the finger's earlier captures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolment:
+    """What was put into a gallery."""
+
+    content: GalleryContent
+    enrolled: tuple[EnrolledCapture, ...]
+    alike: tuple[RankedCandidate, ...] = ()
+    """Other fingers, also of the same person, that match what was enrolled, best first: is one of them named wrong?"""
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What becomes a row of a gallery, but for the names."""
+
+    kind: str
+    template: bytes
+    area_mm2: float
+    source_sha256: str
+    failure: str = ""
+    note: str | None = None
+    side: Side | None = None
+    """What is compared of it."""
 
 
 class Gallery(GalleryFile):
     """A gallery that stays open, in memory; threads and forked processes may use one object.
 
     Each call sees what the file holds at that time, also what other programs changed, and whichever file has the name
-    then; one that was there and is gone is refused. One that is not there yet appears with its first finger.
+    then; one that was there and is gone is refused. One that is not there yet appears with its first finger. Iteration
+    gives what is known of each capture (:class:`splitknit_match.gallery.file.Entry`).
 
     Examples
     --------
     >>> import splitknit_match
     >>> with splitknit_match.Gallery("people.skg") as gallery:  # doctest: +SKIP
     ...     gallery.enroll(pixels, "Ann", "right_index", resolution_ppi=500)
-    ...     found = gallery.identify(other_pixels, resolution_ppi=500)
+    ...     people = {capture.person for capture in gallery}
+    ...     identification = gallery.identify(probe, resolution_ppi=500)
+    ...     gallery.remove("Ann", "right_index")
     """
-
-    def __enter__(self) -> Gallery:
-        return self
 
     def identify(self, probe: Finger, *, side: Side | None = None, **how: Any) -> Identification:
         """Who is it? `how`: as of :func:`splitknit_match.identify` (``resolution_ppi``, ``top``, ``fmr``, ``person``
@@ -54,15 +162,52 @@ class Gallery(GalleryFile):
     ) -> Enrolment:
         """Put a finger, or several sessions of one, in; as :func:`splitknit_match.enroll`.
 
+        `session`: by default that of the very same source if it is enrolled already, else the next number.
         `put_down`: called before what was written is final, such as to write a line into a log; what it raises undoes
-        it.
+        it. A source other than a template from which nothing was acquired is refused.
         """
-        several = isinstance(finger_of, list | tuple)
-        fingers: Sequence[Any] = finger_of if several else [finger_of]  # type: ignore[assignment]
-        return enroll_fingers(
-            self, [held(one, resolution_ppi) for one in fingers], person, finger, session, how=how or Enrolling(),
-            duplicates=duplicates, put_down=put_down, progress=progress,
-        )  # fmt: skip
+        require(
+            duplicates in ("refuse", "warn", "allow"), f"`duplicates` is refuse, warn or allow, not '{duplicates}'."
+        )
+        how = how or Enrolling()
+        given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
+        sources = [held(source, resolution_ppi) for source in given]
+        kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
+        require(len(sources) > 0, f"name {kinds} to enrol.")
+        single = len(sources) == 1 or session is None
+        require(single, "`session` goes with one source; several are numbered by themselves.")
+        person, finger = check_person(person), known_finger(finger)
+        if session is not None:
+            check_session(session)
+        created = not self.there
+        settings_sha256 = settings_of(self, how, of_minutiae=any(is_of_minutiae(source) for source in sources))
+        made = []
+        for number, source in enumerate(sources):
+
+            def part(stage: str, fraction: float, number: int = number) -> None:
+                progress(stage, (number + 0.9 * fraction) / len(sources))
+
+            one = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
+            name = f"'{source}'" if isinstance(source, Path) else "what was given"
+            fault = f"{name} holds {one.failure} (failure to acquire), so nothing was enrolled; capture it again."
+            require(not one.failure or one.kind == "template", fault)
+            made.append(one)
+        earlier = [] if created else self.entries(person, finger)
+        sessions = _sessions(made, earlier, session)
+        captures = [new_capture(one, person, finger, its, how) for one, its in zip(made, sessions, strict=True)]
+        sides = [one.side for one in made if one.side is not None]
+        if how.matching != MatchingSettings():  # no rates are known
+            duplicates = "allow"
+        review = _Review(self, sides, (person, finger), duplicates)
+        review.look()  # the first look may take long, and holds nobody up
+        added = self.add(captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down)
+        progress("done", 1.0)
+        notes = review.notes or [""] * len(made)
+        enrolled = [
+            _enrolled(capture, is_new, " ".join(filter(None, (one.note, note))))
+            for capture, is_new, one, note in zip(captures, added, made, notes, strict=True)
+        ]
+        return Enrolment(content_of(self, created=created), tuple(enrolled), tuple(review.alike))
 
 
 def enroll(
@@ -109,6 +254,187 @@ def enroll(
     """
     with Gallery(gallery, key) as opened:
         return opened.enroll(
-            finger_of, person, finger, session=session, resolution_ppi=resolution_ppi, duplicates=duplicates, how=how,
+            finger_of,
+            person,
+            finger,
+            session=session,
+            resolution_ppi=resolution_ppi,
+            duplicates=duplicates,
+            how=how,
             progress=progress,
-        )  # fmt: skip
+        )
+
+
+class _Review:
+    """Looks for the same finger under another name, and for another finger under the same name."""
+
+    def __init__(self, gallery: Gallery, sides: list[Side], names: tuple[str, str], duplicates: Duplicates) -> None:
+        self.gallery, self.sides, self.names, self.duplicates = gallery, sides, names, duplicates
+        self.alike: list[RankedCandidate] = []
+        self.notes: list[str] = []
+        self._seen: object = None
+
+    def look(self) -> None:
+        """Look, unless nobody changed the gallery since the last look; may refuse."""
+        if self.duplicates == "allow" or not self.gallery.there or self.gallery.people() is self._seen:
+            return
+        people = self._seen = self.gallery.people()
+        of_minutiae = people.settings_sha256 == MINUTIAE_HASH
+        owners = [(entry.person, entry.finger) for entry in people.entries.values() if entry.template_bytes]
+        earlier = owners.count(self.names)
+        self.alike, self.notes = [], []
+        for side in self.sides:
+            if len(owners) > earlier and (of_minutiae or side.template is not None):
+                self.alike += self._duplicates(side)
+            compared = earlier and not of_minutiae and side.template is not None
+            self.notes.append(self._dissimilar(side, earlier) if compared else "")
+
+    def _identify(self, side: Side, **how: Any) -> Identification:
+        return self.gallery.identify(b"", side=side, **how)
+
+    def _duplicates(self, side: Side) -> list[RankedCandidate]:
+        """Candidates beyond the threshold that are other fingers."""
+        identification = self._identify(side, merge="finger")
+        decision = identification.decision
+        alike = [
+            candidate
+            for candidate in identification.candidates
+            if decision is not None
+            and candidate.similarity >= decision.threshold
+            and (candidate.person, candidate.finger) != self.names
+        ]
+        others = [candidate for candidate in alike if candidate.person != self.names[0]]
+        if others and self.duplicates == "refuse":
+            whose = f"{others[0].finger.replace('_', ' ')} of another person, '{others[0].person}'"
+            raise BadInput(
+                f"{side.path} matches {whose}, at a false match rate of 1 in 10,000 a comparison; enrol it under that "
+                "name, or give `duplicates` allow."
+            )
+        return alike
+
+    def _dissimilar(self, side: Side, count: int) -> str:
+        """A note where a finger matches none of its earlier captures."""
+        person, finger = self.names
+        own = self._identify(side, person=person, finger=finger)
+        fmr = own.candidates[0].fmr if own.candidates else None
+        if own.answer != "no match" or fmr is None or fmr < _DISSIMILAR_FMR:
+            return ""
+        assert side.template is not None
+        turned = replace(side, template=mirrored(side.template))
+        if self._identify(turned, person=person, finger=finger).answer == "match":
+            return "it matches its earlier captures only in a mirror: the picture is mirrored; turn it round."
+        return f"it is unlike the {count} earlier captures of this finger: is it another finger?"
+
+
+def _sessions(made: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
+    """Sessions of what is enrolled: as named, or of the very same source, or the next number."""
+    taken = {entry.session: entry.source_sha256 for entry in earlier}
+    chosen = []
+    for one in made:
+        numbers = [int(name) for name in taken if name.isascii() and name.isdigit()]
+        same = (name for name, sha256 in taken.items() if sha256 == one.source_sha256)
+        chosen.append(session or next(same, str(1 + max(numbers, default=0))))
+        taken[chosen[-1]] = one.source_sha256
+    return chosen
+
+
+def _enrolled(capture: NewCapture, new: bool, note: str) -> EnrolledCapture:
+    entry, size = capture.entry, len(capture.template)
+    return EnrolledCapture(
+        *entry.names, entry.kind, entry.area_mm2, size > 0, size, entry.source_sha256, new, note or None
+    )
+
+
+def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
+    """Hash of the settings of templates to enrol, `of_minutiae` where a source is a record of them.
+
+    A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the gallery is of other
+    settings, or its folder is missing.
+    """
+    sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(how.matching)
+    if not gallery.there:
+        folder = gallery.path.parent
+        require(folder.is_dir(), f"there is no folder '{folder}' for the gallery; make it first.")
+        return sha256
+    own = gallery.settings_sha256
+    if own == MINUTIAE_HASH:
+        return own
+    fault = f"'{gallery.path}' keeps templates of ridges, which records of minutiae cannot be compared with"
+    require(not of_minutiae, f"{fault}; enrol them into a gallery of their own.")
+    gallery.require_comparable(own, sha256)
+    return own
+
+
+def new_capture(made: Made, person: str, finger: str, session: str, how: Enrolling) -> NewCapture:
+    """Give what was made its names."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if how.with_time else ""
+    entry = Entry(person, finger, session, made.kind, made.source_sha256, made.area_mm2, made.failure, now)
+    return NewCapture(entry, made.template)
+
+
+def content_of(gallery: GalleryFile, *, created: bool) -> GalleryContent:
+    """Return what a gallery holds after an enrolment."""
+    entries = gallery.entries()
+    return GalleryContent(
+        gallery=str(gallery.path),
+        created=created,
+        encrypted=gallery.key is not None,
+        captures=len(entries),
+        fingers=len({(entry.person, entry.finger) for entry in entries}),
+        people=len({entry.person for entry in entries}),
+        failures=sum(entry.template_bytes == 0 for entry in entries),
+        settings_sha256=gallery.settings_sha256,
+    )
+
+
+def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
+    """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
+    side = undoubted(read_side(path, how.preset, how.matching, progress, how.input_ppi, where=how.where))
+    minutiae = side_minutiae(side) if of_minutiae else side.minutiae
+    compared = replace(side, surface=None, picture=None, minutiae=minutiae)
+    if of_minutiae:
+        assert minutiae is not None
+        payload = pack_minutiae(minutiae) if minutiae.acquired else b""
+        failure = "" if minutiae.acquired else "fewer than ten minutiae"
+        area_mm2 = 0.0
+    elif side.template is not None:
+        payload = side.payload
+        failure = (side.template.lacks or "too little skin with ridges") if side.template.empty else ""
+        area_mm2 = 0.0 if side.template.empty else round(side.template.area_mm2, 2)
+    else:
+        raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
+    return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.note, compared)
+
+
+def made_or_failed(path: Path, how: Enrolling) -> Made | str:
+    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
+
+    Returns a sentence, and no row, where the files themselves are unusable.
+    """
+    try:
+        return replace(made_of(path, how), side=None)
+    except BadInput as error:
+        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
+            return str(error)
+        try:
+            read_capture(path)
+        except BadInput as unread:
+            return str(unread)
+        failure = str(error).removeprefix(f"{path}: ")
+        return Made("capture", b"", 0.0, source_hash(path), failure)
+
+
+def source_hash(path: Path | Held) -> str:
+    """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its truth)."""
+    if isinstance(path, Capture | Reconstruction):
+        raise BadInput("a capture or a result is enrolled from its folder; give its path, or the bytes of a template.")
+    if not isinstance(path, Path):
+        return path.sha256 if isinstance(path, Pixels) else hashlib.sha256(path).hexdigest()
+    if not path.is_dir():
+        return file_hash(path)
+    if (path / "height.npz").is_file():
+        files = [path / "height.npz"]
+    else:
+        files = sorted(file for file in path.rglob("*") if file.is_file() and file.name not in _NOT_INPUTS)
+    lines = [f"{file_hash(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+    return hashlib.sha256("".join(lines).encode("utf-8")).hexdigest()

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from splitknit import BadInput
 from splitknit.errors import naming
@@ -15,8 +13,7 @@ from splitknit.io.provenance import settings_hash
 from splitknit.model import no_progress
 from splitknit.settings import override
 from splitknit.verbs import Progress
-from splitknit_match.gallery.entry import Entry, check_person, known_finger, session_order
-from splitknit_match.gallery.file import GalleryFile, People
+from splitknit_match.gallery.file import Entry, GalleryFile, People, check_person, known_finger, session_order
 from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.gallery.minutia_index import each, unpacked
 from splitknit_match.matching.fusion import fused_match, with_fusion
@@ -54,8 +51,6 @@ MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
 class Searched:
     """What a search went through."""
 
-    method: str
-    """``exhaustive`` or ``minutiae``: whether all were compared, or those whose minutiae agree best."""
     compared_by: str
     """``ridge``, ``fusion`` or ``minutiae``."""
     fingers: int
@@ -64,6 +59,7 @@ class Searched:
     """Failures to acquire in the gallery, which match nobody."""
     captures: int
     compared: int
+    """Fewer where those were chosen whose minutiae agree best."""
     note: str | None = None
     """Which were left out, or compared by less than the others."""
 
@@ -113,14 +109,13 @@ class Identification:
     """``match``, ``no match``, ``undecided``, or ``not acquired``."""
     undecided: str | None
     """Why the answer is neither ``match`` nor ``no match``, and what it takes."""
-    timings_s: Mapping[str, float]
     presentation: str | None = None
     """``live`` or ``unknown``, where attacks were to be refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """One comparison."""
+class _Comparison:
+    """The probe beside one capture."""
 
     entry: Entry
     similarity: float
@@ -128,16 +123,17 @@ class _Found:
     """Similarity of minutiae alone."""
     overlap_mm2: float | None = None
 
-    def rated(self, by: str, area_mm2: float, fmr: float) -> Rated:
+    def rated(self, table: str, area_mm2: float, fmr: float) -> Rated:
         """By the impostors of what was compared: area and minutiae."""
         areas = area_mm2, self.entry.area_mm2
-        scores = by if by == "minutiae_of_prints" else scores_of(by, areas, self.minutiae)
+        scores = table if table == "minutiae_of_prints" else scores_of(table, areas, self.minutiae)
         return rate(self.similarity, scores, self.overlap_mm2, fmr)
 
 
 def identify_finger(
-    question: IdentifyJob,
+    job: IdentifyJob,
     progress: Progress = no_progress,
+    *,
     gallery: GalleryFile | None = None,
     side: Side | None = None,
 ) -> Identification:
@@ -145,74 +141,98 @@ def identify_finger(
 
     `gallery`: where it is open already; `side`: the probe, where it was read already.
     """
-    settings = override(MatchingSettings(), question.settings or {})
-    probe = held(question.probe, question.resolution_ppi)
-    person = None if question.person is None else check_person(question.person)
-    finger = None if question.finger is None else known_finger(question.finger)
-    opened = GalleryFile(question.gallery, question.key) if gallery is None else gallery
-    with opened if gallery is None else contextlib.nullcontext():
-        people = opened.people(person)
+    settings = override(MatchingSettings(), job.settings or {})
+    person = None if job.person is None else check_person(job.person)
+    finger = None if job.finger is None else known_finger(job.finger)
+    file = GalleryFile(job.gallery, job.key) if gallery is None else gallery
+    with contextlib.closing(file) if gallery is None else contextlib.nullcontext():
+        people = file.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    opened.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else templates_hash(settings))
+    file.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else templates_hash(settings))
     entries = people.of(person, finger)
     calibrated = of_minutiae or as_calibrated(settings)
     if calibrated:  # refused here, before anything is made, where no such rate was measured
-        similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
-    side = side or read_side(
-        probe, question.preset, settings, lambda stage, at: progress(stage, 0.5 * at), question.input_ppi
-    )
-    made = side_minutiae(side) if of_minutiae else side.template
-    if made is None:
-        raise BadInput(
-            f"{side.path} holds minutiae, but '{question.gallery}' keeps ridges; name a print, or enrol minutiae."
-        )
-    acquired = made.acquired if isinstance(made, Minutiae) else not made.empty
-    area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
-    started = time.perf_counter()
-    exhaustive = question.search == "exhaustive" or person is not None or finger is not None
-    most = len(entries) if exhaustive else max(question.top, round(NEAREST * len(entries)))
-    found, facts = _search(people, made, entries, most=most, settings=settings.ridge, progress=progress)
-    seconds = time.perf_counter() - started
-    by = {"minutiae": "minutiae_of_prints"}.get(facts.compared_by, facts.compared_by)
-    if by == "fusion" and side.kind == "photo":
-        by = "fingerphotos"
-    best = _merged(found, question.merge)[: question.top]
-    rated = [one.rated(by, area_mm2, question.fmr) if calibrated else Rated("undecided") for one in best]
-    doubt = doubt_of(side)
-    if (
-        isinstance(made, Template) and best and calibrated and by == "fusion" and doubt is None
-        and facts.compared == facts.captures and rated[0].answer != "match"
-    ):  # fmt: skip
-        row = best[0].entry.row
-        doubt = scale_doubt(made, unpacked(people.path, row, people.templates[row]), question.fmr)
-    decision, undecided = None, None
-    if not calibrated:
-        undecided = "with other settings than the shipped ones false match rates are not known"
-    elif rated and rated[0].decision is None:
-        undecided = rated[0].undecided
+        similarity_at(job.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+
+    def reading(stage: str, fraction: float) -> None:
+        progress(stage, 0.5 * fraction)
+
+    if side is None:
+        side = read_side(held(job.probe, job.resolution_ppi), job.preset, settings, reading, job.input_ppi)
+    probe = side_minutiae(side) if of_minutiae else side.template
+    if probe is None:
+        cure = "name a print, or enrol minutiae"
+        raise BadInput(f"{side.path} holds minutiae, but '{job.gallery}' keeps ridges; {cure}.")
+    acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
+    area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
+
+    in_part = person is None and finger is None
+    most = max(job.top, round(NEAREST * len(entries))) if in_part else len(entries)
+    comparisons, searched = _search(people, probe, entries, most=most, settings=settings.ridge, progress=progress)
+    table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
+    if table == "fusion" and side.kind == "photo":
+        table = "fingerphotos"
+    best = _merged(comparisons, job.merge)[: job.top]
+    if calibrated:
+        rated = [comparison.rated(table, area_mm2, job.fmr) for comparison in best]
     else:
-        none = MatchDecision(False, question.fmr, similarity_at(question.fmr, by))
-        at = (rated[0].decision if rated else None) or none
-        decision = SearchDecision(at.match, at.fmr, at.threshold, at.expected_fmr, facts.captures * at.fmr)
+        rated = [Rated("undecided")] * len(best)
+    candidates = tuple(
+        _candidate(rank, comparison, rates.fmr, searched.captures)
+        for rank, (comparison, rates) in enumerate(zip(best, rated, strict=True), start=1)
+    )
+
+    doubt = doubt_of(side)
+    undoubted = doubt is None and searched.compared == searched.captures and calibrated and table == "fusion"
+    if isinstance(probe, Template) and undoubted and rated and rated[0].answer != "match":
+        row = best[0].entry.row
+        doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), job.fmr)
+    decision, undecided = _decided(rated, calibrated, table, job.fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
-    candidates = [
-        RankedCandidate(
-            rank, *one.entry.names, one.similarity, at.fmr, None if at.fmr is None else facts.captures * at.fmr
-        )
-        for rank, (one, at) in enumerate(zip(best, rated, strict=True), start=1)
-    ]
+    if not acquired and not doubt:
+        answer, undecided = "not acquired", "failure to acquire"
+    basis = None if not calibrated else rated[0].basis if rated else fmr_basis(table)
     progress("done", 1.0)
     return Identification(
-        gallery=str(question.gallery), mode="identification" if person is None else "verification", person=person,
-        finger=finger,
+        gallery=str(job.gallery),
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
-        by="minutiae" if of_minutiae else "ridges", searched=facts, merge=question.merge, candidates=tuple(candidates),
-        fmr_basis=None if not calibrated else rated[0].basis if rated else fmr_basis(by), decision=decision,
-        answer=answer if acquired or doubt else "not acquired",
-        undecided=undecided if acquired or doubt else "failure to acquire", timings_s={"search": seconds},
-    )  # fmt: skip
+        mode="identification" if person is None else "verification",
+        person=person,
+        finger=finger,
+        by="minutiae" if of_minutiae else "ridges",
+        searched=searched,
+        merge=job.merge,
+        candidates=candidates,
+        fmr_basis=basis,
+        decision=decision,
+        answer=answer,
+        undecided=undecided,
+    )
+
+
+def _decided(
+    rated: Sequence[Rated], calibrated: bool, table: str, fmr: float, captures: int
+) -> tuple[SearchDecision | None, str | None]:
+    """Decision on the best candidate, or why there is none."""
+    if not calibrated:
+        return None, "with other settings than the shipped ones false match rates are not known"
+    if rated and rated[0].decision is None:
+        return None, rated[0].undecided
+    decision = rated[0].decision if rated else None
+    decision = decision or MatchDecision(False, fmr, similarity_at(fmr, table))
+    return (
+        SearchDecision(
+            decision.match, decision.fmr, decision.threshold, decision.expected_fmr, captures * decision.fmr
+        ),
+        None,
+    )
+
+
+def _candidate(rank: int, comparison: _Comparison, fmr: float | None, captures: int) -> RankedCandidate:
+    expected = None if fmr is None else captures * fmr
+    return RankedCandidate(rank, *comparison.entry.names, comparison.similarity, fmr, expected)
 
 
 def _search(
@@ -223,76 +243,85 @@ def _search(
     most: int,
     settings: RidgeMatchSettings,
     progress: Progress,
-) -> tuple[list[_Found], Searched]:
+) -> tuple[list[_Comparison], Searched]:
     """Compare these, or of many the `most` whose minutiae agree best; best first."""
-    acquired = [one for one in entries if one.template_bytes > 0]
-    fingers, whose = {(one.person, one.finger) for one in acquired}, {one.person for one in acquired}
-    method, by, chosen, note = "exhaustive", "ridge", acquired, ""
-    found: list[_Found] = []
+    acquired = [entry for entry in entries if entry.template_bytes > 0]
+    compared_by, notes = "ridge", []
+    comparisons: list[_Comparison] = []
     if isinstance(probe, Minutiae):
-        by = "minutiae"
-        found = _by_minutiae(people, probe, acquired)
+        compared_by = "minutiae"
+        comparisons = _by_minutiae(people, probe, acquired)
     elif not probe.empty and acquired:
-        ready = Prepared(probe, settings)
-        if len(acquired) > max(most, ALL_PRINTS) and ready.cylinders is not None:
-            index, method = people.index(), "minutiae"
-            chosen = [people.entries[row] for row in (*index.nearest(ready.cylinders, most), *index.others)]
-            if len(chosen) < len(acquired):
-                note = (
-                    f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae agree best; about "
-                    "1 in 100 matches is lost so"
-                )
-        # of many, laid on the probe by minutiae alone where these propose how: four times as quick
-        sure = 0.0 if method == "minutiae" else None
-        found, lacking = _compared(people, ready, chosen, sure, progress)
-        note = "; ".join(filter(None, (note, lacking)))
-        if any(one.minutiae is not None or one.overlap_mm2 is not None for one in found):
-            by = "fusion"
-    found.sort(key=lambda one: (-one.similarity, one.entry.person, one.entry.finger, session_order(one.entry.session)))
-    failures = len(entries) - len(acquired)
-    return found, Searched(method, by, len(fingers), len(whose), failures, len(acquired), len(found), note or None)
+        prepared, chosen, support = Prepared(probe, settings), acquired, None
+        if len(acquired) > max(most, ALL_PRINTS) and prepared.cylinders is not None:
+            index = people.index()
+            chosen = [people.entries[row] for row in (*index.nearest(prepared.cylinders, most), *index.others)]
+            # laid on the probe by minutiae alone where these propose how: four times as quick
+            support = 0.0
+        if len(chosen) < len(acquired):
+            best = f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae agree best"
+            notes.append(f"{best}; about 1 in 100 matches is lost so")
+        comparisons, note = _by_ridges(people, prepared, chosen, support, progress)
+        notes += [note] if note else []
+        if any(one.minutiae is not None or one.overlap_mm2 is not None for one in comparisons):
+            compared_by = "fusion"
+    comparisons.sort(key=_order)
+    searched = Searched(
+        compared_by=compared_by,
+        fingers=len({(entry.person, entry.finger) for entry in acquired}),
+        people=len({entry.person for entry in acquired}),
+        failures=len(entries) - len(acquired),
+        captures=len(acquired),
+        compared=len(comparisons),
+        note="; ".join(notes) or None,
+    )
+    return comparisons, searched
 
 
-def _compared(
-    people: People, probe: Prepared, entries: Sequence[Entry], sure: float | None, progress: Progress
-) -> tuple[list[_Found], str | None]:
+def _order(comparison: _Comparison) -> tuple[float, str, str, tuple[int, int, str]]:
+    person, finger, session = comparison.entry.names
+    return -comparison.similarity, person, finger, session_order(session)
+
+
+def _by_ridges(
+    people: People, probe: Prepared, entries: Sequence[Entry], support: float | None, progress: Progress
+) -> tuple[list[_Comparison], str | None]:
     """Compare by ridges, and by minutiae where both hold some; and a note."""
-    templates = {one.row: unpacked(people.path, one.row, people.templates[one.row]) for one in entries}
+    templates = {entry.row: unpacked(people.path, entry.row, people.templates[entry.row]) for entry in entries}
     fused, note = with_fusion(templates.values(), probe.template)
 
-    def compare(one: Entry) -> _Found:
-        other = Prepared(templates[one.row], probe.settings)
+    def compare(entry: Entry) -> _Comparison:
+        enrolled = Prepared(templates[entry.row], probe.settings)
         if not fused:
-            return _Found(one, ridge_match(probe, other).similarity)
-        both = fused_match(probe, other, sure)
-        return _Found(one, both.similarity, both.minutiae, both.ridge.overlap_mm2)
+            return _Comparison(entry, ridge_match(probe, enrolled).similarity)
+        both = fused_match(probe, enrolled, support)
+        return _Comparison(entry, both.similarity, both.minutiae, both.ridge.overlap_mm2)
 
-    found: list[_Found] = []
-    for one in each(compare, entries):
-        progress("comparing", 0.5 + 0.5 * len(found) / len(entries))
-        found.append(one)
-    return found, note
-
-
-def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> list[_Found]:
-    found = []
-    for one in entries if probe.acquired else ():
-        payload = people.templates[one.row]
-        other = naming(f"row {one.row} of '{people.path}'", partial(unpack_minutiae, payload))
-        found.append(_Found(one, minutiae_match(probe, other)))
-    return found
+    comparisons: list[_Comparison] = []
+    for comparison in each(compare, entries):
+        progress("comparing", 0.5 + 0.5 * len(comparisons) / len(entries))
+        comparisons.append(comparison)
+    return comparisons, note
 
 
-def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
+def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> list[_Comparison]:
+    comparisons = []
+    for entry in entries if probe.acquired else ():
+        read = partial(unpack_minutiae, people.templates[entry.row])
+        enrolled = naming(f"row {entry.row} of '{people.path}'", read)
+        comparisons.append(_Comparison(entry, minutiae_match(probe, enrolled)))
+    return comparisons
+
+
+def _merged(comparisons: Sequence[_Comparison], merge: str) -> list[_Comparison]:
     """The best of each person or finger, best first."""
     count = {"person": 1, "finger": 2, "none": 3}[merge]
-    best: dict[tuple[str, ...], _Found] = {}
-    for one in found:
-        best.setdefault(one.entry.names[:count], one)
+    best: dict[tuple[str, ...], _Comparison] = {}
+    for comparison in comparisons:
+        best.setdefault(comparison.entry.names[:count], comparison)
     return list(best.values())
 
 
 def templates_hash(settings: MatchingSettings) -> str:
     """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
-    return settings_hash(document)
+    return settings_hash({"version": VERSION, "band": settings.band, "template": settings.template})

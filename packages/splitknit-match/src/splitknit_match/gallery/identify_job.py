@@ -23,8 +23,8 @@ from splitknit.verbs import (
 from splitknit_match.matching.match_job import TAKES, Finger, ResolutionPpi
 
 if TYPE_CHECKING:
+    from splitknit_match.gallery.file import Key
     from splitknit_match.gallery.identify import Identification
-    from splitknit_match.gallery.key import Key
 
     GivenKey = Key | AnyPath | None
 else:
@@ -65,9 +65,6 @@ class IdentifyJob(Job):
     fmr: Annotated[float, Help("false match rate of one comparison at which is decided (default: 1e-4)", "RATE")] = 1e-4
     merge: Annotated[Literal["person", "finger", "none"], Help(
         "one candidate for each person (default), each finger, or each enrolled capture")] = "person"
-    search: Annotated[Literal["auto", "exhaustive"], Help(
-        "compare all, or of more than 200 captures those whose minutiae agree best, which is quicker and loses some "
-        "(default: auto)")] = "auto"
     input_ppi: InputPpi = None
     resolution_ppi: ResolutionPpi = None
     preset: HowReconstructed = "metric"

@@ -43,7 +43,6 @@ from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.rolled import read_rolled, write_rolled
 from splitknit_match.prints.sources import Source, read_source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
-from splitknit_match.records.minutiae_record import MinutiaeRecord
 from splitknit_match.rolled.finger import Rolled
 
 
@@ -117,7 +116,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             facts["minutiae"] = {
                 "written": True, "sought_in": where, "count": len(view.x_px), "finger": view.finger,
             }  # fmt: skip
-            write_file(target / "minutiae.iso", encode_minutiae_record(MinutiaeRecord((view,))))
+            write_file(target / "minutiae.iso", encode_minutiae_record(view))
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin

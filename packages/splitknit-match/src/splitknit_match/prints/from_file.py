@@ -24,7 +24,7 @@ from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
-from splitknit_match.records.minutiae_record import FINGER_CODES, PALM_CODES, FingerView, pixels_per_cm
+from splitknit_match.records.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
 from splitknit_match.records.print_formats import read_prints
 
 USUAL_PERIOD_MM = 0.46
@@ -73,11 +73,9 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
         f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
     )
-    found = tuple(one for one in read_prints(path) if one.finger not in PALM_CODES)
-    require(len(found) > 0, f"{path} shows a palm; prints of fingers are compared.")
     return tuple(
         part
-        for one in found
+        for one in read_prints(path)
         for part in (_prints_on(_resolved(one, os.fspath(path), input_ppi)) if isinstance(one, PrintFile) else (one,))
     )
 
@@ -108,7 +106,7 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     """
     picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
     require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
-    return picture, read_minutiae_record(record, ISO_2005).views[0] if record.is_file() else None
+    return picture, read_minutiae_record(record, ISO_2005)[0] if record.is_file() else None
 
 
 def print_at_500_ppi(item: PrintFile) -> PrintFile:
@@ -365,7 +363,7 @@ def coded_finger(finger: object) -> str:
 
 
 def minutiae_of(view: FingerView) -> Minutiae:
-    """Minutiae of a record, on the pixel grid of 500 ppi; qualities that are not known become 0.
+    """Minutiae of a record, on the pixel grid of 500 ppi.
 
     Raises BadInput if its image is larger than any print.
     """
@@ -376,6 +374,6 @@ def minutiae_of(view: FingerView) -> Minutiae:
         np.clip(np.rint(np.asarray(pixels) * scale), 0, side - 1).astype(np.int32)
         for pixels, scale, side in zip((view.x_px, view.y_px), scales, size[::-1], strict=True)
     )
-    quality = np.where(np.asarray(view.quality) <= 100, view.quality, 0).astype(np.uint8)
+    quality = np.asarray(view.quality, dtype=np.uint8)
     kind = np.asarray(view.type, dtype=np.uint8)
     return Minutiae(x, y, np.asarray(view.direction_rad, dtype=np.float64), kind, quality, size)

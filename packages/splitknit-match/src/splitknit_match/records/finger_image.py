@@ -1,4 +1,4 @@
-"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read and written.
+"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read, :2005 written.
 
 The layout of 2005 stands in ``docs/reference/records.md``. The record of 2011 ("020") has 16 bytes of header, and
 resolution, depth and compression in each representation.
@@ -9,8 +9,6 @@ Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8.
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +22,6 @@ from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     FINGER_CODES,
     FINGER_IMPRESSIONS,
-    VENDOR_UNKNOWN,
     name_of,
     standard_code,
 )
@@ -53,60 +50,30 @@ _NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other
 """Impression types without a code, and what is written for them."""
 
 
-def encode_finger_images(
-    prints: Sequence[PrintFile],
-    compression: str = "none",
-    *,
-    edition: int = 2005,
-    qualities: Sequence[int | None] | None = None,
-    owner: int = VENDOR_UNKNOWN,
-) -> bytes:
-    """Bytes of a record of ISO/IEC 19794-4:2005, or of :2011.
+def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
+    """Bytes of a record of ISO/IEC 19794-4:2005 of one print, of 500 or 1000 ppi.
 
-    `prints`: at least one, all of 500 or all of 1000 ppi; `compression`: ``none``, ``png``, ``jp2`` or ``wsq`` (which
-    loses a little, and is for 500 ppi alone); `qualities`: of each, 0 to 100, which :2005 has no room for, with the
-    IBIA number of their `owner`. No device is said to be certified. Raises BadInput if there are none, or the standard
-    cannot state what they are.
+    `compression`: ``none``, ``png``, ``jp2`` or ``wsq`` (which loses a little, and is for 500 ppi alone). No device is
+    said to be certified, no quality stated. Raises BadInput if the standard cannot state what it is.
 
     >>> import numpy as np
-    >>> len(encode_finger_images([PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})]))
+    >>> len(encode_finger_image(PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})))
     246
     """
-    require(1 <= len(prints) <= 255, f"a finger image record holds 1 to 255 images, not {len(prints)}.")
-    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
-    ppi = round(prints[0].resolution_ppi or 0)
-    same = all(one.resolution_ppi is not None and abs(one.resolution_ppi / ppi - 1) < 0.01 for one in prints)
-    require(
-        ppi in _LEVELS and same,
-        "the images of a finger image record have 500 ppi, or all of them 1000; resample the prints.",
-    )
-    codes = [standard_code(one.finger, FINGER_CODES, "finger") for one in prints]
-    of_finger, number, views = Counter(codes), Counter[int](), []
-    for one, code, quality in zip(prints, codes, qualities or [None] * len(prints), strict=True):
-        number[code] += 1
-        rows, columns = one.image.shape
-        require(
-            one.image.dtype == np.uint8 and 0 < rows <= 65535 and 0 < columns <= 65535,
-            f"a print must be (H, W) uint8, at most 65535 pixels each way, not {one.image.shape} {one.image.dtype}.",
-        )
-        data = encode_print(one.image, float(ppi), compression)
-        if edition == 2011:
-            kind = standard_code(one.impression, FINGER_IMPRESSIONS, "impression type")
-            block = b"\0" if quality is None else b"\1" + struct.pack(">BHH", quality, owner, 1)
-            packed = (code, number[code] - 1, 1, ppi, ppi, ppi, ppi, 8, _CODES_2011[compression], kind, columns, rows)
-            view = b"\xff" * 9 + bytes(5) + block + _REST_2011.pack(*packed, len(data)) + data
-            views.append((4 + len(view)).to_bytes(4, "big") + view)
-            continue
-        kind = standard_code(_NEAREST.get(one.impression, one.impression), ANSI_2004_IMPRESSIONS, "impression type")
-        head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
-        views.append(_VIEW.pack(*head) + data)
-    body = b"".join(views)
-    if edition == 2011:
-        head_2011 = _GENERAL_2011.pack(8 + _GENERAL_2011.size + len(body), len(prints), 0, len(of_finger))
-        return MAGIC + _V2011 + head_2011 + body
-    facts = (0, _LEVELS[ppi], len(of_finger), 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
-    length = (_HEADER_BYTES + len(body)).to_bytes(6, "big")
-    return MAGIC + _V2005 + length + _PARAMETERS.pack(*facts) + body
+    ppi = round(item.resolution_ppi or 0)
+    require(ppi in _LEVELS, "the image of a finger image record has 500 or 1000 ppi; resample the print.")
+    rows, columns = item.image.shape
+    sound = item.image.dtype == np.uint8 and 0 < rows <= 65535 and 0 < columns <= 65535
+    expected = "(H, W) uint8, at most 65535 pixels each way"
+    require(sound, f"a print must be {expected}, not {item.image.shape} {item.image.dtype}.")
+    finger = standard_code(item.finger, FINGER_CODES, "finger")
+    impression = _NEAREST.get(item.impression, item.impression)
+    kind = standard_code(impression, ANSI_2004_IMPRESSIONS, "impression type")
+    data = encode_print(item.image, float(ppi), compression)
+    view = _VIEW.pack(_VIEW.size + len(data), finger, 1, 1, _NO_QUALITY, kind, columns, rows, 0) + data
+    parameters = _PARAMETERS.pack(0, _LEVELS[ppi], 1, 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
+    length = (_HEADER_BYTES + len(view)).to_bytes(6, "big")
+    return MAGIC + _V2005 + length + parameters + view
 
 
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
@@ -118,10 +85,8 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
     if data[4:8] == _V2011:
         return _read_2011(Cursor(data, name, 8))
-    require(
-        data[4:8] == _V2005,
-        f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 and 020 are read.",
-    )
+    fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 and 020 are read."
+    require(data[4:8] == _V2005, fault)
     return _read_2005(data, name)
 
 
@@ -132,19 +97,19 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
     ppi = _resolution(unit, x, y, name)
     compression = _compression(code, _CODES, bits, name)
-    found: list[PrintFile] = []
+    prints: list[PrintFile] = []
     pixels = 0
-    while cursor.place < len(data) and len(found) < _MAX_VIEWS:
-        what = f"image {len(found) + 1}"
+    while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
+        what = f"image {len(prints) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
         require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+        prints.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
-    require(len(found) > 0 and cursor.place == len(data), more)
-    return tuple(found)
+    require(len(prints) > 0 and cursor.place == len(data), more)
+    return tuple(prints)
 
 
 _GENERAL_2011 = struct.Struct(">IHBB")
@@ -158,7 +123,7 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
     check_length(data, length, name)
     require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
     require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
-    found: list[PrintFile] = []
+    prints: list[PrintFile] = []
     pixels = 0
     for number in range(1, count + 1):
         what, start = f"image {number}", cursor.place
@@ -178,11 +143,11 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         )
         cursor.take(start + length - cursor.place, f"the extended data of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, _impression(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
+        prints.append(_print(image, ppi, finger, _impression(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
     require(
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
-    return tuple(found)
+    return tuple(prints)
 
 
 def _resolution(unit: int, x: int, y: int, name: str) -> float:
@@ -238,6 +203,7 @@ def _impression(code: int, codes: dict[str, int]) -> str:
 
 def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
     """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold it."""
+    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
     if compression == "wsq":
         return encode_wsq(image, ppi)
     if compression == "jp2":

@@ -52,15 +52,13 @@ def check_length(data: bytes, said: int, name: str) -> None:
 # Which standard's record a file is: minutiae records of several standards begin with the same eight bytes.
 
 ISO_2005 = "ISO/IEC 19794-2:2005"
-ISO_2011 = "ISO/IEC 19794-2:2011"
 ANSI_2004 = "ANSI/INCITS 378-2004"
 ANSI_2009 = "ANSI/INCITS 378-2009"
-ANSI_2009_AM1 = "ANSI/INCITS 378-2009 amendment 1"
 
 MAGIC_20 = b"FMR\0 20\0"
 """First bytes of ISO/IEC 19794-2:2005 and ANSI/INCITS 378-2004."""
 MAGIC_030 = b"FMR\x00030\0"
-"""First bytes of ISO/IEC 19794-2:2011 and ANSI/INCITS 378-2009."""
+"""First bytes of ANSI/INCITS 378-2009, and of ISO/IEC 19794-2:2011, which is not read."""
 MAGIC_035 = b"FMR\x00035\0"
 """First bytes of amendment 1 to ANSI/INCITS 378-2009."""
 
@@ -76,6 +74,7 @@ _OTHERS = (
     (b"II*\0", "a TIFF image"),
     (b"MM\0*", "a TIFF image"),
     (b"PK\x03\x04", "a ZIP or NPZ file"),
+    (b"SQLite format 3\0", "a database, such as a gallery"),
     (b"{", "a JSON file"),
 )
 _ENVELOPE_BYTES = 4096
@@ -95,17 +94,15 @@ def standard_of(data: bytes) -> str | None:
     """
     if data[:8] == MAGIC_20:
         return _of_20(data)
-    if data[:8] == MAGIC_030:
-        return ISO_2011 if _is_iso_2011(data) else ANSI_2009
-    return ANSI_2009_AM1 if data[:8] == MAGIC_035 else None
+    return ANSI_2009 if data[:8] in (MAGIC_030, MAGIC_035) else None
 
 
-def require_standard(data: bytes, wanted: str, magic: bytes, name: str) -> None:
+def require_standard(data: bytes, wanted: str, name: str) -> None:
     """Raise :class:`BadInput`, with what the bytes are instead, unless they are a record of the `wanted` standard."""
     found = standard_of(data)
     if not data:
         raise BadInput(f"{name} is empty; a record of {wanted} is expected.")
-    if len(data) < _TOLD_APART_BYTES and data[: len(magic)] == magic[: len(data)]:
+    if len(data) < _TOLD_APART_BYTES and any(data[:8] == magic[: len(data)] for magic in (MAGIC_20, MAGIC_030)):
         raise BadInput(f"{name} is truncated: it ends after {len(data)} bytes of the header; copy it again.")
     if found == wanted:
         return
@@ -125,19 +122,6 @@ def _of_20(data: bytes) -> str:
     if short:  # 26 and more would be a record of 1.7 MB by ISO
         return ANSI_2004 if short >= 26 else ISO_2005
     return ANSI_2004 if whole < 24 else ISO_2005  # the first bytes of a length in six
-
-
-def _is_iso_2011(data: bytes) -> bool:
-    """Whether the lengths of the representations, of 34 bytes at least each, add up to that of the record."""
-    total, place = int.from_bytes(data[8:12], "big"), 15
-    for _ in range(int.from_bytes(data[12:14], "big")):
-        length = int.from_bytes(data[place : place + 4], "big")
-        if length < 34 or place + length > total:
-            return False
-        place += length
-        if place > len(data):
-            return True
-    return place == total
 
 
 def what_bytes_are(data: bytes, otherwise: str = "no minutiae record (it does not begin with 'FMR')") -> str:

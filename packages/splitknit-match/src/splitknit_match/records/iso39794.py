@@ -8,7 +8,6 @@ field by field in the source of JMRTD. What follows the sampling rate of a repre
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -19,7 +18,7 @@ from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.io.images import decode_image
 from splitknit.io.prints import PrintFile, decode_jpeg2000
-from splitknit_match.records.finger_image import MAX_PIXELS, WRITTEN, encode_print
+from splitknit_match.records.finger_image import MAX_PIXELS, encode_print
 from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
 from splitknit_match.records.wsq_image import decode_wsq
 
@@ -59,34 +58,28 @@ def _codec(rules: str) -> Any:
 
 
 def encode_finger_image_block(
-    prints: Sequence[PrintFile], compression: str = "none", *, quality: int | None = None, owner: int = VENDOR_UNKNOWN
+    item: PrintFile, compression: str = "none", *, quality: int | None = None, owner: int = VENDOR_UNKNOWN
 ) -> bytes:
-    """Bytes of a FingerImageDataBlock; `compression` as of 19794-4, where ``none`` is a PGM file inside.
+    """Bytes of a FingerImageDataBlock of one print; `compression` as of 19794-4, where ``none`` is a PGM file inside.
 
-    `quality`: of all of them, 0 to 100, by algorithm 1 of `owner`. Raises BadInput if there are none, one has no
-    resolution, its impression type has no code here, or the package `asn1tools` is not installed.
+    `quality`: 0 to 100, by algorithm 1 of `owner`. Raises BadInput if it has no resolution, its impression type has no
+    code here, or the package `asn1tools` is not installed.
     """
-    require(len(prints) > 0, "a finger image block holds one image at least.")
-    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
-    blocks = []
-    for one in prints:
-        ppi = one.resolution_ppi or 0.0
-        require(1 <= ppi <= 65535, "a print of a finger image block must have a resolution.")
-        data = encode_print(one.image, ppi, compression)
-        head = b"P5\n%d %d\n255\n" % one.image.shape[::-1] if compression == "none" else b""
-        block: dict[str, Any] = {
-            "position": ("code", standard_code(one.finger, FINGER_CODES, "finger")),
-            "impression": ("code", standard_code(one.impression, _IMPRESSIONS, "impression type")),
-            "imageDataFormat": ("code", _FORMATS[compression]),
-            "imageData": head + data,
-            "spatialSamplingRateBlock": {"samplesPerUnit": round(ppi), "unitDimension": _INCH},
-        }
-        if quality is not None:
-            score = {"algorithmIdBlock": {"organization": owner, "id": 1}, "scoreOrError": ("score", quality)}
-            block["qualityBlocks"] = [score]
-        blocks.append(block)
+    ppi = item.resolution_ppi or 0.0
+    require(1 <= ppi <= 65535, "a print of a finger image block must have a resolution.")
+    head = b"P5\n%d %d\n255\n" % item.image.shape[::-1] if compression == "none" else b""
+    block: dict[str, Any] = {
+        "position": ("code", standard_code(item.finger, FINGER_CODES, "finger")),
+        "impression": ("code", standard_code(item.impression, _IMPRESSIONS, "impression type")),
+        "imageData": head + encode_print(item.image, ppi, compression),
+        "imageDataFormat": ("code", _FORMATS[compression]),
+        "spatialSamplingRateBlock": {"samplesPerUnit": round(ppi), "unitDimension": _INCH},
+    }
+    if quality is not None:
+        score = {"algorithmIdBlock": {"organization": owner, "id": 1}, "scoreOrError": ("score", quality)}
+        block["qualityBlocks"] = [score]
     version = {"generation": _GENERATION, "year": _YEAR}
-    document = {"versionBlock": version, "representationBlocks": blocks}
+    document = {"versionBlock": version, "representationBlocks": [block]}
     return bytes(_codec("der").encode("FingerImageDataBlock", document))
 
 
@@ -105,7 +98,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         blocks, version = document["representationBlocks"], document["versionBlock"]
     require(version["generation"] == _GENERATION, f"{name} is of generation {version['generation']}; 3 is read.")
     require(len(blocks) > 0, f"{name} holds no image.")
-    found: list[PrintFile] = []
+    prints: list[PrintFile] = []
     left = MAX_PIXELS
     for number, block in enumerate(blocks, start=1):
         what = f"image {number} of {name}"
@@ -118,8 +111,8 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         finger = name_of(_code(block["position"]), FINGER_CODES, f"finger position of {what}")
         code = _code(block["impression"])
         impression = next((words for words, known_code in _IMPRESSIONS.items() if known_code == code), "unknown")
-        found.append(PrintFile(image, float(ppi), {}, finger, impression))
-    return tuple(found)
+        prints.append(PrintFile(image, float(ppi), {}, finger, impression))
+    return tuple(prints)
 
 
 def _code(choice: tuple[str, Any]) -> int:

@@ -26,19 +26,7 @@ FINGER_CODES = {
 }
 """Finger positions in all the standards here: ISO/IEC 19794-2 table 2, ANSI/INCITS 378, ANSI/NIST-ITL table 8."""
 
-_PALMS = (
-    "unknown_palm", "right_full_palm", "right_writers_palm", "left_full_palm", "left_writers_palm", "right_lower_palm",
-    "right_upper_palm", "left_lower_palm", "left_upper_palm", "right_other_palm", "left_other_palm",
-    "right_interdigital", "right_thenar", "right_hypothenar", "left_interdigital", "left_thenar", "left_hypothenar",
-)  # fmt: skip
-PALM_CODES = {name: code for code, name in enumerate(_PALMS, start=20)}
-"""Positions of palms in ANSI/NIST-ITL table 9."""
-
 LATENT_IMPRESSIONS = {"latent_impression": 4, "latent_tracing": 5, "latent_photo": 6, "latent_lift": 7}
-PALM_IMPRESSIONS = {
-    "live_palm": 10, "nonlive_palm": 11, "latent_palm_impression": 12, "latent_palm_tracing": 13,
-    "latent_palm_photo": 14, "latent_palm_lift": 15,
-}  # fmt: skip
 FINGER_IMPRESSIONS = {
     "live_plain": 0,
     "live_rolled": 1,
@@ -58,8 +46,8 @@ FINGER_IMPRESSIONS = {
     "contactless_rolled_moving": 41,
     "contactless_moving": 42,
 }
-ITL_IMPRESSIONS = {**FINGER_IMPRESSIONS, **LATENT_IMPRESSIONS, **PALM_IMPRESSIONS}
-"""ANSI/NIST-ITL 1-2011 (update 2015), table 7, of single fingers and palms: 24 is a plain print, taken contactless of
+ITL_IMPRESSIONS = {**FINGER_IMPRESSIONS, **LATENT_IMPRESSIONS}
+"""ANSI/NIST-ITL 1-2011 (update 2015), table 7, of single fingers: 24 is a plain print, taken contactless of
 a finger at rest; older editions call it live-scan, optical, contactless, plain."""
 
 ANSI_2009_IMPRESSIONS = {name: code for name, code in FINGER_IMPRESSIONS.items() if code <= 29}
@@ -99,8 +87,6 @@ MAX_MINUTIAE = 255
 """A view of a record cannot count more; see :meth:`FingerView.best`."""
 LARGEST_COORDINATE = 16383
 """Coordinates have 14 bits."""
-NOT_COMPUTED, FAILED = 254, 255
-"""Qualities in ANSI/INCITS 378-2009: nobody tried, or the attempt failed."""
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered."""
 RESOLUTION_500_PPI = (197, 197)
@@ -136,54 +122,35 @@ class FingerView:
     type: NDArray[np.uint8]
     """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
     quality: NDArray[np.uint8]
-    """(N,) 0 (none known) to 100; 254 and 255 in ANSI/INCITS 378-2009 only."""
+    """(N,) 0 (none known) to 100."""
     size: tuple[int, int]
     """(rows, columns) of the image."""
     finger_quality: int
-    """0 to 100, the higher the better (such as NFIQ 2); 254 and 255 in ANSI/INCITS 378-2009 only."""
+    """0 to 100, the higher the better (such as NFIQ 2)."""
     finger: str = "unknown"
     """``right_thumb`` to ``left_little``, or ``unknown``."""
     impression: str = "contactless"
     """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
-    view: int = 0
-    """Number of this image among those of the same finger, from 0, at most 15."""
     resolution_ppcm: tuple[int, int] = RESOLUTION_500_PPI
     """Pixels per centimetre along columns and rows."""
-    quality_algorithm: tuple[int, int] = (VENDOR_UNKNOWN, 1)
-    """Vendor and algorithm of `finger_quality`, kept by ANSI/INCITS 378-2009 only."""
-    extended: bytes = b""
-    """Extended data of the record's standard as they come: kept, not understood."""
 
     def __post_init__(self) -> None:
         columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
         shapes = [np.shape(column) for column in columns]
-        require(
-            shapes[0] == (len(self.x_px),) and len(set(shapes)) == 1,
-            f"minutiae must be lists of one length, but they have the shapes {shapes}.",
-        )
+        sound = shapes[0] == (len(self.x_px),) and len(set(shapes)) == 1
+        require(sound, f"minutiae must be lists of one length, but they have the shapes {shapes}.")
         for name in ("x_px", "y_px", "type", "quality"):
             kind = np.asarray(getattr(self, name)).dtype.kind
             require(kind in "iu", f"{name} of minutiae must be whole numbers; round them first.")
         rows, width = self.size
-        require(
-            0 < rows <= 65535 and 0 < width <= 65535,
-            f"an image of {rows} x {width} pixels does not fit a record (1 to 65535 each way).",
-        )
-        require(
-            all(0 < pixels <= 65535 for pixels in self.resolution_ppcm),
-            f"the resolution must lie between 1 and 65535 pixels per cm, but it is {self.resolution_ppcm}.",
-        )
+        sound = 0 < rows <= 65535 and 0 < width <= 65535
+        require(sound, f"an image of {rows} x {width} pixels does not fit a record (1 to 65535 each way).")
+        sound = all(0 < pixels <= 65535 for pixels in self.resolution_ppcm)
+        fault = f"the resolution must lie between 1 and 65535 pixels per cm, but it is {self.resolution_ppcm}."
+        require(sound, fault)
         require(self.finger in FINGER_CODES, f"'{self.finger}' is not a finger; choose {', '.join(FINGER_CODES)}.")
-        require(
-            self.impression in IMPRESSIONS,
-            f"'{self.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.",
-        )
-        require(0 <= self.view <= 15, f"views are numbered from 0 to 15, but this one is {self.view}.")
-        require(len(self.extended) <= 65535, f"{len(self.extended)} bytes of extended data are more than 65535.")
-        require(
-            all(0 <= number <= 65535 for number in self.quality_algorithm),
-            f"vendor and algorithm of the quality must lie between 0 and 65535, but are {self.quality_algorithm}.",
-        )
+        known = self.impression in IMPRESSIONS
+        require(known, f"'{self.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
         _check_quality(np.array([self.finger_quality]), "the finger's quality")
         if self.count:
             self._check_minutiae()
@@ -193,13 +160,11 @@ class FingerView:
         x, y = int(np.max(self.x_px)), int(np.max(self.y_px))
         inside = int(np.min(self.x_px)) >= 0 and int(np.min(self.y_px)) >= 0 and x < width and y < rows
         require(inside, f"a minutia lies outside the image of {rows} x {width} pixels; correct the record.")
-        require(
-            max(x, y) <= LARGEST_COORDINATE,
-            f"a minutia's coordinate is {max(x, y)}, but {LARGEST_COORDINATE} is the largest; crop the print.",
-        )
+        fault = f"a minutia's coordinate is {max(x, y)}, but {LARGEST_COORDINATE} is the largest; crop the print."
+        require(max(x, y) <= LARGEST_COORDINATE, fault)
         require(bool(np.isfinite(self.direction_rad).all()), "directions of minutiae must be finite.")
-        kinds = int(np.min(self.type)) >= OTHER and int(np.max(self.type)) <= BIFURCATION
-        require(kinds, "types of minutiae are 0 (other), 1 (ending) and 2 (bifurcation), but there is another.")
+        known = int(np.min(self.type)) >= OTHER and int(np.max(self.type)) <= BIFURCATION
+        require(known, "types of minutiae are 0 (other), 1 (ending) and 2 (bifurcation), but there is another.")
         _check_quality(np.asarray(self.quality), "a minutia's quality")
 
     @property
@@ -215,35 +180,6 @@ class FingerView:
         return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MinutiaeRecord:
-    """Views of fingers, and what took them."""
-
-    views: tuple[FingerView, ...]
-    """At least one; no two with the same finger and number."""
-    device: int = 0
-    """Number that the producer gives its capture device; 0 = none. 12 bits, in ANSI/INCITS 378-2009 16."""
-    certification: int = 0
-    """Bits of the device's certificates; 0 = none. 4 bits, in ANSI/INCITS 378-2009 8."""
-    product: tuple[int, int] = (VENDOR_UNKNOWN, 0)
-    """Owner (not 0) and type of the extractor, kept by ANSI/INCITS 378 only."""
-    standard: str = ""
-    """The one that the record was read from; extended data hold for it alone."""
-
-    def __post_init__(self) -> None:
-        require(0 < len(self.views) <= 176, f"a record holds 1 to 176 views, but this one has {len(self.views)}.")
-        seen: set[tuple[str, int]] = set()
-        for view in self.views:
-            key = (view.finger, view.view)
-            require(key not in seen, f"two views are both number {view.view} of the finger '{view.finger}'.")
-            seen.add(key)
-
-    def without_extended(self) -> MinutiaeRecord:
-        """Return the record without extended data, which another standard could not hold."""
-        return dataclasses.replace(self, views=tuple(dataclasses.replace(view, extended=b"") for view in self.views))
-
-
 def _check_quality(quality: NDArray[np.integer], what: str) -> None:
-    good = ((quality >= 0) & (quality <= 100)) | (quality == NOT_COMPUTED) | (quality == FAILED)
-    wrong = np.asarray(quality)[~good]
+    wrong = np.asarray(quality)[(quality < 0) | (quality > 100)]
     require(wrong.size == 0, f"{what} must lie between 0 and 100, but it is {wrong[:1].tolist()}.")

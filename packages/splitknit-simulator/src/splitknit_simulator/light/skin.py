@@ -114,9 +114,9 @@ class Boundary(Checked):
     def oblique_signal(self, attenuation_per_mm: float) -> float:
         """Brightness of heights that slanted light adds, per mm and ln(1 / cos t), t the angle to the skin's normal.
 
-        With these factors of the square root of the effective attenuation (1/mm), `validation/path_traced/heights.py`
-        finds on our captures what it finds on those of our own walks in whole fingers, beside what heights have under
-        upright light: 0.4 to 1 times that behind a matt boundary, 1 to 1.8 times where two thirds are refracted.
+        With these factors of the square root of the effective attenuation (1/mm), heights on our captures are as bright
+        as on those of our own walks in whole fingers, beside what heights have under upright light: 0.4 to 1 times that
+        behind a matt boundary, 1 to 1.8 times where two thirds are refracted.
         """
         return (0.7 + 1.1 * self.refraction) * math.sqrt(attenuation_per_mm)
 

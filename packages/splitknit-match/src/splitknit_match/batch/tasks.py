@@ -1,0 +1,185 @@
+"""Tasks done by processes of this computer, or by the workers of a Dask cluster.
+
+Processes of this computer are those of :mod:`splitknit.workers`, not Dask's: two captures took 33 s
+of processor time by a local cluster and 23 s by processes, and a local cluster opens ports through
+which every user of the computer can run code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import ipaddress
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+from splitknit import BadInput
+from splitknit.errors import importing, refusing, require, with_given_folders
+from splitknit.io.provenance import provenance
+from splitknit.networks.unet import running, use_device
+from splitknit.steps import one_heap
+from splitknit.workers import run_jobs
+
+Task = TypeVar("Task")
+WORKER_BYTES = 1_200_000_000
+"""Memory of one worker: a full frame by `metric` takes 0.9 GB."""
+AHEAD = 3  # tasks that a scheduler is given for each thread of its workers
+PATIENCE_S = 30.0  # how long a cluster is waited for
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What a task of a batch did."""
+
+    size: int  # reconstructions, comparisons, or tables
+    seconds: float = 0.0  # time of one core, where it is counted
+    failures: tuple[str, ...] = ()  # case, capture and sentence of each failure to acquire
+    unreadable: tuple[tuple[str, str], ...] = ()  # name and sentence of captures that are damaged
+
+
+Work = Callable[[Task], Done]
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Who does the tasks of a batch."""
+
+    jobs: int  # processes of this computer at most, if memory allows; 1: this process
+    client: Any = None  # of :func:`connected`, whose workers do the tasks instead
+    device: str = "cpu"  # on which networks run
+
+
+def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
+    """Do all tasks, by processes on one thread each; yield results as they come.
+
+    `work`: function of a module; doing a task twice must leave what doing it once leaves. Raises
+    BadInput if a process is killed, the cluster is lost, or one of its own from `work`.
+    """
+    if workers.client is not None:
+        yield from _on_cluster(with_given_folders(work), tasks, workers)
+        return
+    import cv2
+
+    jobs = min(workers.jobs, len(tasks), workers_that_fit())
+    threads, before = cv2.getNumThreads(), running()
+    try:
+        here = before.threads if jobs < 2 else 1
+        one = partial(_in_worker, work, workers.device, here)
+        for _, done in run_jobs(one, tasks, jobs, "what is finished"):
+            yield done
+    finally:
+        cv2.setNumThreads(threads)
+        use_device(before.device, before.threads)
+
+
+def workers_that_fit() -> int:
+    """Workers that the memory holds that is available now; any number where it is not known."""
+    with contextlib.suppress(OSError):
+        text = Path("/proc/meminfo").read_text(encoding="ascii")
+        if available := re.search(r"MemAvailable: +(\d+) kB", text):
+            return max(1, 1024 * int(available[1]) // WORKER_BYTES)
+    return 1024
+
+
+def _in_worker(work: Work[Task], device: str, threads: int, task: Task) -> Done:
+    """Do a task; as there are as many workers as cores, a second thread would win no time."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    use_device(device, threads=threads)
+    return work(task)
+
+
+def _in_cluster_worker(work: Work[Task], device: str, version: str, task: Task) -> Done:
+    """Do a task in a worker of a cluster, which must have the same software."""
+    own = provenance()["version"]
+    fault = f"a worker of the cluster has splitknit {own}, and this is {version}"
+    require(version == own, f"{fault}; use one version.")
+    one_heap()  # Dask lets glibc return memory at once, which doubles the processor time
+    return _in_worker(work, device, 1, task)
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Give the client of a Dask scheduler that has a worker.
+
+    `address`: ``tls://HOST:PORT``, with the certificates of Dask's configuration; or
+    ``tcp://HOST:PORT`` of this computer. Raises BadInput for another address, or a scheduler that
+    cannot be reached, does not fit the certificates, or has no worker.
+    """
+    fault = f"'{address}' is not the address of a scheduler: name tls://HOST:PORT,"
+    fault += " or tcp://127.0.0.1:PORT for one on this computer."
+    with refusing(fault):
+        parts = urlsplit(address)
+        plain = address == f"{parts.scheme}://{parts.netloc}"
+        require(plain and parts.scheme in ("tls", "tcp") and bool(parts.hostname and parts.port), fault)
+    encrypted = parts.scheme == "tls"
+    fault = f"the scheduler '{address}' is on another computer, without encryption: anyone who"
+    fault += " reaches its port can send code that its workers run, and read the fingerprints"
+    own = encrypted or _is_loopback(parts.hostname or "")
+    require(own, f"{fault}; use tls:// and certificates (docs/guide/batch.md).")
+    missing = "a cluster needs distributed, which is missing ({error}); install"
+    with importing(f"{missing} 'splitknit-match[cluster]'."):
+        distributed = importlib.import_module("distributed")
+    fault = f"the scheduler '{address}' cannot be reached"
+    try:
+        checked = {"tls_ciphers": None, "tls_min_version": None}  # Python's, not those configured
+        security = distributed.Security(require_encryption=encrypted, **checked)
+        client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False, security=security)
+    except (OSError, ValueError, TypeError, RuntimeError, AssertionError) as error:
+        remedy = "start it and its workers, tls:// with certificates of one CA (docs/guide/batch.md)."
+        raise BadInput(f"{fault} ({_cause(error)}); {remedy}") from error
+    try:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except (TimeoutError, OSError) as error:
+            fault = f"the scheduler '{address}' has no workers"
+            raise BadInput(f"{fault}; start some (docs/guide/batch.md).") from error
+        yield client
+    finally:
+        client.close(timeout=5)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _cause(error: BaseException) -> str:
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return str(getattr(error, "strerror", None) or error) or "no answer in time"
+
+
+def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
+    """Tasks of a worker that dies are done by another. The scheduler holds a few tasks for each
+    thread of its workers, however many there are in all.
+    """
+    distributed: Any = importlib.import_module("distributed")
+    client = workers.client
+    one = partial(_in_cluster_worker, work, workers.device, str(provenance()["version"]))
+    waiting = iter(tasks)
+
+    def submitted(count: int) -> list[Any]:
+        return [client.submit(one, task, pure=False) for task in islice(waiting, count)]
+
+    threads = max(sum(client.nthreads().values()), 1)
+    futures = distributed.as_completed(submitted(AHEAD * threads), loop=client.loop)
+    kept = "what is finished is kept"
+    try:
+        for future in futures:
+            yield future.result()
+            futures.update(submitted(1))
+    except distributed.KilledWorker as error:
+        fault = "several workers were killed at one task, perhaps for want of memory"
+        raise BadInput(f"{fault}; {kept}: give them more memory, and run the same again.") from error
+    except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
+        raise BadInput(f"the cluster was lost; {kept}: start it and run the same again.") from error
