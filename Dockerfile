@@ -21,8 +21,8 @@ COPY --from=build /wheels /wheels
 COPY --from=build /tmp/pip.txt /tmp/
 RUN pip install --no-cache-dir --require-hashes -r /tmp/pip.txt \
     && pip install --no-cache-dir --no-deps /wheels/*.whl \
-    && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt 'splitknit[plot]' \
-        splitknit-simulator splitknit-rig 'splitknit-match[serve]' \
+    && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt splitknit \
+        splitknit-simulator splitknit-rig 'splitknit-match[plot,serve]' \
     && rm -r /wheels /tmp/constraints.txt /tmp/pip.txt \
     && useradd --uid 10001 splitknit \
     && install --directory --owner splitknit /data

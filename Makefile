@@ -18,9 +18,9 @@ EXTRAS ?= minutiae
 LOCK_ARGS ?=
 
 # the member of each extra
-$(foreach name,completion mesh photos plot,$(eval OF_$(name) := splitknit[$(name)]))
+$(foreach name,completion mesh photos,$(eval OF_$(name) := splitknit[$(name)]))
 $(eval OF_capture := splitknit-rig[capture])
-$(foreach name,cluster encrypt minutiae pad records,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,cluster encrypt minutiae pad plot records,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 

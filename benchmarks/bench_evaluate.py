@@ -18,7 +18,7 @@ import numpy as np
 from peers import library
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import auc, equal_error, gar_at_far, roc
+from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores
 from timing import machine, print_table, race
 
@@ -58,16 +58,14 @@ def main() -> None:
 
 
 def figures(genuine: np.ndarray, impostor: np.ndarray) -> int:
-    g, i = np.sort(genuine), np.sort(impostor)
-    equal_error(g, i), auc(g, i)
-    for far in (0.01, 0.001, 0.0001):
-        gar_at_far(g, i, far)
-    return roc(g, i).far.size
+    curve = roc(genuine, impostor)
+    curve.equal_error(), curve.auc(), curve.gars((0.01, 0.001, 0.0001))
+    return curve.far.size
 
 
 def eer_and_threshold(genuine: np.ndarray, impostor: np.ndarray) -> tuple[float, float]:
-    g, i = np.sort(genuine), np.sort(impostor)
-    return float(equal_error(g, i).value), gar_at_far(g, i, 0.001).gar
+    curve = roc(genuine, impostor)
+    return curve.equal_error().value, curve.at_far(0.001).gar
 
 
 def textbook(genuine: np.ndarray, impostor: np.ndarray) -> np.ndarray:
@@ -110,7 +108,7 @@ def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
 
 
 def score_file(impostor: np.ndarray) -> Any:
-    from splitknit_match.evaluation.score_files import read_scores
+    from splitknit_match.evaluation.scores import read_scores
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scores.csv"
@@ -118,7 +116,8 @@ def score_file(impostor: np.ndarray) -> Any:
         path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
         started = time.process_time()
         found = read_scores(path)
-        print(f"\nA file of {found.score.size:,} lines with fingers: read in {time.process_time() - started:.1f} s.")
+        count = found.systems[0].score.size
+        print(f"\nA file of {count:,} lines with fingers: read in {time.process_time() - started:.1f} s.")
 
 
 if __name__ == "__main__":

@@ -16,10 +16,9 @@ import numpy as np
 
 from splitknit.finger.orientation import find_upright
 from splitknit.model import default_rig
+from splitknit_match.evaluation.curves import chart, draw_roc
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
-from splitknit_match.evaluation.page import roc_chart
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import roc
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.template import Template, make_template
@@ -65,9 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         one = found.figures[name]
         print(f"{words}: {100 * one.value:.1f} % [{100 * one.low:.1f}, {100 * one.high:.1f}]")
     if options.out is not None:
-        curve = roc(similarity[pairs.genuine], similarity[~pairs.genuine])
-        chart = roc_chart([("ridges", curve, None)], 0.01)
-        (options.out / "roc.svg").write_text(str(chart), encoding="utf-8")
+        (options.out / "roc.svg").write_bytes(chart(lambda ax: draw_roc(ax, [("ridges", scores, None)])))
     return 0
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -87,55 +84,6 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
     (tmp_path / "r" / "report.json").write_text(text)
     with pytest.raises(BadInput, match="is damaged; reconstruct the capture again"):
         splitknit.read_result(tmp_path / "r")
-
-
-@pytest.fixture
-def pyplot(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """pyplot without a window, closed again."""
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    from matplotlib import pyplot
-
-    yield pyplot
-    pyplot.close("all")
-
-
-def test_the_plot_has_a_panel_for_all_that_there_is(result: Reconstruction, pyplot: Any) -> None:
-    axes = result.plot()
-    assert [ax.get_title() for ax in axes] == ["height", "relief", "normals", "print"]
-    known = result.ridge_mm[result.mask & np.isfinite(result.ridge_mm)]
-    for ax, unit, spread in ((axes[0], "mm", result.height_mm[result.mask].std()), (axes[1], "µm", 1000 * known.std())):
-        (picture,) = ax.get_images()
-        values = picture.get_array().compressed()
-        assert picture.colorbar.ax.get_xlabel() == f"{ax.get_title()}, {unit}"
-        assert 0.5 * spread < values.std() < 1.5 * spread
-        assert ax.get_xlim()[1] == pytest.approx(15, abs=8)  # a finger's width with its margin, in mm
-        assert ax.artists[0].txt_label.get_text() == "5 mm"
-    unscaled = replace(result, scale_known=False).plot()
-    assert [ax.get_title() for ax in unscaled] == ["height", "relief", "normals"]
-    assert [ax.artists[0].txt_label.get_text().split()[1] for ax in unscaled] == ["px"] * 3
-
-
-def test_the_plot_draws_on_given_axes(result: Reconstruction, pyplot: Any, tmp_path: Path) -> None:
-    figure, (left, right) = pyplot.subplots(1, 2)
-    assert result.plot("relief", ax=left) is left
-    assert not right.get_images()
-    assert list(result.plot("print", "normals", ax=[left, right])) == [left, right]
-    assert pyplot.get_fignums() == [figure.number]
-    figure.savefig(tmp_path / "plot.png")
-    for panels, ax, words in (
-        (("reliff",), None, "no panel 'reliff'"),
-        ((), left, "1 axes are given for 4 panels"),
-    ):
-        with pytest.raises(BadInput, match=words):
-            result.plot(*panels, ax=ax)
-    with pytest.raises(BadInput, match="no print"):
-        replace(result, facts={**result.facts, "material": "opaque"}).plot("print")
-
-
-def test_without_matplotlib_the_plot_names_its_extra(result: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(BadInput, match=r"pip install 'splitknit\[plot\]'"):
-        result.plot()
 
 
 def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
 
 def test_the_conda_environment_has_the_extra_plot() -> None:
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
-    needed = of_conda(NEEDED + PROJECT["optional-dependencies"]["plot"])
+    needed = of_conda(NEEDED + PROJECTS["splitknit-match"]["optional-dependencies"]["plot"])
     found = {one for one in environment["dependencies"] if isinstance(one, str)}
     assert found - {"pip", "python >=3.11,<3.14"} == needed
     assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}
@@ -88,7 +88,7 @@ def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
     let_in = set(re.findall(r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), flags=re.MULTILINE))
     assert copied == let_in
     assert all((ROOT / name).exists() for name in copied)
-    assert "'splitknit-match[serve]'" in text
+    assert "'splitknit-match[plot,serve]'" in text
 
 
 def test_everything_is_installed_as_the_constraints_say() -> None:

@@ -21,7 +21,7 @@ from splitknit.pipeline import reconstruct
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.store import Store
 from splitknit_match.batch.tables import read_origin, write_table
-from splitknit_match.evaluation.score_files import read_scores
+from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_images, surface_template
 from splitknit_match.matching.template import pack, unpack
@@ -194,14 +194,15 @@ def test_score_files_hold_what_the_store_holds(copies: tuple[Path, Path], tmp_pa
     population, out = copies
     run(population, out, "ridge")
     table = Store(out).scores("ea", "ridge")
-    read = read_scores(out / "csv" / "ea_ridge.csv")
+    (read,) = read_scores(out / "csv" / "ea_ridge.csv").systems
     np.testing.assert_array_equal(read.score, table["similarity"])
     np.testing.assert_array_equal(read.label, table["genuine"])
     assert read.label.sum() == 12
     assert np.isnan(read.score).sum() == 8
-    assert np.nanmin(read.score[read.label]) > np.nanmax(read.score[~read.label])
-    assert read.ids["subject"][1] == ("S01", "S02")
-    assert read.ids["finger"][1] == tuple(f"S0{k}/right_{finger}" for k in (1, 2) for finger in ("index", "thumb"))
+    assert np.nanmin(read.genuine) > np.nanmax(read.impostor)
+    assert read.subject is not None and read.finger is not None
+    assert read.subject.names == ("S01", "S02")
+    assert len(read.finger.names) == 4
 
 
 def test_more_impostors_are_added_to_those_that_are_there(copies: tuple[Path, Path]) -> None:

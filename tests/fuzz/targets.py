@@ -61,8 +61,7 @@ from splitknit_match.batch.surfaces import pack_surface, unpack_surface
 from splitknit_match.batch.tables import read_origin, write_table
 from splitknit_match.cli.records import WhatJob
 from splitknit_match.evaluation.gallery_scores import gallery_scores
-from splitknit_match.evaluation.score_files import read_exclusions, read_scores
-from splitknit_match.evaluation.study import _read_exclusion_list, _read_systems
+from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, key_of
 from splitknit_match.gallery.folder import export_gallery, import_gallery
 from splitknit_match.gallery.identify_job import identify
@@ -474,22 +473,10 @@ a,0,0.1,right_index,right_index,S01,S02,1,2
 a,1,0.7,left_index,left_index,S01,S01,1,2
 a,0,0.2,left_index,left_index,S02,S01,1,2
 """
-EXCLUDED = b"subject,finger,session,reason\nS01,right_index,1,wet\nS02,left_index,,\n"
 
 
 def _scores(folder: Path, files: Files) -> None:
-    read_scores(folder / "scores.csv")
-    _read_systems([folder / "scores.csv"], turn=True)
-
-
-def _excluded(folder: Path, files: Files) -> None:
-    (folder / "scores.csv").write_bytes(SCORES)
-    try:
-        (first, *_), _, _ = _read_systems([folder / "scores.csv"], turn=True)
-        read_exclusions(folder / "excluded.csv")
-        _read_exclusion_list(folder / "excluded.csv", first)
-    finally:
-        (folder / "scores.csv").unlink()
+    read_scores(folder / "scores.csv", dissimilarity=True)
 
 
 # --- settings, networks, keys ------------------------------------------------------------------------------------
@@ -805,7 +792,6 @@ TARGETS = (
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),
-    Target("exclusions", lambda: [{"excluded.csv": EXCLUDED}], _excluded),
     Target("settings-json", lambda: [{"x.json": json.dumps(_SETTINGS).encode()}], _settings("x.json")),
     Target("settings-toml", lambda: [{"x.toml": _TOML}], _settings("x.toml")),
     Target("settings-set", lambda: [{"set": _SET}], _assignments),

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit_match.evaluation.rates import d_prime, equal_error
+from splitknit_match.evaluation.rates import d_prime, roc
 from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, ink_print
 from splitknit_simulator.population.people import DIGITS, FINGERS, Person, class_fractions
@@ -175,8 +175,8 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
         "impostor_overlap_above_0.9": round(float((overlap[~genuine] > 0.9).mean()), 4),
         "separation": {
             name: {
-                "eer": round(float(equal_error(score[genuine], score[~genuine]).value), 4),
-                "d_prime": round(float(d_prime(score[genuine], score[~genuine]) or 0.0), 2),
+                "eer": round(roc(score[genuine], score[~genuine]).equal_error().value, 4),
+                "d_prime": round(d_prime(score[genuine], score[~genuine]), 2),
             }
             for name, score in scores.items()
         },

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ import scipy.fft
 from compared import each, keep
 from numpy.typing import NDArray
 from oblique import oblique_view
-from plots import bars_figure, save
+from plots import bars_figure, lines_figure, save
 from scales import SCALES
 
 from splitknit.accuracy import Comparison, compare, high_passed, read_truth
@@ -35,7 +35,6 @@ from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
-from splitknit.report.charts import Axis, Curve, line_chart
 from splitknit.report.figures import small_fields
 from splitknit.steps import Memory
 from tables import Row, write_csv
@@ -225,41 +224,21 @@ def _draw(found: Sequence[Row], out: Path) -> None:
             for k, f in enumerate(FREQUENCIES)
         ],
     )
-    logs: Callable[[Any], Any] = np.log10
-    marks = tuple((f, f"{f:g}") for f in (0.5, 1, 2, 5, 10, 23, 60))
-    chart = line_chart(
-        [Curve(name, FREQUENCIES, np.maximum(power, 1e-7)) for name, power in spectra.items()],
-        Axis("cycles per cm", 0.5, 60.0, marks, logs),
-        Axis("power", 1e-7, 1.0, tuple((10.0**k, f"1e{k}") for k in range(-7, 1)), logs),
-        height=320,
-        title="Power by spatial frequency",
-    )
-    save(chart, out / "figure-3-1.svg")
+    powers = [(name, FREQUENCIES, np.maximum(power, 1e-7)) for name, power in spectra.items()]
+    logarithmic = {"xscale": "log", "yscale": "log", "title": "Power by spatial frequency"}
+    save(lines_figure(powers, "cycles per cm", "power", **logarithmic), out / "figure-3-1.svg")
     curves = []
     for words in ("ridge correlation", "power beside the ridges, %"):
         factor = 0.01 if words.endswith("%") else 1.0
         values = [factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found]) for count in SCALES]
-        curves.append(Curve(words.removesuffix(", %"), np.array(SCALES, dtype=float), np.array(values), dots=True))
-    chart = line_chart(
-        curves,
-        Axis("scales of shapelets", 2.0, 7.0, tuple((float(n), str(n)) for n in SCALES)),
-        Axis("fraction, correlation", 0.0, 1.0, tuple((k / 5, f"{k / 5:g}") for k in range(6))),
-        height=260,
-        title="Ridges and what else is in the relief, by scales of shapelets",
-    )
-    save(chart, out / "figure-3-20.svg")
-    profile = {name: np.array(values, dtype=np.float64) for name, values in found[0]["profiles"].items()}
+        curves.append((words.removesuffix(", %"), SCALES, values))
+    titled = {"title": "Ridges and what else is in the relief, by scales of shapelets", "ylim": (0, 1)}
+    save(lines_figure(curves, "scales of shapelets", "fraction, correlation", **titled), out / "figure-3-20.svg")
+    profile = dict(found[0]["profiles"])
     x = profile.pop("mm")
-    low, high = np.floor(min(map(np.nanmin, profile.values()))), np.ceil(max(map(np.nanmax, profile.values())))
-    along = tuple((float(v), f"{v:g}") for v in np.arange(np.ceil(x[0] / 5) * 5, x[-1], 5))
-    chart = line_chart(
-        [Curve(name, x, values) for name, values in profile.items()],
-        Axis("mm along the finger", float(x[0]), float(x[-1]), along),
-        Axis("height, mm", float(low), float(high), tuple((float(v), f"{v:g}") for v in np.arange(low, high + 0.5))),
-        height=300,
-        title="Side view along the middle of one finger",
-    )
-    save(chart, out / "figure-5-9.svg")
+    sides = [(name, x, np.array(values, dtype=np.float64)) for name, values in profile.items()]
+    titled = {"title": "Side view along the middle of one finger"}
+    save(lines_figure(sides, "mm along the finger", "height, mm", **titled), out / "figure-5-9.svg")
 
 
 OF_5_6 = (

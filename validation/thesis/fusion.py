@@ -8,7 +8,7 @@ import numpy as np
 from trials import ATTRIBUTES, Table, Trial, scores_of
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.fusion import FusionSettings, fuse
+from splitknit_match.evaluation.fusion import fuse
 
 OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
 """What is joined; the thesis's figure 5.3 has all three, its further figures the first two apart."""
@@ -37,7 +37,7 @@ def fused(table: Table, case: str, name: str, seed: int) -> list[Trial]:
     systems = [scores_of(table.pairs, part.similarity, part.name) for part in known]
     for way in ("linear", "trained"):
         try:
-            made = fuse(systems, FusionSettings(method=way, normalisation="minmax", seed=seed))
+            made = fuse(systems, "minmax" if way == "linear" else way, seed)
         except BadInput:  # too few people to learn from others
             continue
         ways[way] = replace(known[0], similarity=made.scores.score, gated=None)

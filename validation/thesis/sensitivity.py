@@ -11,7 +11,7 @@ from measure import allowed
 from trials import Pairs, Table, Trial, Values
 from variants import PLAIN, Known, judged
 
-from splitknit_match.evaluation.rates import gar_at_far
+from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores
 
 TARGETS = (0.01, 0.001)
@@ -97,7 +97,7 @@ def sensitivity_rows(  # noqa: PLR0917
 
 
 def _threshold(scores: Scores, target: float) -> float | None:
-    return gar_at_far(scores.genuine, scores.impostor, target).threshold
+    return roc(scores.genuine, scores.impostor).at_far(target).threshold
 
 
 def _values(pairs: Pairs, factor: Factor, truth: Truth) -> Values:

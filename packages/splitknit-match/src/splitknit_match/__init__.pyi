@@ -1,6 +1,6 @@
 """The door: what users (``__all__``) and the other members may import; all else may change tomorrow."""
 
-from splitknit_match.evaluation.evaluate_job import evaluate as evaluate
+from splitknit_match.evaluation.evaluate import evaluate as evaluate
 from splitknit_match.evaluation.pair import compare_results as compare_results
 from splitknit_match.gallery.gallery import Gallery as Gallery
 from splitknit_match.gallery.gallery import enroll as enroll

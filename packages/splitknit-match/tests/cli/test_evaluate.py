@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ import splitknit_match
 from splitknit.cli.main import main
 from splitknit_match.evaluation.intervals import BootstrapSettings
 from splitknit_match.evaluation.protocol import comparisons
-from splitknit_match.evaluation.rates import equal_error, gar_at_far
+from splitknit_match.evaluation.rates import roc
 
 Captured = pytest.CaptureFixture[str]
 QUICK = ["--replicates", "50"]
@@ -60,11 +60,6 @@ def report(out: Path) -> dict[str, Any]:
     return document
 
 
-def svgs(out: Path) -> list[ElementTree.Element]:
-    page = (out / "report.html").read_text()
-    return [ElementTree.fromstring(found) for found in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)]
-
-
 def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
@@ -77,12 +72,11 @@ def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captu
         assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
     assert [one["value"] for one in facts["gar_at_far"].values()] == [0.75] * 3
     one = facts["systems"]["hand"]
-    assert one["bootstrap"]["method"] == "plain" and list(one["intervals"]) == ["plain"]
+    assert one["bootstrap"]["method"] == "plain"
     assert one["operating_points"]["0.01"]["far_upper"] == 0.75 and not one["operating_points"]["0.01"]["resolved"]
     assert any("cannot resolve a FAR of 1 %" in note for note in facts["notes"])
-    assert one["cmc"] is None
-    assert sorted(path.name for path in out.iterdir()) == [".splitknit", "report.html", "report.json"]
-    assert len(svgs(out)) == 3
+    written = [path.name for path in sorted(out.iterdir())]
+    assert written == [".splitknit", "det.svg", "report.html", "report.json", "roc.svg", "scores.svg"]
 
 
 def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
@@ -94,48 +88,34 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     with (folder / "ours.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     sides = [np.array([float(row["score"] or "nan") for row in rows if row["label"] == label]) for label in ("1", "0")]
-    assert facts["eer"]["value"] == equal_error(*sides).value
-    assert facts["gar_at_far"]["0.01"]["value"] == gar_at_far(*sides, 0.01).gar
+    assert facts["eer"]["value"] == roc(*sides).equal_error().value
+    assert facts["gar_at_far"]["0.01"]["value"] == roc(*sides).at_far(0.01).gar
     one = facts["systems"]["ours"]
-    made = gar_at_far(*sides, 0.01, counting="made")
+    made = roc(*sides).made().at_far(0.01)
     assert one["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - made.gar)
     lost = [int(np.isnan(side).sum()) for side in sides]
     failures = one["failures_to_acquire"]
     assert [failures["genuine"], failures["impostor"]] == lost and sum(lost) == 48
     assert failures["rate"] == 0.02
     assert one["bootstrap"]["method"] == "finger" and one["bootstrap"]["drawn"] == 20
-    assert {method: found["drawn"] for method, found in one["intervals"].items()} == {
-        "plain": 120,
-        "finger": 20,
-        "subject": 10,
-    }
-    assert one["cmc"]["gallery"] == 20 and one["cmc"]["probes"] == 120
     assert any("48 of 2400 comparisons gave no score" in note for note in facts["notes"])
 
 
-def test_the_page_needs_nothing_else_and_its_charts_are_sound(folder: Path, tmp_path: Path) -> None:
+def test_the_page_needs_nothing_else(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), *QUICK]) == 0
     page = (out / "report.html").read_text()
-    assert not re.search(r"<script|https?://|src=|@import|url\(", page)
-    assert "nan" not in page.lower() and "None" not in page
-    charts = svgs(out)
-    assert [chart.get("aria-label", "").split(":")[0] for chart in charts] == ["ROC", "DET", "Scores of ours", "CMC"]
-    for chart in charts:
-        wide, tall = (float(value) for value in (chart.get("viewBox") or "").split()[2:])
-        for shape in chart.iter():
-            numbers = [float(v) for v in re.split(r"[ ,]", shape.get("points") or "0,0")]
-            assert min(numbers[::2]) >= -1 and max(numbers[::2]) <= wide + 1
-            assert min(numbers[1::2]) >= -1 and max(numbers[1::2]) <= tall + 1
+    assert not re.search(r"<script|https?://|@import|url\(", page)
+    assert re.findall(r'src="([^,]*),', page) == ["data:image/svg+xml;base64"] * 3
+    assert "nan" not in re.sub(r'"data:[^"]*"', "", page).lower() and "None" not in page
 
 
-def test_curves_are_staircases(folder: Path, tmp_path: Path) -> None:
+def test_without_matplotlib_the_page_has_no_curves(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
-    for chart in svgs(out)[:2]:
-        (line,) = [shape.get("points") or "" for shape in chart.iter() if shape.tag == "polyline"]
-        points = np.array([pair.split(",") for pair in line.split()], dtype=np.float64)
-        assert len(points) > 2 and (np.diff(points, axis=0) == 0).any(axis=1).all()
+    assert "Curves need matplotlib" in (out / "report.html").read_text()
+    assert report(out)["files"] == ["report.html", "report.json"]
 
 
 def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Path) -> None:
@@ -145,11 +125,11 @@ def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Pa
         assert done == 0
     facts = [report(out) for out in outs]
     for one in facts:
-        assert one.pop("written_at") and one.pop("timings_s")["total"] > 0
+        assert one.pop("written_at")
     assert facts[0] == facts[1] and facts[0]["eer"]["low"] != facts[2]["eer"]["low"]
     assert facts[0]["eer"]["value"] == facts[2]["eer"]["value"]
-    pages = [re.sub(r"\d{4}-\d\d-\d\dT[\d:+]*|[\d.]+ s\. ", "", (out / "report.html").read_text()) for out in outs[:2]]
-    assert pages[0] == pages[1]
+    pages = [re.sub(r"\d{4}-\d\d-\d\dT[\d:+]*", "", (out / "report.html").read_text()) for out in outs[:2]]
+    assert pages[0] == pages[1]  # the curves as well
 
 
 def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> None:
@@ -182,7 +162,7 @@ def test_a_column_of_systems_is_as_good_as_files(folder: Path, tmp_path: Path) -
     one, other = report(tmp_path / "a"), report(tmp_path / "b")
     assert list(one["systems"]) == list(other["systems"])
     for name in one["systems"]:
-        assert one["systems"][name]["intervals"]["finger"] == other["systems"][name]["intervals"]["finger"]
+        assert one["systems"][name]["gar_at_far"] == other["systems"][name]["gar_at_far"]
     assert one["differences"][0]["eer"]["value"] == other["differences"][0]["eer"]["value"]
 
 
@@ -227,43 +207,21 @@ def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captu
     assert main([*arguments, "--cluster", "subject"]) == 0
     facts = report(tmp_path / "out")
     one = facts["systems"]["ours"]
-    assert one["bootstrap"]["method"] == "subject" and facts["eer"] == one["intervals"]["subject"]["eer"]
+    assert one["bootstrap"]["method"] == "subject"
     plain = ["evaluate", "--scores", str(folder / "plain.csv"), "--out", str(tmp_path / "no"), *QUICK]
     assert main([*plain, "--cluster", "finger"]) == 2
     assert "finger_a and finger_b" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
 
 
-def test_with_and_without_the_excluded_averaged_and_not(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "roll.csv").write_text("finger,subject,session,reason\nleft,s1,,roll\nright,s3,2,roll\nleft,s99,,\n")
+def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
     arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
-    assert main([*arguments, "--exclude", str(tmp_path / "roll.csv"), "--average-sessions"]) == 0
+    assert main([*arguments, "--average-sessions"]) == 0
     facts = report(tmp_path / "out")
-    names = [
-        "ours",
-        "ours, without 2 excluded",
-        "ours, averaged over sessions",
-        "ours, without 2 excluded, averaged over sessions",
-    ]
-    assert list(facts["systems"]) == names
-    counted = [tuple(facts["systems"][name]["comparisons"].values()) for name in names]
-    # one finger goes (6 and 2 x 6 x 19), of another the captures of session 2 (3 and 3 x 18)
-    assert counted == [(120, 2280), (111, 2280 - 228 - 54), (20, 380), (19, 342)]
+    averaged = facts["systems"]["ours, averaged over sessions"]
+    assert averaged["comparisons"] == {"genuine": 20, "impostor": 380}
     assert facts["eer"] == facts["systems"]["ours"]["eer"] and facts["differences"] == []
-    notes = " ".join(facts["notes"])
-    assert "2 entries of the list of exclusions left out 291 of 2400" in notes
-    assert "1 entries of the list are in no comparison of ours: s99/left" in notes
-    assert "2 entries were listed for 'roll'" in notes
-    assert facts["systems"][names[2]]["eer"]["value"] <= facts["eer"]["value"]
-
-
-def test_fingers_of_a_list_need_their_subject_only_where_it_matters(
-    folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    (tmp_path / "roll.csv").write_text("finger\nleft\n")
-    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
-    assert main([*arguments, "--exclude", str(tmp_path / "roll.csv")]) == 2
-    assert "several subjects have a finger 'left'" in capsys.readouterr().err
+    assert averaged["eer"]["value"] <= facts["eer"]["value"]
 
 
 @pytest.mark.parametrize(
@@ -277,10 +235,10 @@ def test_fingers_of_a_list_need_their_subject_only_where_it_matters(
         ("label,score\n1,\n0,0.4\n", "all 1 are failures to acquire"),
         ("label,score,score\n1,2,3\n", "two columns 'score'"),
         ("label\n1\n", "no column 'score'"),
-        ("", "is empty"),
-        ("hello", "column names"),
-        ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: the comparison is an impostor's"),
-        ("label,score,finger_a,finger_b\n0,2,x,y\n1,1,x,y\n", "line 3: the comparison is genuine (label 1)"),
+        ("", "no column 'label'"),
+        ("hello", "no column 'label'"),
+        ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: label and ids"),
+        ("label,score,finger_a,finger_b\n0,2,x,y\n1,1,x,y\n", "line 3: label and ids"),
         ("label,score,system\n1,2,a\n0,1,a\n1,1,b\n", "b holds no impostor"),
     ],
 )
@@ -299,11 +257,10 @@ def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> N
         "does not exist": ["--scores", str(tmp_path / "none.csv"), "--out", out],
         "named twice": ["--scores", hand, hand, "--out", out],
         "replicates": ["--scores", hand, "--out", out, "--replicates", "3"],
-        "finger_a and finger_b": ["--scores", hand, "--out", out, "--exclude", str(tmp_path / "list.csv")],
         "sessions are needed": ["--scores", hand, "--out", out, "--average-sessions"],
         "is not an earlier evaluation": ["--scores", hand, "--out", str(tmp_path)],
     }
-    (tmp_path / "list.csv").write_text("finger\nx\n")
+    (tmp_path / "notes.txt").write_text("mine")
     for words, request in requests.items():
         assert main(["evaluate", *request]) == 2, words
         said = capsys.readouterr()

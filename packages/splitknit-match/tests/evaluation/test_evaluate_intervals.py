@@ -12,22 +12,11 @@ from scipy.optimize import brentq
 from scipy.special import betainc, ndtr
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.intervals import (
-    BootstrapSettings,
-    _cell_weights,
-    _cluster_units,
-    _figures_of,
-    _Layout,
-    _make_cells,
-    _plain_units,
-    bootstrap,
-    differences,
-)
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap, differences
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import auc, d_prime, equal_error, error_bound, gar_at_far
-from splitknit_match.evaluation.scores import Ids, Scores, ids_of
+from splitknit_match.evaluation.rates import Roc, d_prime, error_bound, rank, roc
+from splitknit_match.evaluation.scores import Scores, ids_of
 
-LAYOUT = _Layout((0.5, 0.1, 0.01), (0.03, 0.3))
 FEW = BootstrapSettings(replicates=100, curve_points=5)
 scores_1d = st.lists(
     st.one_of(st.integers(-5, 5).map(float), st.floats(-3, 3).map(lambda s: round(s, 6)), st.just(float("nan"))),
@@ -37,18 +26,10 @@ scores_1d = st.lists(
 sides = st.tuples(scores_1d, scores_1d).filter(lambda both: not any(np.isnan(side).all() for side in both))
 
 
-def expected(genuine: np.ndarray, impostor: np.ndarray) -> list[float]:
-    """The row of figures from the scores themselves."""
-    distance = d_prime(genuine, impostor)
-    return [
-        equal_error(genuine, impostor).value,
-        *(gar_at_far(genuine, impostor, far).gar for far in LAYOUT.targets),
-        equal_error(genuine, impostor, counting="made").value,
-        *(gar_at_far(genuine, impostor, far, counting="made").gar for far in LAYOUT.targets),
-        auc(genuine, impostor),
-        float("nan") if distance is None else distance,
-        *(gar_at_far(genuine, impostor, far).gar for far in LAYOUT.curve),
-    ]
+def figures(curve: Roc) -> list[float]:
+    """Rates, failures counted and left out."""
+    rates = [(one.equal_error().value, *one.gars((0.5, 0.1, 0.01))) for one in (curve, curve.made())]
+    return [*rates[0], *rates[1], curve.auc()]
 
 
 def plain_scores(genuine: np.ndarray, impostor: np.ndarray, name: str = "scores") -> Scores:
@@ -68,96 +49,30 @@ def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 
 
 
 @given(sides, st.integers(0, 1000))
-def test_a_replicate_has_the_figures_of_its_scores(both: tuple[list[float], list[float]], seed: int) -> None:
+def test_a_weight_counts_as_often_as_a_score_that_is_repeated(both: tuple[list[float], list[float]], seed: int) -> None:
     genuine, impostor = map(np.array, both)
-    cells = _make_cells(genuine, impostor)
-    generator = np.random.default_rng(seed)
-    times = [np.ones(side.size, dtype=np.int64) for side in (genuine, impostor)]
-    if seed:
-        times = [generator.integers(0, 3, side.size) for side in (genuine, impostor)]
-    weights = [
-        np.bincount(cell, weights=number, minlength=cells.count + 1)
-        for cell, number in zip((cells.genuine, cells.impostor), times, strict=True)
-    ]
-    row = _figures_of(cells, weights[0], weights[1], LAYOUT)
+    times = [np.random.default_rng(seed).integers(0, 3, side.size) for side in (genuine, impostor)]
     drawn = [np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)]
     if any(np.isnan(side).all() for side in drawn):  # an empty side too
-        assert np.isnan(row).all()
         return
-    np.testing.assert_allclose(row, expected(*drawn), rtol=1e-9, atol=1e-6)
+    ranked = rank(genuine, impostor)
+    weights = [number[order].astype(np.float64) for number, order in zip(times, ranked.order, strict=True)]
+    assert figures(ranked.roc(weights)) == pytest.approx(figures(roc(*drawn)))
+    assert ranked.d_prime(weights) == pytest.approx(d_prime(*drawn), nan_ok=True)
 
 
-@pytest.mark.parametrize("limit", [60, 600])
-def test_few_cells_are_good_enough(limit: int) -> None:
-    generator = np.random.default_rng(1)
-    genuine, impostor = generator.normal(2, 1, 15), generator.normal(0, 1, 5000)
-    cells = _make_cells(genuine, impostor, limit)
-    assert cells.count <= limit
-    weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
-    row = dict(zip(LAYOUT.names, _figures_of(cells, *weights, LAYOUT), strict=True))
-    truth = dict(zip(LAYOUT.names, expected(genuine, impostor), strict=True))
-    for name in LAYOUT.names:  # all genuine scores are cells of their own: only the crossing's place is rough
-        assert row[name] == pytest.approx(truth[name], abs=2e-4 if name.startswith("eer") else 1e-3), name
-    assert cells.crowded.any()
-
-
-def test_a_crossing_among_many_impostors_is_not_biased() -> None:
-    genuine, impostor = np.array([-5.0, -4.0, 0.0, 9.0]), np.linspace(-1, 1, 4001)  # FRR is 1/2 from -4 to 0
-    cells = _make_cells(genuine, impostor + 0.01, 12)
-    weights = (np.bincount(cell, minlength=cells.count + 1).astype(float) for cell in (cells.genuine, cells.impostor))
-    assert _figures_of(cells, *weights, LAYOUT)[0] == pytest.approx(
-        equal_error(genuine, impostor + 0.01).value, abs=1e-3
-    )
-
-
-def test_the_highest_impostors_are_cells_of_their_own() -> None:
-    impostor = np.arange(100_000.0)
-    cells = _make_cells(np.array([5.0, 99_990.0]), impostor, 1200)
-    top = cells.impostor[-100:]
-    assert np.unique(top).size == 100 and not cells.crowded[top].any()
-
-
-def test_cells_fall_and_failures_come_last() -> None:
-    cells = _make_cells(np.array([3.0, np.nan, 1.0]), np.array([1.0, 2.0, np.nan]))
-    assert cells.genuine.tolist() == [0, 3, 2] and cells.impostor.tolist() == [2, 1, 3]
-    assert not cells.crowded.any()
-
-
-def test_clusters_weigh_as_often_as_they_are_drawn() -> None:
-    ids = ids_of(["a", "b", "c", "a", "a", "b"], ["a", "b", "c", "b", "c", "c"])
-    label = np.array([True, True, True, False, False, False])
-    score = np.array([9.0, 8.0, 7.0, 3.0, 2.0, 1.0])
-    units = _cluster_units(label, ids)
-    assert units.clusters == 3
-    cells = _make_cells(score[label], score[~label])
-    batches = list(_cell_weights(units, [cells], 200, 0))
-    genuine = np.concatenate([one[0][0] for one in batches], axis=1)
-    impostor = np.concatenate([one[0][1] for one in batches], axis=1)
-    a, b, c = genuine[:3]
-    np.testing.assert_array_equal(a + b + c, 3)
-    np.testing.assert_array_equal(impostor[3:6], [a * b, a * c, b * c])
-    assert (a.mean(), a.var()) == (pytest.approx(1, abs=0.15), pytest.approx(2 / 3, abs=0.2))
-
-
-def test_fingers_of_one_subject_come_along_together() -> None:
-    label = np.array([True, True, False, False])
-    subject = Ids(np.array([[0, 0], [1, 1], [0, 0], [0, 1]]), ("s", "t"))
-    units = _cluster_units(label, subject)
-    drawn = units.draw(np.random.default_rng(0), 50)
-    by_unit = drawn[1][units.impostor]
-    np.testing.assert_array_equal(by_unit[0], drawn[0][0])
-    np.testing.assert_array_equal(by_unit[1], drawn[0][0] * drawn[0][1])
-
-
-def test_plain_draws_are_as_many_as_there_are() -> None:
-    genuine, impostor = np.repeat([1.0, 2.0], 50), np.arange(30.0)
-    cells = _make_cells(genuine, impostor)
-    for units in (
-        _plain_units(cells.genuine, cells.impostor, cells.count + 1),
-        _plain_units(np.arange(100), np.arange(30)),
-    ):
-        for batch in _cell_weights(units, [cells], 70, 3):
-            assert (batch[0][0].sum(axis=0) == 100).all() and (batch[0][1].sum(axis=0) == 30).all()
+@pytest.mark.parametrize("method", ["finger", "subject"])
+def test_clusters_weigh_as_often_as_they_are_drawn(method: str) -> None:
+    """The vertex bootstrap by definition; fingers of one subject come along together."""
+    scores = population(5, fingers=12)
+    ids = getattr(scores, method)
+    names, generator, areas = len(ids.names), np.random.default_rng(0), []
+    for _ in range(FEW.replicates):
+        drawn = np.bincount(generator.integers(0, names, names), minlength=names)
+        times = np.array([drawn[a] if a == b else drawn[a] * drawn[b] for a, b in ids.codes])
+        areas.append(roc(*(np.repeat(scores.score[one], times[one]) for one in (scores.label, ~scores.label))).auc())
+    found = bootstrap(scores, method, FEW).figures["auc"]
+    assert [found.low, found.high] == pytest.approx(np.quantile(areas, [0.025, 0.975]))
 
 
 def test_the_seed_is_all_that_differs() -> None:
@@ -287,12 +202,6 @@ def test_differences_of_like_systems(method: str) -> None:
     assert found["auc"].value > 0
     much = replace(first, score=first.score + 2 * noise, name="much noisier")
     assert differences(first, much, method, FEW)["auc"].low > 0  # beyond chance
-
-
-def test_progress_is_told() -> None:
-    told: list[float] = []
-    bootstrap(population(0), "finger", FEW, told.append)
-    assert told[-1] == 1.0 and told == sorted(told) and len(told) > 2
 
 
 @pytest.mark.parametrize(

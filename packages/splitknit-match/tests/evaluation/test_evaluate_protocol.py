@@ -1,4 +1,4 @@
-"""The thesis's protocol, fingers left out, systems paired, and what a set of scores must be."""
+"""The thesis's protocol, systems paired, and what a set of scores must be."""
 
 from __future__ import annotations
 
@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.protocol import (
-    Exclusion,
-    average_sessions,
-    comparisons,
-    exclude,
-    pair_up,
-    scores_of_comparisons,
-)
-from splitknit_match.evaluation.rates import histograms
+from splitknit_match.evaluation.protocol import average_sessions, comparisons, pair_up, scores_of_comparisons
 from splitknit_match.evaluation.scores import Ids, Scores, ids_of
-from splitknit_match.evaluation.study import _fingers_of_subjects
 
 
 def small(score: list[float] | None = None) -> Scores:
@@ -85,8 +76,8 @@ def test_averages_by_hand() -> None:
     }
     assert got == {("x", "x"): 4.0, ("x", "y"): 5.0, ("y", "x"): 6.0, ("y", "y"): 7.0}
     assert averaged.label.tolist() == [True, False, False, True]
-    both = average_sessions(small(), ordered=False)
-    assert both.score.tolist() == [4.0, 5.5, 7.0]
+    with pytest.raises(BadInput, match="sessions are needed"):
+        average_sessions(replace(small(), session=None))
 
 
 def test_the_earlier_session_comes_first_whatever_the_file_says() -> None:
@@ -107,56 +98,29 @@ def test_failures_are_left_out_of_an_average() -> None:
     np.testing.assert_array_equal(averaged.score, [8.0, np.nan, 6.0, 7.0])
 
 
-def test_exclusions() -> None:
-    left, gone, unknown = exclude(small(), [Exclusion("x", "3", "roll"), Exclusion("z")])
-    assert gone == 4  # xx and yx of the session pairs (1, 3) and (2, 3)
-    assert left.score.tolist() == [0, 1, 2, 3, 5, 7, 9, 11]
-    assert [one.finger for one in unknown] == ["z"]
-    assert left.name == "scores, without 1 excluded"
-    with pytest.raises(BadInput, match="no impostor"):
-        exclude(small(), [Exclusion("x")])
-    with pytest.raises(BadInput, match="sessions"):
-        exclude(replace(small(), session=None), [Exclusion("x", "3")])
-    with pytest.raises(BadInput, match="finger_a"):
-        exclude(replace(small(), finger=None), [Exclusion("x")])
-    with pytest.raises(BadInput, match="sessions are needed"):
-        average_sessions(replace(small(), session=None))
-
-
 def test_systems_are_paired_by_their_ids() -> None:
     first = small()
-    shuffled = np.random.default_rng(0).permutation(12)
-    second = replace(first.taken(shuffled), name="other")
-    paired = pair_up(first, second)
-    assert paired is not None and paired.name == "other"
-    np.testing.assert_array_equal(paired.score, first.score)
+    second = replace(first.taken(np.random.default_rng(0).permutation(12)), name="other")
     assert second.finger is not None
     renamed = replace(second, finger=Ids(1 - second.finger.codes, second.finger.names[::-1]))  # other codes, same names
-    again = pair_up(first, renamed)
-    assert again is not None
-    np.testing.assert_array_equal(again.score, first.score)
-    assert pair_up(first, replace(second, finger=Ids(second.finger.codes, ("x", "q")))) is None
-    assert pair_up(first, first.taken(np.arange(11))) is None
+    for other in (second, renamed):
+        paired = pair_up(first, other)
+        assert paired.name == "other"
+        np.testing.assert_array_equal(paired.score, first.score)
+    stranger = replace(second, finger=Ids(second.finger.codes, ("x", "q")))
+    for other in (stranger, first.taken(np.arange(11))):
+        with pytest.raises(BadInput, match=r"same pairs: .* lacks, or has more than once, .*finger [xy]"):
+            pair_up(first, other)
 
 
 def test_systems_without_ids_are_paired_by_place() -> None:
     first = Scores(np.array([True, False, False]), np.array([3.0, 1.0, 2.0]))
     second = Scores(np.array([True, False, False]), np.array([5.0, 0.0, 1.0]))
-    assert pair_up(first, second) is second
-    assert pair_up(first, second.taken([1, 0, 2])) is None
     twice = ids_of(["x", "x", "x"], ["x", "y", "y"])  # a pair that is named twice has but its place
-    named = replace(first, finger=twice), replace(second, finger=twice)
-    assert pair_up(*named) is named[1]
-    assert pair_up(named[0], named[1].taken([1, 0, 2])) is None
-
-
-def test_fingers_are_named_within_subjects() -> None:
-    finger, subject = ids_of(["thumb", "thumb"], ["thumb", "index"]), ids_of(["s", "s"], ["t", "s"])
-    named = _fingers_of_subjects(finger, subject)
-    assert [tuple(named.names[k] for k in codes) for codes in named.codes] == [
-        ("s/thumb", "t/thumb"),
-        ("s/thumb", "s/index"),
-    ]
+    for one, other in ((first, second), (replace(first, finger=twice), replace(second, finger=twice))):
+        assert pair_up(one, other) is other
+        with pytest.raises(BadInput, match="same pairs"):
+            pair_up(one, other.taken([1, 0, 2]))
 
 
 @pytest.mark.parametrize(
@@ -187,18 +151,3 @@ def test_ids_that_contradict_labels() -> None:
             Scores(label, score, finger=finger, subject=subject)
     with pytest.raises(BadInput, match="differ in number"):
         Scores(label, score, finger=ids_of(["x"], ["x"]))
-    with pytest.raises(BadInput, match="places"):
-        Ids(np.array([[0, 2]]), ("x",))
-    with pytest.raises(BadInput, match="shape"):
-        Ids(np.array([0, 2]), ("x",))
-
-
-def test_histograms() -> None:
-    edges, genuine, impostor = histograms(np.array([1.0, 2.0, np.nan]), np.array([0.0, 0.0, 1.0, 1.0]))
-    assert edges.tolist() == [-0.5, 0.5, 1.5, 2.5]
-    assert genuine.tolist() == [0.0, 0.5, 0.5] and impostor.tolist() == [0.5, 0.5, 0.0]
-    edges, genuine, impostor = histograms(np.array([0.1, 0.9]), np.array([0.0, 0.5]), bins=10)
-    assert edges.size == 11 and genuine.sum() == pytest.approx(1) and impostor.sum() == pytest.approx(1)
-    for close in (1.0, np.nextafter(1.0, 2.0)):
-        _, genuine, impostor = histograms(np.array([1.0]), np.array([close]))
-        assert genuine.sum() == 1 and impostor.sum() == 1

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 import rates_by_definition as reference
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.rates import _sort_scores, auc, d_prime, equal_error, gar_at_far, roc, rule_of_three
+from splitknit_match.evaluation.rates import d_prime, error_bound, roc
 
 GENUINE = [3.0, 5.0, 5.0, 6.0]
 IMPOSTOR = [0.0, 1.0, 2.0, 5.0]
@@ -38,7 +38,7 @@ missing = st.tuples(
     ],
 )
 def test_gar_at_far_by_hand_with_ties(target: float, gar: float, far: float, threshold: float) -> None:
-    point = gar_at_far(GENUINE, IMPOSTOR, target)
+    point = roc(GENUINE, IMPOSTOR).at_far(target)
     assert (point.gar, point.far, point.threshold) == (gar, far, threshold)
     assert point.resolved == (target >= 0.25)
     assert point.false_accepts == 4 * far
@@ -46,7 +46,7 @@ def test_gar_at_far_by_hand_with_ties(target: float, gar: float, far: float, thr
 
 
 def test_tied_impostors_are_accepted_together_or_not_at_all() -> None:
-    point = gar_at_far([4, 5, 6], [1, 5, 5, 5], 0.5)  # two of the three fives would be allowed
+    point = roc([4, 5, 6], [1, 5, 5, 5]).at_far(0.5)  # two of the three fives would be allowed
     assert (point.gar, point.far, point.false_accepts) == (pytest.approx(1 / 3), 0.0, 0)
     assert point.resolved
 
@@ -54,18 +54,18 @@ def test_tied_impostors_are_accepted_together_or_not_at_all() -> None:
 def test_a_target_is_met_whatever_the_last_bit_of_it_says() -> None:
     impostor = np.arange(100.0)
     for target in (0.01, 0.07, 0.29, 0.57, 0.58):  # 100 * 0.29 is 28.999999999999996
-        assert gar_at_far([-1.0], impostor, target).false_accepts == round(100 * target)
+        assert roc([-1.0], impostor).at_far(target).false_accepts == round(100 * target)
 
 
 def test_nobody_is_accepted_where_impostors_score_highest() -> None:
-    point = gar_at_far([1.0], [2.0, 3.0], 0.001)
+    point = roc([1.0], [2.0, 3.0]).at_far(0.001)
     assert (point.gar, point.far, point.threshold) == (0.0, 0.0, None)
 
 
 def test_rule_of_three() -> None:
-    assert rule_of_three(300) == 0.01
-    assert rule_of_three(2) == 1.0
-    assert gar_at_far([1.0], np.zeros(1000), 0.0001).far_upper == 0.003
+    assert error_bound(0.0, 300) == 0.01
+    assert error_bound(0.0, 2) == 1.0
+    assert roc([1.0], np.zeros(1000)).at_far(0.0001).far_upper == 0.003
 
 
 @pytest.mark.parametrize(
@@ -81,44 +81,43 @@ def test_rule_of_three() -> None:
     ],
 )
 def test_equal_error_by_hand(genuine: list[float], impostor: list[float], value: float) -> None:
-    assert equal_error(genuine, impostor).value == pytest.approx(value)
+    assert roc(genuine, impostor).equal_error().value == pytest.approx(value)
 
 
 def test_roc_by_hand() -> None:
     found = roc([1.0, 2.0], [0.0, 1.0, 1.5])
     corners = list(zip(found.far.tolist(), found.gar.tolist(), strict=True))
-    assert corners == [(0, 0), (0, 0), (0, 0.5), (1 / 3, 0.5), (2 / 3, 1), (1, 1)]
-    assert found.threshold[0] == np.inf and found.threshold[-1] == 0.0
-    np.testing.assert_allclose(found.frr, 1 - found.gar)
+    assert corners == [(0, 0), (0, 0.5), (1 / 3, 0.5), (2 / 3, 1), (1, 1)]
+    assert found.ranked.threshold.tolist() == [np.inf, 2.0, 1.5, 1.0, 0.0]
 
 
 @given(either)
 def test_as_by_definition(sides: tuple[list[float], list[float]]) -> None:
     genuine, impostor = sides
-    assert equal_error(genuine, impostor).value == reference.equal_error(genuine, impostor)
-    assert auc(genuine, impostor) == pytest.approx(reference.auc(genuine, impostor))
+    assert roc(genuine, impostor).equal_error().value == reference.equal_error(genuine, impostor)
+    assert roc(genuine, impostor).auc() == pytest.approx(reference.auc(genuine, impostor))
     for target in (0.0001, 0.1, 0.25, 1 / 3, 0.5, 1.0):
-        point = gar_at_far(genuine, impostor, target)
+        point = roc(genuine, impostor).at_far(target)
         assert (point.gar, point.far) == reference.gar_at_far(genuine, impostor, target)
 
 
 @given(missing)
 def test_failures_are_rejections_or_left_out(sides: tuple[list[float], list[float]]) -> None:
     genuine, impostor = sides
-    assert equal_error(genuine, impostor).value == reference.equal_error(genuine, impostor)
+    assert roc(genuine, impostor).equal_error().value == reference.equal_error(genuine, impostor)
     made = [[s for s in side if not np.isnan(s)] for side in sides]
-    left_out = equal_error(genuine, impostor, counting="made")
-    assert left_out == equal_error(*made)
+    left_out = roc(genuine, impostor).made().equal_error()
+    assert left_out == roc(*made).equal_error()
     for target in (0.1, 0.3, 0.5):
-        point = gar_at_far(genuine, impostor, target)
+        point = roc(genuine, impostor).at_far(target)
         assert (point.gar, point.far) == reference.gar_at_far(genuine, impostor, target)
-        assert gar_at_far(genuine, impostor, target, counting="made") == gar_at_far(*made, target)
-    assert auc(genuine, impostor) == auc(*made)
+        assert roc(genuine, impostor).made().at_far(target) == roc(*made).at_far(target)
+    assert roc(genuine, impostor).auc() == roc(*made).auc()
     # ISO/IEC 19795-1: FAR = FMR (1 - FTA), FRR = FTA + FNMR (1 - FTA)
-    every, some = roc(genuine, impostor), roc(genuine, impostor, counting="made")
+    every, some = roc(genuine, impostor), roc(genuine, impostor).made()
     fractions = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
     np.testing.assert_allclose(every.far, some.far * (1 - fractions[1]))
-    np.testing.assert_allclose(every.frr, fractions[0] + some.frr * (1 - fractions[0]), atol=1e-12)
+    np.testing.assert_allclose(1 - every.gar, fractions[0] + (1 - some.gar) * (1 - fractions[0]), atol=1e-12)
 
 
 @given(either)
@@ -127,8 +126,8 @@ def test_the_roc_rises_and_holds_every_point(sides: tuple[list[float], list[floa
     found = roc(genuine, impostor)
     assert (np.diff(found.far) >= 0).all() and (np.diff(found.gar) >= 0).all()
     assert (found.far[0], found.gar[0], found.far[-1], found.gar[-1]) == (0, 0, 1, 1)
-    assert (np.diff(found.threshold) <= 0).all()
-    for t, far, gar in zip(found.threshold, found.far, found.gar, strict=True):
+    assert (np.diff(found.ranked.threshold) <= 0).all()
+    for t, far, gar in zip(found.ranked.threshold, found.far, found.gar, strict=True):
         assert far == np.mean(np.array(impostor) >= t) and gar == np.mean(np.array(genuine) >= t)
     for _, far, frr in reference.points(genuine, impostor):  # on a corner, or between two on a line along an axis
         x, y = float(far), float(1 - frr)
@@ -145,30 +144,28 @@ def test_order_is_all_that_counts(sides: tuple[list[float], list[float]]) -> Non
     def bent(s: np.ndarray) -> np.ndarray:
         return np.exp(s / 3) - 100 * np.exp(-s)
 
-    assert equal_error(bent(genuine), bent(impostor)).value == equal_error(genuine, impostor).value
-    assert auc(bent(genuine), bent(impostor)) == auc(genuine, impostor)
+    assert roc(bent(genuine), bent(impostor)).equal_error().value == roc(genuine, impostor).equal_error().value
+    assert roc(bent(genuine), bent(impostor)).auc() == roc(genuine, impostor).auc()
     np.testing.assert_array_equal(roc(bent(genuine), bent(impostor)).gar, roc(genuine, impostor).gar)
-    assert gar_at_far(bent(genuine), bent(impostor), 0.1).gar == gar_at_far(genuine, impostor, 0.1).gar
+    assert roc(bent(genuine), bent(impostor)).at_far(0.1).gar == roc(genuine, impostor).at_far(0.1).gar
 
 
 @given(st.tuples(whole, whole))
 def test_exchanging_the_classes_exchanges_the_errors(sides: tuple[list[float], list[float]]) -> None:
     genuine, impostor = map(np.array, sides)
-    assert equal_error(-impostor, -genuine).value == equal_error(genuine, impostor).value
-    assert auc(-impostor, -genuine) == pytest.approx(auc(genuine, impostor))
-    assert auc(impostor, genuine) == pytest.approx(1 - auc(genuine, impostor))
-    if np.unique([*genuine, *impostor]).size > 1:
-        one, other = d_prime(-impostor, -genuine), d_prime(genuine, impostor)
-        assert one == other or one == pytest.approx(other)
+    assert roc(-impostor, -genuine).equal_error().value == roc(genuine, impostor).equal_error().value
+    assert roc(-impostor, -genuine).auc() == pytest.approx(roc(genuine, impostor).auc())
+    assert roc(impostor, genuine).auc() == pytest.approx(1 - roc(genuine, impostor).auc())
+    assert d_prime(-impostor, -genuine) == pytest.approx(d_prime(genuine, impostor), nan_ok=True)
 
 
 @given(st.tuples(whole, whole), st.randoms(use_true_random=False))
 def test_order_of_the_scores_does_not_count(sides: tuple[list[float], list[float]], random: object) -> None:
     genuine, impostor = (list(side) for side in sides)
-    before = equal_error(genuine, impostor), gar_at_far(genuine, impostor, 0.2)
+    before = roc(genuine, impostor).equal_error(), roc(genuine, impostor).at_far(0.2)
     random.shuffle(genuine)  # type: ignore[attr-defined]
     random.shuffle(impostor)  # type: ignore[attr-defined]
-    assert (equal_error(genuine, impostor), gar_at_far(genuine, impostor, 0.2)) == before
+    assert (roc(genuine, impostor).equal_error(), roc(genuine, impostor).at_far(0.2)) == before
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.5, 3.0])
@@ -176,21 +173,19 @@ def test_two_normal_distributions(distance: float) -> None:
     quantiles = (np.arange(40_000) + 0.5) / 40_000
     impostor = ndtri(quantiles)
     genuine = impostor[::4] + distance
-    assert equal_error(genuine, impostor).value == pytest.approx(ndtr(-distance / 2), abs=2e-4)
-    assert auc(genuine, impostor) == pytest.approx(ndtr(distance / np.sqrt(2)), abs=1e-4)
+    assert roc(genuine, impostor).equal_error().value == pytest.approx(ndtr(-distance / 2), abs=2e-4)
+    assert roc(genuine, impostor).auc() == pytest.approx(ndtr(distance / np.sqrt(2)), abs=1e-4)
     assert d_prime(genuine, impostor) == pytest.approx(distance, abs=2e-3)
     for target in (0.01, 0.001):
         expected = ndtr(distance + ndtri(target))
-        assert gar_at_far(genuine, impostor, target).gar == pytest.approx(expected, abs=5e-3)
+        assert roc(genuine, impostor).at_far(target).gar == pytest.approx(expected, abs=5e-3)
 
 
 def test_d_prime_by_hand() -> None:
-    assert d_prime([4.0, 6.0], [0.0, 2.0]) == pytest.approx(4.0)
-    assert d_prime([0.0, 2.0], [4.0, 6.0]) == pytest.approx(-4.0)
-    assert d_prime([1.0, 1.0], [1.0]) is None
-    assert d_prime([2.0], [1.0]) is None
-    assert d_prime([0.1] * 3, [0.3] * 3) is None  # whose variances are not quite zero in floating point
-    assert d_prime([4e300, 6e300], [0.0, 2e300]) == pytest.approx(4.0)
+    assert d_prime(*map(np.array, ([4.0, 6.0], [0.0, 2.0]))) == pytest.approx(4.0)
+    assert d_prime(*map(np.array, ([0.0, 2.0], [4.0, 6.0]))) == pytest.approx(-4.0)
+    for sides in (([1.0, 1.0], [1.0]), ([2.0], [1.0]), ([0.1] * 3, [0.3] * 3)):
+        assert np.isnan(d_prime(*map(np.array, sides)))
 
 
 @pytest.mark.parametrize(
@@ -204,22 +199,11 @@ def test_d_prime_by_hand() -> None:
     ],
 )
 def test_bad_scores(genuine: list[float], impostor: list[float], words: str) -> None:
-    for figure in (roc, equal_error, auc, d_prime):
-        with pytest.raises(BadInput, match=words):
-            figure(genuine, impostor)
     with pytest.raises(BadInput, match=words):
-        gar_at_far(genuine, impostor, 0.1)
+        roc(genuine, impostor)
 
 
 @pytest.mark.parametrize("target", [0.0, -0.1, 1.1, float("nan")])
 def test_bad_targets(target: float) -> None:
     with pytest.raises(BadInput, match="target"):
-        gar_at_far([1.0], [0.0], target)
-
-
-def test_input_is_left_as_it_was() -> None:
-    genuine, impostor = np.array([3.0, np.nan, 1.0]), np.array([2.0, 0.0])
-    roc(genuine, impostor), equal_error(genuine, impostor)
-    np.testing.assert_array_equal(genuine, [3.0, np.nan, 1.0])
-    assert _sort_scores(genuine).failures == 1 and _sort_scores(np.array([1.0, 2.0])).failures == 0
-    assert _sort_scores(np.array([1.0, 2.0, np.nan])).scores.tolist() == [1.0, 2.0]
+        roc([1.0], [0.0]).at_far(target)

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.score_files import read_exclusions, read_scores
+from splitknit_match.evaluation.scores import read_scores
 
 
 def write(folder: Path, text: str | bytes) -> Path:
@@ -23,18 +23,20 @@ def write(folder: Path, text: str | bytes) -> Path:
 def test_label_and_score_are_enough(tmp_path: Path) -> None:
     path = write(tmp_path, "label,score\n1,0.5\n0,-1e-3\n1,\n0, 7 \n")
     found = read_scores(path)
-    assert found.label.tolist() == [True, False, True, False]
-    np.testing.assert_array_equal(found.score, [0.5, -1e-3, np.nan, 7.0])
-    assert found.line.tolist() == [2, 3, 4, 5]
-    assert found.ids == {} and found.system is None and found.ignored == ()
+    (scores,) = found.systems
+    assert scores.label.tolist() == [True, False, True, False]
+    np.testing.assert_array_equal(scores.score, [0.5, -1e-3, np.nan, 7.0])
+    np.testing.assert_array_equal(read_scores(path, dissimilarity=True).systems[0].score, -scores.score)
+    assert (scores.finger, scores.subject, scores.session, scores.name) == (None, None, None, "scores")
+    assert found.ignored == []
     assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
-    file = tmp_path / "scores.csv"
-    file.write_text("label,score,finger_a,finger_b\n1,0.5,'=a,'tis\n0,-0.5,@b,b\n")
-    found = read_scores(file)
-    assert set(found.ids["finger"][1]) == {"=a", "'tis", "@b", "b"}
+    path = write(tmp_path, "label,score,finger_a,finger_b\n1,0.5,'=a,'=a\n0,-0.5,@b,'tis\n")
+    (scores,) = read_scores(path).systems
+    assert scores.finger is not None
+    assert set(scores.finger.names) == {"=a", "'tis", "@b"}
 
 
 def test_everything_there_is(tmp_path: Path) -> None:
@@ -43,17 +45,17 @@ def test_everything_there_is(tmp_path: Path) -> None:
         "\ufeffsystem, score ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n"
         '"ours, new",1.5,1.0,10,10,s,s,1,2,9\r\n'
         "\r\n"
-        'ours,"0.5",0,9,10,s,t,1,10,8\r\n',
+        'ours,"0.5",0,9,10,s,t,1,10,8\r\n'
+        '"ours, new",0.5,0,9,10,s,t,1,10,8\r\n'
+        "ours,1.5,1,10,10,s,s,1,2,9\r\n",
     )
     found = read_scores(path)
-    assert found.line.tolist() == [2, 4]
-    codes, names = found.ids["finger"]
-    assert names == ("9", "10") and codes.tolist() == [[1, 1], [0, 1]]  # numbers in the order of numbers
-    assert found.ids["session"][1] == ("1", "2", "10")
-    assert found.ids["subject"][0].tolist() == [[0, 0], [0, 1]]
-    assert found.system is not None
-    assert [found.system[1][k] for k in found.system[0]] == ["ours, new", "ours"]
-    assert found.ignored == ("time",)
+    ours, new = found.systems
+    assert (ours.name, new.name, found.ignored) == ("ours", "ours, new", ["time"])
+    assert ours.session is not None and ours.finger is not None
+    assert ours.session.names == ("1", "2", "10")  # numbers in the order of numbers
+    assert [ours.finger.names[code] for code in ours.finger.codes[0]] == ["s/9", "t/10"]  # within their subject
+    assert new.label.tolist() == [True, False]
 
 
 def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Path) -> None:
@@ -66,20 +68,20 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
     ("text", "words"),
     [
         ("label,score\n1,1e308\n0,-1e308\n", "line 2: a score is a finite number"),
-        ("", "is empty"),
-        ("  \n\n", "is empty"),
-        (b"\xef\xbb\xbf", "is empty"),
-        (b"\xef\xbb\xbf\n\n", "is empty"),
+        ("", "there is no column 'label'"),
+        ("  \n\n", "there is no column 'label'"),
+        (b"\xef\xbb\xbf", "there is no column 'label'"),
+        (b"\xef\xbb\xbf\n\n", "there is no column 'label'"),
         ("label,score\n", "holds no comparison"),
         ("label,value\n1,2\n", "line 1: there is no column 'score'"),
         ("score,truth\n1,2\n", "line 1: there is no column 'label'"),
         ("\n\nscore,truth\n1,2\n", "line 3: there is no column 'label'"),
-        ("1,0.5\n0,0.2\n", "line 1: a line of column names"),
-        ("label;score\n1;0.5\n", "line 1: a line of column names apart by commas"),
+        ("1,0.5\n0,0.2\n", "line 1: there is no column"),
+        ("label;score\n1;0.5\n", "line 1: there is no column 'label' in 'label;score'; columns apart by commas"),
         ("label,score,score\n1,2,3\n", "line 1: there are two columns 'score'"),
         ("label,score,a,a\n1,2,3,4\n", "line 1: there are two columns 'a'"),
-        ("label,score\n1,2\n0\n", "line 3: 2 fields are expected, .* but there are 1"),
-        ("label,score\n1,2\n0,1,5\n", "line 3: 2 fields are expected, .* but there are 3"),
+        ("label,score\n1,2\n0\n", "line 3: 2 fields are expected, but there are 1"),
+        ("label,score\n1,2\n0,1,5\n", "line 3: 2 fields are expected, but there are 3"),
         ("label,score\n1,2\n2,1\n", "line 3: a label is 1 .* but it is '2'"),
         ("label,score\n-1,2\n", "line 2: a label"),
         ("label,score\n,2\n", "line 2: a label"),
@@ -98,8 +100,8 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
         ("label,score,finger_a,finger_b\n1,2,3,3\n0,1,,3\n", "line 3: finger_a is blank"),
         ("label,score,system\n1,2,\n", "line 2: system is blank"),
         ('label,score\n1,"2\n', "is not a CSV file: line 2"),
-        (b"\x89PNG\r\n\x1a\n\xff\xff", "is not a CSV file: line 1 is not text"),
-        (b"label,score\n1,2\n0,\xff\n", "is not a CSV file: line 3 is not text"),
+        (b"\x89PNG\r\n\x1a\n\xff\xff", "is not a CSV file: it is not text"),
+        (b"label,score\n1,2\n0,\xff\n", "is not a CSV file: it is not text"),
     ],
 )
 def test_bad_files(tmp_path: Path, text: str | bytes, words: str) -> None:
@@ -126,20 +128,4 @@ def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
         except BadInput as error:
             assert "\n" not in str(error)
         else:
-            assert found.label.shape == found.score.shape == found.line.shape
-            assert not np.isinf(found.score).any()
-
-
-def test_lists_of_exclusions(tmp_path: Path) -> None:
-    path = write(tmp_path, "finger,why,reason,session\n3, x , roll of 12 deg ,2\n4,,,\n")
-    entries, sha256 = read_exclusions(path)
-    assert entries == [
-        {"finger": "3", "session": "2", "reason": "roll of 12 deg"},
-        {"finger": "4", "session": "", "reason": ""},
-    ]
-    assert len(sha256) == 64
-    for text, words in (("name\nx\n", "column names"), ("finger,subject\n,s\n", "line 2: the finger is blank")):
-        with pytest.raises(BadInput, match=words):
-            read_exclusions(write(tmp_path, text))
-    with pytest.raises(BadInput, match="no column 'finger'"):
-        read_exclusions(write(tmp_path, "label\nx\n"))
+            assert all(system.label.any() and not system.label.all() for system in found.systems)

@@ -469,7 +469,6 @@ class Capture:
 
 
 _PREVIEW, _SAVE = "splitknit.report.result:preview_html", "splitknit.report.result:write_results"
-_PLOT = "splitknit.report.plot:plot"
 """What a result does by modules above this one, each imported when it is first used."""
 
 
@@ -575,38 +574,6 @@ class Reconstruction:
         >>> splitknit.reconstruct(capture, "ea").save("result", capture)
         """
         resolve_name(_SAVE)(self, capture, folder)
-
-    def plot(self, *panels: str, ax: Any = None) -> Any:
-        """Draw the result with matplotlib: upright, with scale bars in mm.
-
-        Parameters
-        ----------
-        *panels : {'height', 'relief', 'normals', 'print'}
-            What to draw, side by side; all that the result has if none is named. Heights are in mm below the highest
-            point, the relief is in um, and the print is as ink on paper (mirrored against the others).
-        ax : matplotlib Axes, or a sequence of one for each panel, optional
-            Where to draw; a new figure of pyplot by default.
-
-        Returns
-        -------
-        matplotlib.axes.Axes, or (N,) array of them
-            One for each panel. `matplotlib.pyplot.show` shows the figure, `savefig` writes it, a notebook displays it.
-
-        Raises
-        ------
-        BadInput
-            If matplotlib is not installed (extra `plot`), a panel is unknown or not in this result (a print needs a
-            finger of known scale), or `ax` and `panels` differ in number.
-
-        Examples
-        --------
-        >>> import splitknit
-        >>> import splitknit_simulator
-        >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
-        >>> axes = splitknit.reconstruct(capture, "ea").plot("relief", "print")
-        >>> axes[0].figure.savefig("relief.png")
-        """
-        return resolve_name(_PLOT)(self, panels, ax)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

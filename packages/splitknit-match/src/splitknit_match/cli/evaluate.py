@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
-from splitknit_match.evaluation.evaluate_job import Average, Cluster, Dissimilarity
 
 _METHODS = ("linear", "minmax", "llr", "trained")
 
@@ -29,14 +28,14 @@ class EvaluationJob(Job):
         "GALLERY", either="source")] = None
     key_file: KeyFile = None
     out: Annotated[AnyPath, Help("folder to write the report into", "DIR")]
-    dissimilarity: Dissimilarity = False
-    cluster: Cluster = "auto"
+    dissimilarity: Annotated[bool, Help("the scores are distances: lower is more similar")] = False
+    cluster: Annotated[Literal["auto", "plain", "finger", "subject"], Help(
+        "what the bootstrap draws for the intervals (default: fingers where they are named, else subjects, else "
+        "comparisons)")] = "auto"
     replicates: Annotated[Natural, Help("of the bootstrap", "N")] = 1000
     seed: Annotated[Natural, Help("of the bootstrap")] = 0
-    exclude: Annotated[AnyPath | None, Help(
-        "CSV list of fingers (columns finger, and if wanted subject, session, reason); figures are given with and "
-        "without them", "FILE")] = None
-    average: Average = False
+    average: Annotated[bool, Help(
+        "give the figures of scores averaged over sessions as well", option="--average-sessions")] = False
     fuse: Annotated[tuple[str, ...], Help(
         "score files of other traits (prints, finger vein, face ...), in place of `scores`: each alone, and fused "
         "after min-max and z-score normalisation and as log-likelihood ratios, cross-validated by subject, with "
@@ -56,28 +55,36 @@ class EvaluationJob(Job):
         from splitknit.io.atomic import write_file
         from splitknit.io.provenance import json_text
         from splitknit.io.targets import check_file, check_target
+        from splitknit_match.evaluation.evaluate import evaluate, evaluate_systems
         from splitknit_match.evaluation.intervals import BootstrapSettings
         from splitknit_match.evaluation.page import FORMAT, write_evaluation
-        from splitknit_match.evaluation.study import EvaluationSettings, evaluate_scores
         from splitknit_match.matching.score import DECISION_FORMAT, own_rates_document
 
         files, fuse = self._sources()
         bootstrap = BootstrapSettings(replicates=self.replicates, seed=self.seed)
-        settings = EvaluationSettings(self.dissimilarity, self.cluster, self.average, fuse, bootstrap)
         check_target(path(self.out), "report.json", "an earlier evaluation", form=FORMAT)
         check_file(path(self.calibrate), "a file of false match rates", form=DECISION_FORMAT)
-        gallery = self._gallery(progress) if self.gallery is not None else None
-        require(gallery is not None or self.key_file is None, "`key_file` is for `gallery`.")
-        found = evaluate_scores(files, settings, exclusions=path(self.exclude), gallery=gallery, progress=progress)
+        how: Any = {"cluster": self.cluster, "average": self.average, "fuse": fuse, "bootstrap": bootstrap}
+        settings = {name: value for name, value in how.items() if name != "bootstrap"}
+        settings["dissimilarity"] = self.dissimilarity
+        method, tables = self.method, {}
+        if self.gallery is None:
+            require(self.key_file is None, "`key_file` is for `gallery`.")
+            found = evaluate(files, dissimilarity=self.dissimilarity, progress=progress, **how)
+        else:
+            compared = self._gallery(progress)
+            found = evaluate_systems([compared.scores], progress=progress, **how)
+            inputs, notes = {str(self.gallery): compared.sha256}, (*compared.notes, *found.notes)
+            found = replace(found, inputs_sha256=inputs, notes=notes)
+            method, tables = compared.method, {"scores.csv": compared.table}
         progress("report", 1.0)
         if self.calibrate is not None:
             one = found.results[0].scores
             require(len(found.results) == 1, "`calibrate` takes the scores of one system; name one file.")
             require(not self.dissimilarity, "`calibrate` takes similarities, as 'splitknit match' gives them.")
-            method = self.method if gallery is None else gallery.method
             document = own_rates_document(one.impostor, f"scores of {one.name}", method, self.least_mm2)
             write_file(path(self.calibrate), json_text(document).encode())
-        return write_evaluation(found, path(self.out))
+        return write_evaluation(found, path(self.out), tables, settings)
 
     def _sources(self) -> tuple[list[Path], Any]:
         given = [path(one) for one in (self.scores or ([] if self.gallery is None else [self.gallery]))]

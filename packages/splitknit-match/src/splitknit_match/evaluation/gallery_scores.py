@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minu
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import unpack
 
-_BLOCK = 128  # fingers kept ready at a time: 2 MB each
+_BLOCK = 32  # fingers kept ready at a time: 2 to 9 MB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,9 +78,7 @@ def _similarities(
 ) -> tuple[NDArray[np.float64], str | None, str]:
     """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted, and the method.
 
-    Kept sides are large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side
-    after the other. Both sides decide which is turned (:func:`splitknit_match.matching.ridge.ridge_match`): order
-    changes nothing.
+    Pairs go in blocks of second sides, one first side after the other, so that what is kept ready is small.
     """
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]
@@ -89,24 +88,12 @@ def _similarities(
     templates = [unpack(payload) for payload in payloads]
     fused, note = with_fusion([one for one in templates if not one.empty])
     match = fused_match if fused else ridge_match
-    keys = [Prepared(one).key for one in templates]
-    rank = np.empty(len(keys), dtype=np.int64)
-    rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
-    swap = rank[pairs.a] > rank[pairs.b]
-    turned, still = np.where(swap, pairs.b, pairs.a), np.where(swap, pairs.a, pairs.b)
+    prepared = lru_cache(_BLOCK + 1)(lambda place: Prepared(templates[place]))
     score = np.full(pairs.a.size, np.nan)
-    ready: dict[int, Prepared] = {}
-    last: tuple[int, Prepared] = (-1, Prepared(templates[0]))
-    block = -1
-    for done, n in enumerate(np.lexsort((turned, still // _BLOCK)).tolist()):
-        a, b = int(turned[n]), int(still[n])
+    for done, n in enumerate(np.lexsort((pairs.a, pairs.b // _BLOCK)).tolist()):
+        a, b = int(pairs.a[n]), int(pairs.b[n])
         if done % 256 == 0:
             progress("comparing", 0.9 * done / score.size)
-        if templates[a].empty or templates[b].empty:
-            continue
-        if b // _BLOCK != block:
-            ready, block = {}, b // _BLOCK
-        if a != last[0]:
-            last = (a, Prepared(templates[a]))
-        score[n] = match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
+        if not (templates[a].empty or templates[b].empty):
+            score[n] = match(prepared(a), prepared(b)).similarity
     return score, note, "fusion" if fused else "ridge"

@@ -1,7 +1,8 @@
-"""The folder of an evaluation: one HTML page that needs nothing else, and the same facts as JSON."""
+"""The folder of an evaluation: one HTML page that needs nothing else, the same facts as JSON, and curves as SVG."""
 
 from __future__ import annotations
 
+import base64
 import datetime
 import platform
 from collections.abc import Mapping, Sequence
@@ -10,39 +11,46 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
-from scipy.special import ndtri
 
+from splitknit import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.provenance import json_text, plain_json, provenance
 from splitknit.report import template
-from splitknit.report.charts import Axis, Curve, Values, line_chart, percent_marks, round_marks
-from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.facts import Cmc, Result, cmc, rank_one_interval
-from splitknit_match.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval
-from splitknit_match.evaluation.rates import Roc, histograms, roc
-from splitknit_match.evaluation.study import Difference, Evaluation
+from splitknit_match.evaluation import curves, rates
+from splitknit_match.evaluation.evaluate import Evaluation, Result
+from splitknit_match.evaluation.fusion import Fused
+from splitknit_match.evaluation.intervals import BootstrapSettings, Interval
 
 FORMAT = "splitknit-evaluation"
-_FILES = ("report.html", "report.json")
+_DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 
 
-def write_evaluation(found: Evaluation, out: Path) -> dict[str, Any]:
-    """Write the page, the facts (returned) and the tables of an evaluation into the folder `out`, all or nothing."""
-    facts = _facts_of(found)
-    html = _page(facts, found.results)
+def write_evaluation(
+    evaluation: Evaluation, out: Path, tables: Mapping[str, bytes], settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Write the page, the facts (returned), the curves and further `tables` into the folder `out`, all or nothing;
+    `settings`: what was asked for, to be reported.
+    """
+    try:
+        charts, uncharted = _charts(evaluation.results), ""
+    except BadInput as error:  # no matplotlib
+        charts, uncharted = {}, str(error)
+    files = {**tables, **charts}
+    facts = _facts(evaluation, settings) | {"files": ["report.html", "report.json", *files]}
+    pictures = {name: base64.b64encode(data).decode() for name, data in charts.items()}
     with atomic_folder(out) as folder:
-        for name, data in found.tables.items():
+        for name, data in files.items():
             (folder / name).write_bytes(data)
-        (folder / "report.html").write_text(html, encoding="utf-8")
+        (folder / "report.html").write_text(_page(facts, pictures, uncharted), encoding="utf-8")
         (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
     return facts
 
 
-def _facts_of(found: Evaluation) -> dict[str, Any]:
-    settings, fused = found.settings, found.fused
-    systems = {result.scores.name: _system_facts(result, settings.bootstrap) for result in found.results}
-    first = found.results[0].scores.name
+def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any]:
+    bootstrap = evaluation.bootstrap
+    systems = {result.scores.name: _system(result, bootstrap) for result in evaluation.results}
+    first = evaluation.results[0].scores.name
+    fusions = {method: _fusion(method, fused, bootstrap.seed) for method, fused in evaluation.fused.items()}
     facts = {
         "format": FORMAT,
         "version": 1,
@@ -52,128 +60,90 @@ def _facts_of(found: Evaluation) -> dict[str, Any]:
         "eer": systems[first]["eer"],
         "gar_at_far": systems[first]["gar_at_far"],
         "systems": systems,
-        "differences": [_difference_facts(one, settings.bootstrap) for one in found.differences],
-        "notes": list(found.notes),
-        "settings": plain_json(settings),
-        "files": [*_FILES, *found.tables],
+        "differences": [
+            {"first": one.first, "second": one.second, "method": one.method, **_rates(one.figures, bootstrap.targets)}
+            for one in evaluation.differences
+        ],
+        "notes": list(evaluation.notes),
+        "settings": {**settings, "bootstrap": plain_json(bootstrap)},
+        "inputs_sha256": dict(evaluation.inputs_sha256),
     }
-    about = {
-        method: {
-            "method": method,
-            "systems": list(one.systems),
-            "dealt_by": one.by,
-            "folds": one.folds,
-            "seed": settings.bootstrap.seed,
-            "models": len(one.models),
-            "mean_weights": one.mean_weights(),
-            "missing": dict(zip(one.systems, one.missing, strict=True)),
-        }
-        for method, one in fused.items()
-    }
-    if about:
-        facts |= {"fusion": next(iter(about.values()))} if len(about) == 1 else {"fusions": about}
-    return facts | {"inputs_sha256": dict(found.inputs_sha256), "timings_s": dict(found.timings_s)}
+    if len(fusions) == 1:
+        return facts | {"fusion": next(iter(fusions.values()))}
+    return facts | ({"fusions": fusions} if fusions else {})
 
 
-def _system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
-    scores, figures = result.scores, result.intervals.figures
-    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
-    targets = settings.targets
-    missing = [int(np.isnan(side).sum()) for side in (genuine, impostor)]
-    equal = rates.equal_error(genuine, impostor)
-    made = {far: figures[f"gar@{far:g}_made"] for far in targets}
-    missed = {far: Interval(1.0 - one.value, 1.0 - one.high, 1.0 - one.low) for far, one in made.items()}
+def _rates(figures: Mapping[str, Interval], targets: Sequence[float]) -> dict[str, Any]:
+    """The table of rates: each with its interval."""
     return {
         "eer": asdict(figures["eer"]),
         "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in targets},
-        "fnmr_at_fmr": {f"{far:g}": asdict(one) for far, one in missed.items()},
-        "eer_of_fmr_and_fnmr": asdict(figures["eer_made"]),
         "auc": asdict(figures["auc"]),
         "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
-        "comparisons": {"genuine": genuine.size, "impostor": impostor.size},
+    }
+
+
+def _system(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
+    scores, intervals = result.scores, result.intervals
+    roc = rates.roc(scores.genuine, scores.impostor)
+    missing = [int(np.isnan(side).sum()) for side in (scores.genuine, scores.impostor)]
+    made = {far: intervals.figures[f"gar@{far:g}_made"] for far in settings.targets}
+    gar = roc.gars(intervals.curve_far)
+    return {
+        **_rates(intervals.figures, settings.targets),
+        "fnmr_at_fmr": {
+            f"{far:g}": {"value": 1.0 - one.value, "low": 1.0 - one.high, "high": 1.0 - one.low}
+            for far, one in made.items()
+        },
+        "comparisons": {"genuine": scores.genuine.size, "impostor": scores.impostor.size},
         "failures_to_acquire": {
             "genuine": missing[0],
             "impostor": missing[1],
-            "rate_genuine": missing[0] / genuine.size,
-            "rate_impostor": missing[1] / impostor.size,
             "rate": sum(missing) / scores.score.size,
         },
-        "equal_error": asdict(equal),
-        "operating_points": {f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far)) for far in targets},
-        "operating_points_made": {
-            f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far, counting="made")) for far in targets
-        },
+        "equal_error": asdict(roc.equal_error()),
+        "operating_points": {f"{far:g}": asdict(roc.at_far(far)) for far in settings.targets},
         "bootstrap": {
-            "method": result.primary,
-            "drawn": result.intervals.drawn,
+            "method": intervals.method,
+            "drawn": intervals.drawn,
             "replicates": settings.replicates,
-            "confidence": CONFIDENCE,
+            "confidence": rates.CONFIDENCE,
             "seed": settings.seed,
         },
-        "intervals": {
-            method: {
-                "drawn": found.drawn,
-                "eer": asdict(found.figures["eer"]),
-                "gar_at_far": {f"{far:g}": asdict(found.figures[f"gar@{far:g}"]) for far in targets},
-            }
-            for method, found in result.by_method.items()
+        "roc": {
+            "far": intervals.curve_far.tolist(),
+            "gar": gar,
+            "low": np.minimum(intervals.curve_low, gar).tolist(),
+            "high": np.maximum(intervals.curve_high, gar).tolist(),
         },
-        "roc": _curve(result),
-        "cmc": _cmc_facts(cmc(scores), settings),
     }
 
 
-def _difference_facts(one: Difference, settings: BootstrapSettings) -> dict[str, Any]:
-    figures = one.figures
+def _fusion(method: str, fused: Fused, seed: int) -> dict[str, Any]:
     return {
-        "first": one.first,
-        "second": one.second,
-        "method": one.method,
-        "eer": asdict(figures["eer"]),
-        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in settings.targets},
-        "auc": asdict(figures["auc"]),
-        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
+        "method": method,
+        "systems": list(fused.systems),
+        "dealt_by": fused.by,
+        "folds": fused.folds,
+        "seed": seed,
+        "models": len(fused.models),
+        "mean_weights": dict(zip(fused.systems, fused.weights.tolist(), strict=True)),
+        "missing": dict(zip(fused.systems, fused.missing, strict=True)),
     }
 
 
-def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    low, high = rank_one_interval(found, replicates=settings.replicates, seed=settings.seed)
-    return {
-        "gallery": found.gallery,
-        "probes": found.rank.size,
-        "probes_left_out": found.left_out,
-        "rank_1": {"value": float(found.rate[0]), "low": low, "high": high},
-        "rate": found.rate[:100].tolist(),
-    }
-
-
-def _curve(result: Result) -> dict[str, Any]:
-    """The GAR at some FARs with its band; the whole staircase is in the page."""
-    found, scores = result.intervals, result.scores
-    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
-    gar = [rates.gar_at_far(genuine, impostor, float(far)).gar for far in found.curve_far]
-    low, high = np.minimum(found.curve_low, gar), np.maximum(found.curve_high, gar)
-    return {"far": found.curve_far.tolist(), "gar": gar, "low": low.tolist(), "high": high.tolist()}
-
-
-_DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
-
-
-def _page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
-    """Return the report of `facts`; the charts come from the scores themselves."""
+def _page(facts: Mapping[str, Any], charts: Mapping[str, str], uncharted: str) -> str:
     systems = facts["systems"]
     bootstrap = systems[facts["system"]]["bootstrap"]
     html = template(Path(__file__).with_name("evaluation.html")).render(
         facts=facts,
         systems=systems,
-        first=systems[facts["system"]],
         targets=list(facts["gar_at_far"]),
         bootstrap=bootstrap,
         confidence=f"{100 * bootstrap['confidence']:g} %",
         drawn_by=_DRAWN_BY,
-        pictures=_pictures(results, systems),
+        charts=charts,
+        uncharted=uncharted[:1].upper() + uncharted[1:],
         turned=facts["settings"]["dissimilarity"],
         rate=_rate,
         interval=interval,
@@ -184,115 +154,42 @@ def _page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
     return str(html)
 
 
-def _rate(value: float | None) -> str:
-    if value is None:
-        return "-"
+def _charts(results: Sequence[Result]) -> dict[str, bytes]:
+    """Curves of all systems together, and a histogram of each."""
+    systems = [result.scores for result in results]
+    bands = [(one.intervals.curve_far, one.intervals.curve_low, one.intervals.curve_high) for one in results]
+    banded = [band if band[0].size and len(results) <= 3 else None for band in bands]
+    named = [scores.name for scores in systems]
+
+    def histograms(*axes: Any) -> None:
+        for ax, scores in zip(axes, systems, strict=True):
+            threshold = rates.roc(scores.genuine, scores.impostor).equal_error().threshold
+            curves.draw_scores(ax, scores, threshold)
+
+    return {
+        "roc.svg": curves.chart(lambda ax: curves.draw_roc(ax, list(zip(named, systems, banded, strict=True)))),
+        "det.svg": curves.chart(lambda ax: curves.draw_det(ax, list(zip(named, systems, strict=True))), 4.2, 4.2),
+        "scores.svg": curves.chart(histograms, count=len(systems)),
+    }
+
+
+def _rate(value: float) -> str:
     small = 0 < abs(100 * value) < 0.1
     return f"{100 * value:.2g} %" if small else f"{100 * value:.2f} %"
 
 
-def interval(found: Mapping[str, float] | None) -> str:
+def interval(rate: Mapping[str, float]) -> str:
     """A fraction with its interval."""
-    if found is None:
+    low, high = (_rate(rate[end]).removesuffix(" %") for end in ("low", "high"))
+    return f"{_rate(rate['value'])} ({low} to {high})"
+
+
+def _change(rate: Mapping[str, float]) -> str:
+    return f"{100 * rate['value']:+.2f} ({100 * rate['low']:+.2f} to {100 * rate['high']:+.2f})"
+
+
+def _number(figure: Mapping[str, float] | None, decimals: int) -> str:
+    if figure is None:
         return "-"
-    return f"{_rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
-
-
-def _change(found: Mapping[str, float]) -> str:
-    return f"{100 * found['value']:+.2f} ({100 * found['low']:+.2f} to {100 * found['high']:+.2f})"
-
-
-def _number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
-    if found is None:
-        return "-"
-    return f"{found['value']:.{decimals}f} ({found['low']:.{decimals}f} to {found['high']:.{decimals}f})"
-
-
-def _bare(value: float) -> str:
-    return _rate(value).removesuffix(" %")
-
-
-def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str, list[Markup]]:
-    """ROC and DET of all systems together, a histogram each, and the CMC where there is one."""
-    curves = [(one.scores.name, roc(one.scores.genuine, one.scores.impostor)) for one in results]
-    banded = []
-    for name, curve in curves:
-        far, low, high = (np.array(systems[name]["roc"][part]) for part in ("far", "low", "high"))
-        banded.append((name, curve, (far, low, high) if far.size and len(results) <= 3 else None))
-    count = max(1, *(int(np.sum(~one.scores.label)) for one in results))
-    lowest = float(np.clip(1.0 / count, 1e-7, 1e-2))
-    found = [(name, np.array(one["cmc"]["rate"])) for name, one in systems.items() if one["cmc"] is not None]
-    return {
-        "rates": [roc_chart(banded, lowest), _det_chart(curves, lowest)],
-        "histograms": [
-            _histogram_chart(
-                result.scores.name,
-                *histograms(result.scores.genuine, result.scores.impostor),
-                systems[result.scores.name]["equal_error"]["threshold"],
-            )
-            for result in results
-        ],
-        "cmc": [_cmc_chart(found)] if found else [],
-    }
-
-
-# Charts of an evaluation: ROC, DET, score histograms, CMC.
-
-_PROBIT_TICKS = (1e-5, 1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99)
-
-
-def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | None]], lowest: float) -> Markup:
-    """GAR over FAR, the latter on a logarithmic axis down to `lowest`, with bands of FAR, low and high GAR."""
-    marks = [10.0**k for k in range(int(np.ceil(np.log10(lowest) - 1e-9)), 1)]
-    drawn = [Curve(name, *_stairs(roc.far, roc.gar), band) for name, roc, band in curves]
-    least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
-    x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, percent_marks(marks), np.log10)
-    return line_chart(drawn, x, _axis_to_one("GAR", min(least, 0.9)), title="ROC: GAR over FAR", height=300)
-
-
-def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
-    """FRR over FAR on probit axes: two normal distributions give a straight line; grey is where both are equal."""
-    worst = max(float(np.min(np.maximum(roc.far, roc.frr))) for _, roc in curves)
-    high = next(tick for tick in (0.5, 0.8, 0.95, 0.99, 0.999) if tick > worst or tick == 0.999)
-    low = min(0.01, max((tick for tick in _PROBIT_TICKS if tick <= max(lowest, 1e-5)), default=1e-5))
-    marks = percent_marks(tick for tick in _PROBIT_TICKS if low <= tick <= high)
-    ends = np.array([low, high])
-    drawn = [Curve("", ends, ends), *(Curve(name, *_stairs(roc.far, roc.frr)) for name, roc in curves)]
-    axes = (Axis(label, low, high, marks, ndtri) for label in ("FAR (probit)", "FRR"))
-    return line_chart(drawn, *axes, title="DET: FRR over FAR", height=360)
-
-
-def _histogram_chart(name: str, edges: Values, genuine: Values, impostor: Values, threshold: float | None) -> Markup:
-    """Fractions of genuine and impostor scores in each bin, and where both rates are equal."""
-    edges = np.repeat(edges, 2)
-    both = {"genuine": genuine, "impostor": impostor}
-    heights = {name: np.concatenate([[0.0], np.repeat(side, 2), [0.0]]) for name, side in both.items()}
-    drawn = [Curve(name, edges, height, filled=True) for name, height in heights.items()]
-    low, high = float(edges[0]), float(edges[-1])
-    top = max(float(genuine.max()), float(impostor.max()))
-    x = Axis("score", low, high, tuple((v, f"{v:g}") for v in round_marks(low, high, 7)))
-    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), percent_marks(round_marks(0.0, top, 5)))
-    if threshold is not None and low < threshold < high:
-        drawn.append(Curve("EER", np.full(2, threshold), np.array([y.low, y.high])))
-    return line_chart(drawn, x, y, title=f"Scores of {name}", height=240)
-
-
-def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
-    """Fraction of probes whose finger is among the first n of the gallery."""
-    longest = max(2, min(20, max(rate.size for _, rate in curves)))
-    drawn = [Curve(name, np.arange(1.0, 1 + rate[:20].size), rate[:20], dots=True) for name, rate in curves]
-    marks = sorted({1, *range(5, longest + 1, 5)}) if longest > 6 else range(1, longest + 1)
-    x = Axis("rank", 1.0, float(longest), tuple((float(k), str(k)) for k in marks))
-    y = _axis_to_one("found", min([*(float(rate[0]) for _, rate in curves), 0.95]))
-    return line_chart(drawn, x, y, title="CMC: identification among all")
-
-
-def _axis_to_one(label: str, least: float) -> Axis:
-    """Fractions from the tenth below `least` to one."""
-    floor = float(np.floor(least * 10) / 10)
-    return Axis(label, floor, 1.0, percent_marks(round_marks(floor, 1.0, 6)))
-
-
-def _stairs(far: Values, rate: Values) -> tuple[Values, Values]:
-    """Corners with those between that an axis-parallel line needs: FAR rises first."""
-    return np.repeat(far, 2)[1:], np.repeat(rate, 2)[:-1]
+    value, low, high = (f"{figure[name]:.{decimals}f}" for name in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"

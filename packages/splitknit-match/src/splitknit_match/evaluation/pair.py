@@ -29,7 +29,7 @@ from splitknit.accuracy import eroded
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.model import BoolArray, FloatArray, require_scale
-from splitknit_match.evaluation.intervals import CONFIDENCE
+from splitknit_match.evaluation.rates import CONFIDENCE
 from splitknit_match.matching.elastic import Affine, Agreement, PatchGrid, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import band_places, ridge_band

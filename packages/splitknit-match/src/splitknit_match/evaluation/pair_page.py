@@ -16,8 +16,7 @@ from splitknit.io.pictures import colour, on_paper
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.results import write_picture
 from splitknit.report import template
-from splitknit.report.charts import colour_bar
-from splitknit.report.photos import Picture, captioned
+from splitknit.report.photos import Picture, captioned, colour_bar
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, PairComparison
 
 FORMAT = "splitknit-comparison"

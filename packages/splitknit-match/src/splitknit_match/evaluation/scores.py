@@ -1,33 +1,43 @@
-"""Comparisons and what is known of them: label, score, and whose finger of which session each side is."""
+"""Comparisons and what is known of them, and their files: label, score, and whose finger of which session each side is.
+
+A score file is CSV of anybody's matcher, one comparison a line. ``label`` (1 genuine, 0 impostor)
+and ``score`` are needed; a blank score is a failure to acquire. ``finger_a``, ``finger_b``,
+``subject_a``, ``session_a`` and so on name who was compared; ``system`` names the matcher where a
+file holds the scores of several. Other columns are ignored.
+"""
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import io
 import math
-from collections.abc import Mapping, Sequence
+import os
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
-from splitknit.io.csv_table import csv_text
+from splitknit import BadInput
+from splitknit.errors import read_bytes, require
+from splitknit.io.csv_table import csv_text, plain_text
 
-Codes = NDArray[np.int64]
+KINDS = ("finger", "subject", "session")
+LARGEST = 1e150  # largest score whose square is still a number
+_MAX_BYTES = 500_000_000  # ten million comparisons
+_LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ids:
     """One kind of name for both sides of every comparison."""
 
-    codes: Codes  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
+    codes: NDArray[np.int64]  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
     names: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        fault = "ids must have the shape (N, 2),"
-        require(self.codes.ndim == 2 and self.codes.shape[1] == 2, f"{fault} but they have {self.codes.shape}.")
-        inside = self.codes.size == 0 or (self.codes.min() >= 0 and self.codes.max() < len(self.names))
-        require(bool(inside), "ids must be places in their list of names.")
 
     @property
     def same(self) -> NDArray[np.bool_]:
@@ -42,25 +52,7 @@ class Ids:
 def ids_of(a: Sequence[Any], b: Sequence[Any]) -> Ids:
     """Ids from the names of both sides, in the order in which names first appear when sorted."""
     names, codes = np.unique(np.asarray([a, b]).astype(str), return_inverse=True)
-    return Ids(codes.reshape(2, -1).T.astype(np.int64), tuple(str(name) for name in names))
-
-
-def score_table(
-    label: Sequence[bool],
-    names: Mapping[str, tuple[Sequence[str], Sequence[str]]],
-    scores: Mapping[str, Sequence[float]],
-) -> bytes:
-    """A score file: label, ``score`` first of the columns of scores (NaN is blank, else the shortest exact text), the
-    names of both sides by their kind, and the other scores.
-    """
-    told = {
-        key: ["" if math.isnan(value) else repr(float(value)) for value in values] for key, values in scores.items()
-    }
-    columns: dict[str, Sequence[Any]] = {"label": [int(one) for one in label], "score": told.pop("score")}
-    for kind, sides in names.items():
-        columns |= {f"{kind}_a": sides[0], f"{kind}_b": sides[1]}
-    columns |= told
-    return csv_text([list(columns), *map(list, zip(*columns.values(), strict=True))]).encode("utf-8")
+    return Ids(codes.reshape(2, -1).T.astype(np.int64), tuple(map(str, names)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,13 +75,13 @@ class Scores:
         require(finite, f"{self.name}: scores must be finite, or NaN where there is none.")
         for ids in (self.finger, self.subject, self.session):
             require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
-        for words, label in (("genuine (label 1)", True), ("impostor (label 0)", False)):
-            chosen = self.score[self.label == label]
+        for words, chosen in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
             require(chosen.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
             fault = f"{self.name} holds no {words} score"
             require(not bool(np.isnan(chosen).all()), f"{fault}: all {chosen.size} are failures to acquire.")
-        wrong = contradiction(self.label, self.finger, self.subject)
-        require(wrong is None, f"{self.name}: comparison {wrong} and its label contradict each other: check its ids.")
+        wrong = contradictions(self.label, self.finger, self.subject)
+        fault = f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other"
+        require(not wrong.any(), f"{fault}: check its ids.")
 
     @property
     def genuine(self) -> NDArray[np.float64]:
@@ -108,13 +100,170 @@ class Scores:
         return Scores(self.label[index], self.score[index], finger, subject, session, name or self.name)
 
 
-def contradiction(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | None) -> int | None:
-    """The first comparison whose ids and label cannot both be right, or None. Genuine: one finger (and subject) on both
-    sides; impostor: two fingers, perhaps of one subject.
+def contradictions(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | None) -> NDArray[np.bool_]:
+    """(N,) whether a comparison's ids and label cannot both be right. Genuine: one finger (and subject) on both sides;
+    impostor: two fingers, perhaps of one subject.
     """
     wrong = np.zeros(label.shape, dtype=np.bool_)
     if finger is not None:
         wrong |= finger.same != label
     if subject is not None:
         wrong |= label & ~subject.same
-    return int(np.argmax(wrong)) if bool(wrong.any()) else None
+    return wrong
+
+
+def score_table(
+    label: Sequence[bool],
+    names: Mapping[str, tuple[Sequence[str], Sequence[str]]],
+    scores: Mapping[str, Sequence[float]],
+) -> bytes:
+    """A score file: label, ``score`` first of the columns of scores (NaN is blank, else the shortest exact text), the
+    names of both sides by their kind, and the other scores.
+    """
+    texts = {
+        key: ["" if math.isnan(value) else repr(float(value)) for value in column] for key, column in scores.items()
+    }
+    columns: dict[str, Sequence[Any]] = {"label": [int(one) for one in label], "score": texts.pop("score")}
+    for kind, sides in names.items():
+        columns |= {f"{kind}_a": sides[0], f"{kind}_b": sides[1]}
+    columns |= texts
+    return csv_text([list(columns), *map(list, zip(*columns.values(), strict=True))]).encode("utf-8")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreFile:
+    """What a score file holds."""
+
+    systems: list[Scores]  # named by the column ``system``, else by the file
+    ignored: list[str]  # columns that were not read
+    sha256: str
+
+
+def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) -> ScoreFile:
+    """Read a score file; `dissimilarity`: lower means more similar, and scores are negated. Raises BadInput naming file
+    and line: not a CSV, a column missing or named twice, a line of another length, a label other than 0 and 1, a score
+    that is not a finite number, an id that is blank or contradicts its label.
+    """
+    name, data = os.fspath(path), read_bytes(path, _MAX_BYTES)
+    rows = _rows(data, name)
+    first, header = next(rows, (1, []))
+    known = _check_columns(header, f"{name}, line {first}")
+    place = {column: header.index(column) for column in known}
+    label, score, lines = array("b"), array("d"), array("q")
+    ids = {column: array("q") for column in known[2:]}
+    places: dict[str, dict[str, int]] = {column.removesuffix("_b").removesuffix("_a"): {} for column in ids}
+    codings = [
+        (column, place[column], places[column.removesuffix("_b").removesuffix("_a")], ids[column]) for column in ids
+    ]
+    for line, row in rows:
+        where = f"{name}, line {line}"
+        require(len(row) == len(header), f"{where}: {len(header)} fields are expected, but there are {len(row)}.")
+        lines.append(line)
+        label.append(_label(row[place["label"]].strip(), where))
+        score.append(_score(row[place["score"]].strip(), where))
+        for column, at, codes, coded in codings:
+            text = row[at].strip()
+            require(bool(text), f"{where}: {column} is blank; name it in every line or nowhere.")
+            coded.append(codes.setdefault(text, len(codes)))
+    require(len(lines) > 0, f"{name} holds no comparison: a line of column names and a line for each are expected.")
+    kinds = {
+        kind: _coded(codes, [ids[column] for column in ids if column.startswith(kind)])
+        for kind, codes in places.items()
+    }
+    values = np.array(score) * (-1.0 if dissimilarity else 1.0)
+    systems = _systems(np.array(label, dtype=np.bool_), values, kinds, np.array(lines), name)
+    return ScoreFile(systems, [column for column in header if column not in known], hashlib.sha256(data).hexdigest())
+
+
+def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Lines of a CSV file with the number of the line where they begin; blank lines left out."""
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=""), strict=True)
+    restored, before = b"'" in data, 0
+    try:
+        for row in reader:
+            line, before = before + 1, reader.line_num
+            if row:
+                yield line, [plain_text(cell) for cell in row] if restored else row
+    except csv.Error as error:
+        raise BadInput(f"{name} is not a CSV file: line {reader.line_num}: {error}.") from error
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{name} is not a CSV file: it is not text in UTF-8.") from error
+
+
+def _check_columns(header: list[str], where: str) -> list[str]:
+    """Strip the names of columns, and return those that are read."""
+    header[:] = [column.strip() for column in header]
+    for column in ("label", "score"):
+        cure = "columns apart by commas, 'label' (1 genuine, 0 impostor) and 'score' among them, are needed"
+        fault = f"{where}: there is no column '{column}' in '{_short(','.join(header))}'"
+        require(column in header, f"{fault}; {cure}.")
+    twice = [column for column in header if header.count(column) > 1]
+    require(not twice, f"{where}: there are two columns '{_short(''.join(twice[:1]))}'; name each once.")
+    known = ["label", "score"]
+    for kind in KINDS:
+        pair = [f"{kind}_{side}" for side in "ab"]
+        there = [column for column in pair if column in header]
+        cure = f"both '{pair[0]}' and '{pair[1]}' are needed."
+        require(len(there) != 1, f"{where}: there is a column '{''.join(there)}' alone; {cure}")
+        known += there
+    return known + ["system"] * ("system" in header)
+
+
+def _label(text: str, where: str) -> bool:
+    require(text in _LABELS, f"{where}: a label is 1 (genuine) or 0 (impostor), but it is '{_short(text)}'.")
+    return _LABELS[text]
+
+
+def _score(text: str, where: str) -> float:
+    if not text:
+        return float("nan")
+    try:
+        value = float("nan" if "_" in text else text)
+    except ValueError:
+        value = float("nan")
+    fault = f"{where}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to acquire,"
+    require(abs(value) <= LARGEST, f"{fault} but it is '{_short(text)}'.")
+    return value
+
+
+def _coded(places: Mapping[str, int], columns: Sequence[array[int]]) -> Ids:
+    """Ids whose names are in order, numbers by their size."""
+    names = sorted(places, key=lambda text: (0, text.zfill(20), text) if text.isdigit() else (1, text, text))
+    order = np.empty(len(names), dtype=np.int64)
+    order[[places[name] for name in names]] = np.arange(len(names))
+    return Ids(order[np.array(columns, dtype=np.int64)].T, tuple(names))
+
+
+def _systems(
+    label: NDArray[np.bool_], score: NDArray[np.float64], kinds: Mapping[str, Ids], line: NDArray[np.int64], path: str
+) -> list[Scores]:
+    finger, subject, session, system = (kinds.get(kind) for kind in (*KINDS, "system"))
+    if finger is not None and subject is not None:
+        finger = fingers_of_subjects(finger, subject)
+    wrong = contradictions(label, finger, subject)
+    where = f"{path}, line {line[np.argmax(wrong)]}"
+    require(not wrong.any(), f"{where}: label and ids of the comparison contradict each other; correct one of them.")
+    every = Ids(np.zeros((label.size, 1), dtype=np.int64), (Path(path).stem,))
+    codes, names = (system or every).codes[:, 0], (system or every).names
+    systems = []
+    for code, name in enumerate(names):
+        chosen = codes == code
+        who, whose, when = (None if ids is None else ids.taken(chosen) for ids in (finger, subject, session))
+        try:
+            systems.append(Scores(label[chosen], score[chosen], who, whose, when, name))
+        except BadInput as error:
+            raise BadInput(f"{path}, as system {error}") from error
+    return systems
+
+
+def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:
+    """Fingers named with their subject, so that everybody's ``right_index`` is a finger of its own."""
+    count = len(finger.names)
+    used, codes = np.unique(subject.codes * count + finger.codes, return_inverse=True)
+    names = (f"{subject.names[key // count]}/{finger.names[key % count]}" for key in used)
+    return Ids(codes.reshape(finger.codes.shape), tuple(names))
+
+
+def _short(text: str) -> str:
+    plain = text.encode("unicode_escape").decode("ascii")
+    return plain if len(plain) <= 60 else plain[:57] + "..."

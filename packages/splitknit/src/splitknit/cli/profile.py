@@ -11,9 +11,7 @@ from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, Positive, Progress, path
 
-Columns = dict[str, Any]  # columns of the table, (N,) each
 _NUMBER = r"[-+]?(?:\d{1,5}\.?\d{0,9}|\.\d{1,9})"
-_LEFT, _TOP, _WIDE, _TALL = 90, 30, 900, 260
 
 
 def _place(text: str) -> tuple[float, float]:
@@ -40,12 +38,14 @@ class ProfileJob(Job):
 
     def run(self, progress: Progress) -> dict[str, Any]:
         """Cut it, and write the table and the picture."""
+        import cv2
         import numpy as np
 
         from splitknit.imaging.roughness import profile_roughness
         from splitknit.io.atomic import atomic_folder, write_file
         from splitknit.io.csv_table import csv_text
         from splitknit.io.results import read_result
+        from splitknit.report.curves import curve_picture
         from splitknit.report.surface import section, surface_in
 
         surface = surface_in(read_result(path(self.result)))
@@ -57,43 +57,14 @@ class ProfileJob(Job):
         columns |= {"height_um": 1000.0 * cut.height_mm, "roughness_um": rough}
         rows = np.column_stack(list(columns.values())).tolist()
         cells = [["" if np.isnan(value) else f"{value:.4f}" for value in row] for row in rows]
+        labels = {"height_um": "height, um", "roughness_um": "roughness, um"}
+        curves = {name: (columns["along_mm"], columns[name]) for name in labels}
+        panels = [curve_picture([curves[name]], "mm from the first point", words) for name, words in labels.items()]
+        picture = np.vstack(panels)
         with atomic_folder(path(self.out)) as folder:
             write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
-            write_file(folder / "profile.png", _drawn(columns))
+            write_file(folder / "profile.png", bytes(cv2.imencode(".png", picture)[1]))
         return {"out": str(self.out), "cutoff_mm": self.cutoff, "step_mm": step_mm, **found, **cut.figures}
-
-
-def _drawn(columns: Columns) -> bytes:
-    """Both curves as PNG, height above roughness."""
-    import cv2
-    import numpy as np
-
-    from splitknit.report.charts import axis_over
-
-    picture = np.full((2 * (_TALL + 2 * _TOP), _LEFT + _WIDE + 20), 255, np.uint8)
-    x = axis_over("mm from the first point", columns["along_mm"], pad=0.0)
-
-    def write(text: str, place: Any, dx: int, dy: int) -> None:
-        at, font = (int(place[0]) + dx, int(place[1]) + dy), cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(picture, text, at, font, 0.45, (0,), 1, cv2.LINE_AA)
-
-    for top, name in ((_TOP, "height_um"), (3 * _TOP + _TALL, "roughness_um")):
-        known = np.isfinite(columns[name])
-        y = axis_over(name.replace("_um", ", um"), columns[name][known])
-
-        def point(along: Any, value: Any, top: int = top, y: Any = y) -> Any:
-            return np.stack([_LEFT + _WIDE * x.place(along), top + _TALL * (1.0 - y.place(value))], axis=-1)
-
-        for mark, words in y.marks:
-            ends = np.rint(point(np.array([x.low, x.high]), mark + np.zeros(2))).astype(np.int32)
-            cv2.polylines(picture, [ends], isClosed=False, color=(220,))
-            write(words, ends[0], -60, 4)
-        for mark, words in x.marks:
-            write(words, point(mark, y.low), -8, 18)
-        write(f"{y.label}, over {x.label}", (_LEFT, top), 0, -8)
-        curve = np.rint(point(columns["along_mm"][known], columns[name][known])).astype(np.int32)
-        cv2.polylines(picture, [curve], isClosed=False, color=(0,), thickness=1, lineType=cv2.LINE_AA)
-    return bytes(cv2.imencode(".png", picture)[1])
 
 
 def _show(facts: dict[str, Any], job: ProfileJob) -> Outcome:

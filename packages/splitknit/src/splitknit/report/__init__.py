@@ -1,4 +1,4 @@
-"""Pages for people: figures, charts and self-contained HTML, from templates."""
+"""Pages for people: figures, curves and self-contained HTML, from templates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from splitknit.errors import printable
 @cache
 def template(page: str | Path) -> Any:
     """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an error."""
-    import jinja2  # charts need none of it
+    import jinja2  # pictures need none of it
 
     file = Path(__file__).parent / "templates" / page
     environment = jinja2.Environment(

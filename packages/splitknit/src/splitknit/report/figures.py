@@ -25,8 +25,7 @@ from splitknit.io.pictures import (
     upright_turn,
 )
 from splitknit.model import BoolArray, FloatArray, Reconstruction
-from splitknit.report import charts
-from splitknit.report.photos import Picture, captioned, is_finger
+from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
@@ -92,7 +91,7 @@ def _field_picture(  # noqa: PLR0917
 ) -> Picture:  # fmt: skip
     """A field (h, w) with its weight in the colours of a scale between `limits`."""
     values, weight = field
-    legend = charts.colour_bar(*limits, unit, diverging=diverging)
+    legend = colour_bar(*limits, unit, diverging=diverging)
     return captioned(title, on_paper(colour(values, *limits, diverging=diverging), weight), caption, pitch_mm, legend)
 
 
@@ -167,7 +166,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
         if is_finger(result)
         else f"Height without fine details, below the highest point; a line every {step:g} {unit.name}.",
         small.frame.pitch_mm,
-        charts.colour_bar(round(low, 1), 0.0, unit.name),
+        colour_bar(round(low, 1), 0.0, unit.name),
     )
 
 
@@ -193,7 +192,7 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
             "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
             "This is the standard deviation (one sigma) of their height. Good: small against the relief."
         )
-    title, bar = "Uncertainty of the heights", charts.colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    title, bar = "Uncertainty of the heights", colour_bar(0.0, float(f"{high:.2g}"), "µm")
     picture = on_paper(colour(values, 0.0, high), weight)
     return captioned("Uncertainty of the relief" if finger else title, picture, words, small.frame.pitch_mm, bar)
 

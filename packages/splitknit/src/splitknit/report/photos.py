@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, upright_limits
+from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, colour, data_uri, upright_limits
 from splitknit.model import Band, Capture, PixelArray, Reconstruction
 from splitknit.steps import let_go
 
@@ -56,6 +56,16 @@ def captioned(
         scale_percent=round(100 * bar_mm / (width * pitch_mm), 2) if bar_mm else 0.0,
         scale_label=f"{bar_mm:g} mm",
     )
+
+
+def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -> Markup:
+    """A bar that explains :func:`splitknit.io.pictures.colour`."""
+    shades = colour(np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
+    stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
+    ends = f"<span>{low:.3g}</span><span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span>"
+    style = "display:flex;justify-content:space-between;font-size:11px"
+    bar = f'<div style="height:10px;background:linear-gradient(90deg,{stops})"></div>'
+    return Markup(f'<div style="max-width:220px">{bar}<div style="{style}">{ends}</div></div>')
 
 
 LONGEST_PX = 700  # longer side of a picture

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.finger.ridges import surface_print
@@ -30,9 +29,10 @@ from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
 from splitknit.model import Capture, FloatArray, Reconstruction
-from splitknit.report import charts, figures, template
+from splitknit.report import figures, template
+from splitknit.report.curves import curve_picture
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, Picture, captioned, capture_pictures, is_finger
 from splitknit.report.surface import scene
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def make_report(
         surfaces = pool.submit(scene, [result], [f"{result.preset}: drag to turn, wheel to zoom"])
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
-        charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
+        sections, summary = pool.submit(_sections, result, truth), pool.submit(_summary, result)
         comparisons: list[Comparison] = []
         if truth is not None:
             from splitknit.accuracy import compare  # only what was simulated has a truth
@@ -124,7 +124,7 @@ def make_report(
         above=of_size([figures.picture_from_above(above, frame.pitch_mm, finger)])[0],
         prints=None if prints is None else figures.print_picture(prints),
         maps=of_size(maps),
-        profiles=charted.result(),
+        sections=sections.result(),
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name not in unshown}),
         settings=_tables(facts["settings"]),
@@ -214,7 +214,7 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     ]
 
 
-def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Markup, str]]:
+def _sections(result: Reconstruction, truth: Truth | None) -> list[Picture]:
     """Cross-sections through the middle of the finger."""
     whole = upright_frame(result, 10**6, margin_mm=0.0)
     origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
@@ -222,8 +222,12 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     unit, pitch = result.unit, result.pitch_mm * result.unit.per_mm
     finger = ("finger", ", tip to the left", "the axis")
     thing, axis, line = finger if is_finger(result) else ("surface", "", "the middle column")
+    heights, reliefs = [result.height_mm], [result.ridge_mm]
+    if truth is not None:
+        heights.append(np.asarray(truth["height_mm"], dtype=np.float32))
+        reliefs.append(np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32))
 
-    def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
+    def cut(field: FloatArray, half: float, along: bool) -> tuple[FloatArray, FloatArray]:
         """Places (shown unit) and values (mm), about one sample a pixel, `half` pixels to both sides of the middle."""
         steps = np.linspace(-half, half, int(2 * half) + 2)
         upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
@@ -233,53 +237,45 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
         values = cv2.remap(field, column[None], row[None], cv2.INTER_LINEAR, **beyond)
         return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
 
-    charted = []
-    for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
-        fields = [("measured", result.height_mm), *([("truth", truth["height_mm"])] if truth else [])]
-        cuts = {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
-        lines = _lines(cuts, unit.per_mm)
-        if lines:
-            chart = charts.profile_chart(lines, f"{unit.name} from the middle", f"height, {unit.name}", equal=True)
-            caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
-            charted.append((f"Section {words} the {thing}", chart, caption))
     half = min(3.0 / pitch, whole.size[0] / 2) if unit.known else whole.size[0] / 2
-    fields = [("measured", result.ridge_mm)]
-    if truth is not None:
-        fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
-    cuts = {name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}
-    lines = _lines(cuts, unit.small_per_mm)
-    if lines:
-        chart = charts.profile_chart(lines, f"{unit.name} from the middle{axis}", f"relief, {unit.small}")
-        title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
-        charted.append((title, chart, f"Relief along {2 * half * pitch:.0f} {unit.name} of {line}, mean removed."))
-    return charted
-
-
-def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float) -> list[charts.Curve]:
-    """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
-    known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
-    if not known.any():
-        return []
-    return [charts.Curve(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
+    title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
+    height, relief = f"height, {unit.name}", f"relief, {unit.small}"
+    of_height, of_relief = (heights, height, unit.per_mm, True), (reliefs, relief, unit.small_per_mm, False)
+    across, along = (
+        f"Height {way} the {thing}, through its middle, both axes to one scale." for way in ("across", "along")
+    )
+    details = f"Relief along {2 * half * pitch:.0f} {unit.name} of {line}, mean removed."
+    pictures = []
+    for words, caption, way, extent, (fields, y_label, factor, equal) in (
+        (f"Section across the {thing}", across, False, whole.size[1] / 2, of_height),
+        (f"Section along the {thing}", along, True, whole.size[0] / 2, of_height),
+        (title, details, True, half, of_relief),
+    ):
+        cuts = [cut(field, extent, way) for field in fields]
+        known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts])
+        if np.count_nonzero(known) < 2:
+            continue
+        curves = [(x, factor * (y - y[known].mean())) for x, y in cuts]
+        x_label = f"{unit.name} from the middle{'' if equal else axis}"
+        grey = " Black: measured, grey: truth." if truth is not None else ""
+        pictures.append(captioned(words, curve_picture(curves, x_label, y_label, equal=equal), caption + grey))
+    return pictures
 
 
 def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One table for each nested group of `facts`; lists of numbers become bars."""
+    """One table for each nested group of `facts`."""
     plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
 
-    def row(key: str, value: Any) -> tuple[str, str | Markup, str]:
+    def row(key: str, value: Any) -> tuple[str, str, str]:
         return _label(key), _shown(value), EXPLAINED.get(key, "")
 
     return [{"name": _label(name), "rows": [row(*one) for one in rows]} for name, rows in groups if rows]
 
 
-def _shown(value: Any) -> str | Markup:
-    """Show a number, a text, or a short list of numbers as bars."""
-    numbers = isinstance(value, list) and bool(value) and all(type(item) in (int, float) for item in value)
-    if numbers and len(value) <= 32:
-        return charts.bar_chart(value)
+def _shown(value: Any) -> str:
+    """Show a number, a text or a list in one line."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -295,7 +291,7 @@ def _flat(value: Any) -> str:
     """Show an entry of a list in one line."""
     if isinstance(value, list):
         return f"({', '.join(_flat(item) for item in value)})"
-    return str(_shown(value))
+    return _shown(value)
 
 
 # What the names in a report mean, for readers who do not know the code.

@@ -1,0 +1,248 @@
+"""Score files in, error rates with their intervals out: systems, their fusion, and how they differ."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from splitknit import BadInput
+from splitknit.errors import require
+from splitknit.model import no_progress
+from splitknit.verbs import Progress
+from splitknit_match.evaluation import rates
+from splitknit_match.evaluation.fusion import Fused
+from splitknit_match.evaluation.fusion import fuse as fuse_systems
+from splitknit_match.evaluation.intervals import DEFAULTS, BootstrapSettings, Interval, Intervals, differences
+from splitknit_match.evaluation.intervals import bootstrap as resample
+from splitknit_match.evaluation.protocol import average_sessions, pair_up
+from splitknit_match.evaluation.scores import Scores, read_scores
+
+MAX_SYSTEMS = 12
+Cluster = Literal["auto", "plain", "finger", "subject"]
+Fusion = Literal["linear", "minmax", "llr", "trained", "all"]
+_MISSING = {
+    "linear": "its weight goes to the others",
+    "minmax": "its weight goes to the others",
+    "llr": "the others' ratios are added up",
+    "trained": "it counts as the mean, and that it is missing as a feature of its own",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One system with its intervals."""
+
+    scores: Scores
+    intervals: Intervals
+    by_subject: Intervals | None = None  # where fingers are drawn, and subjects are named
+
+    @property
+    def eer(self) -> Interval:
+        """Equal error rate; failures to acquire count as rejections."""
+        return self.intervals.figures["eer"]
+
+    @property
+    def auc(self) -> Interval:
+        """Area under the ROC curve."""
+        return self.intervals.figures["auc"]
+
+    def gar_at(self, far: float) -> Interval:
+        """Genuine accept rate at a FAR: 0.01, 0.001, 0.0001, or those that the bootstrap's settings name."""
+        return self.intervals.figures[f"gar@{far:g}"]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One system minus another."""
+
+    first: str
+    second: str
+    method: str  # what was drawn
+    figures: Mapping[str, Interval]  # ``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """Error rates of systems."""
+
+    results: tuple[Result, ...]  # scores, error rates and their intervals for every system and variant
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]  # for the reader
+    fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
+    bootstrap: BootstrapSettings
+    inputs_sha256: Mapping[str, str]
+
+
+def evaluate(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    dissimilarity: bool = False,
+    cluster: Cluster = "auto",
+    average: bool = False,
+    fuse: Fusion | None = None,
+    bootstrap: BootstrapSettings = DEFAULTS,
+    progress: Progress = no_progress,
+) -> Evaluation:
+    """Error rates with their intervals from score files.
+
+    Parameters
+    ----------
+    files : path, or several
+        Score files, one a system: CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
+    dissimilarity : bool
+        Whether the scores are distances: lower is more similar.
+    cluster : ``auto``, ``plain``, ``finger`` or ``subject``
+        What the bootstrap draws for the intervals; ``auto``: fingers where they are named, else subjects, else
+        comparisons.
+    average : bool
+        Whether figures of scores averaged over sessions are given as well.
+    fuse : ``linear``, ``minmax``, ``llr``, ``trained`` or ``all``, optional
+        Whether the systems' fusion is one more: of z-scores, of min-max scores, of log-likelihood ratios, by logistic
+        regression, or the first three with intervals by subject.
+    bootstrap : BootstrapSettings
+        Replicates, seed and FARs of :class:`splitknit_match.evaluation.intervals.BootstrapSettings`.
+    progress : callable
+        Called with a stage and the fraction that is done.
+
+    Returns
+    -------
+    Evaluation
+        ``results``: of every system and variant ``eer``, ``gar_at(far)``, ``auc``, each with its confidence interval;
+        ``differences`` between systems; ``notes``.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> splitknit_match.evaluate("scores.csv").results[0].eer.value  # doctest: +SKIP
+    """
+    paths = [Path(file) for file in ([files] if isinstance(files, str | os.PathLike) else files)]
+    require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
+    progress("reading", 0.0)
+    tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
+    systems = [system for table in tables.values() for system in table.systems]
+    counts, numbers = Counter(system.name for system in systems), Counter[str]()
+    for place, system in enumerate(systems):
+        if counts[system.name] > 1:
+            numbers[system.name] += 1
+            systems[place] = replace(system, name=f"{system.name} ({numbers[system.name]})")
+    ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
+    evaluation = evaluate_systems(systems, cluster, average, fuse, bootstrap, progress)
+    notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
+    hashes = {path: tables[path].sha256 for path in sorted(tables)}
+    return replace(evaluation, notes=(*notes, *evaluation.notes), inputs_sha256=hashes)
+
+
+def evaluate_systems(  # noqa: PLR0917
+    systems: Sequence[Scores],
+    cluster: Cluster = "auto",
+    average: bool = False,
+    fuse: Fusion | None = None,
+    bootstrap: BootstrapSettings = DEFAULTS,
+    progress: Progress = no_progress,
+) -> Evaluation:
+    """Error rates of systems; see :func:`evaluate`."""
+    if fuse == "all" and cluster == "auto":
+        cluster = "subject"
+    methods = ("minmax", "linear", "llr") if fuse == "all" else (fuse,) if fuse else ()
+    fused = {method: fuse_systems(systems, method, bootstrap.seed) for method in methods}
+    every = [*systems, *(each.scores for each in fused.values())]
+    groups = [every, [average_sessions(system) for system in every]] if average else [every]
+    count = sum(map(len, groups))
+    fault = f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}"
+    require(count <= MAX_SYSTEMS, f"{fault}; give fewer files.")
+    notes = [note for method, each in fused.items() for note in _fusion_notes(each, method)]
+    results: list[Result] = []
+    differing: list[Difference] = []
+    for group in groups:
+        for system in group:
+            progress("resampling", len(results) / count)
+            results.append(_result(system, cluster, bootstrap))
+        pairs = combinations(group, 2) if len(group) <= 4 else ((group[0], other) for other in group[1:])
+        for first, second in pairs:
+            method = next(result.intervals.method for result in results if result.scores is first)
+            try:
+                figures = differences(first, pair_up(first, second), method, replace(bootstrap, curve_points=0))
+                differing.append(Difference(first.name, second.name, method, figures))
+            except BadInput as error:
+                notes.append(f"Not compared: {error}")
+    for result in results:
+        notes += _notes(result, averaged=all(result.scores is not system for system in every))
+    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, {})
+
+
+def _result(scores: Scores, cluster: Cluster, settings: BootstrapSettings) -> Result:
+    """Intervals by what is drawn, and, where that is fingers, by subject for comparison."""
+    allowed = ["plain"]
+    for method in ("subject", "finger"):
+        ids = getattr(scores, method)
+        if ids is not None and np.unique(ids.codes).size >= 3:
+            allowed.append(method)
+    fault = f"`cluster` {cluster} needs columns {cluster}_a and {cluster}_b with three of them at least,"
+    require(cluster == "auto" or cluster in allowed, f"{fault} which {scores.name} does not have.")
+    method = allowed[-1] if cluster == "auto" else cluster
+    found = resample(scores, method, settings)
+    wider = method == "finger" and "subject" in allowed
+    return Result(scores, found, resample(scores, "subject", replace(settings, curve_points=0)) if wider else None)
+
+
+def _notes(result: Result, *, averaged: bool) -> list[str]:
+    """What a reader of a system's figures has to know; of averages, only what differs from single scores."""
+    scores, name, notes = result.scores, result.scores.name, []
+    roc, impostors = rates.roc(scores.genuine, scores.impostor), scores.impostor.size
+    targets = [float(key[4:]) for key in result.intervals.figures if key.startswith("gar@") and "_" not in key]
+    lost = [target for target in targets if not roc.at_far(target).resolved]
+    if lost:
+        fars = " or ".join(f"{100 * target:g} %" for target in lost)
+        needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in lost)
+        notes.append(
+            f"{name}: {impostors} impostor comparisons cannot resolve a FAR of {fars} ({needed} are needed for one "
+            "false accept). The GAR is that at FAR 0, where the FAR may in truth be up to "
+            f"{100 * rates.error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
+        )
+    if averaged:
+        return notes
+    missing = int(np.isnan(scores.score).sum())
+    if missing:
+        none = f"{missing} of {scores.score.size} comparisons gave no score"
+        notes.append(f"{name}: {none}. FAR and GAR count them as rejections, FMR and FNMR leave them out.")
+    if roc.auc() < 0.5:
+        cure = "if they are distances, use `dissimilarity`."
+        notes.append(f"{name}: genuine scores are lower than impostor ones; {cure}")
+    drawn, method = result.intervals.drawn, result.intervals.method
+    if drawn < 20:
+        notes.append(f"{name}: only {drawn} to draw from ({method}), so that its intervals are rough.")
+    if result.by_subject is not None:
+        wide, own = (one.figures["eer"].high - one.figures["eer"].low for one in (result.by_subject, result.intervals))
+        if result.eer.value > 0 and wide >= 1.3 * own > 0:
+            wider = f"drawn by subject the interval of the EER is {wide / own:.1f} times as wide"
+            notes.append(f"{name}: {wider}, so that fingers of one subject are similarly hard; trust the wider one.")
+    return notes
+
+
+def _fusion_notes(fused: Fused, method: str) -> list[str]:
+    fractions = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True))
+    notes = [
+        f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {fused.folds} "
+        "folds; every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of "
+        f"the normalised scores: {fractions}."
+    ]
+    if fused.by == "finger":
+        notes.append(
+            "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
+        )
+    if any(fused.missing):
+        counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
+        notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {_MISSING[method]}.")
+    return notes
