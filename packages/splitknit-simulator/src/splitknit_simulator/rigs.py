@@ -6,7 +6,7 @@ The rig as it is drawn is :func:`splitknit.model.default_rig`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import cv2
@@ -155,13 +155,15 @@ def _normal(rng: np.random.Generator, count: int) -> Array:
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 """Intensities by which light skin fills the three channels about equally."""
 
+_INTENSITY_SPREAD = 0.1  # standard deviation of the coloured LEDs' intensities, as of default_rig's white ones
+
 
 # With coloured LEDs.
 
 
-def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
+def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2) -> Rig:
     """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
-    plain = default_rig(scale, seed, intensity_spread)
+    plain = default_rig(scale, seed)
     count = 3 * exposures
     colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}
     deviations = np.zeros(count) if seed is None else _normal(np.random.default_rng([seed, 0xC0]), count)
@@ -169,7 +171,7 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
     for k, deviation in enumerate(deviations):
         azimuth = 2.0 * np.pi * k / count
         position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
-        intensity = round(float(CURRENTS[colours[k]] * (1.0 + intensity_spread * deviation)), 6)
+        intensity = round(float(CURRENTS[colours[k]] * (1.0 + _INTENSITY_SPREAD * deviation)), 6)
         leds.append(Led(band="white", position_mm=position, intensity=intensity, colour=colours[k]))
     camera = replace(plain.camera, crosstalk=np.array(CROSSTALK))
     invisible = tuple(led for led in plain.leds if led.band == "nir")
@@ -178,45 +180,19 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
 
 SIDES = ("left", "right", "tip")
 
-_Length = Annotated[float, Limits(0.0, 200.0)]
 _CLEARANCE_MM = 0.2  # of all joints
 _FINGER_CLEARANCE_MM = 2.0  # between the widest finger and the walls of the groove, both sides together
 _PHALANX_MM = 30.0  # length of the last phalanx, tip to crease: in a large picture its centre is the picture's
 
-
-@dataclass(frozen=True, slots=True)
-class _MirrorParts(Checked):
-    """The printed parts that carry the mirrors, mm: those of a rig whose mirrors show the whole side of most fingers,
-    larger than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
-    """
-
-    _group = "mirrors.parts"
-
-    long_mm: _Length = 30.0
-    """Length of a mirror, along its lower edge."""
-    wide_mm: _Length = 30.0
-    """Width of a mirror, up its slope."""
-    thick_mm: _Length = 2.0
-    """Thickness of a mirror's glass."""
-    gap_mm: _Length = 1.0
-    """Between the groove's block and a holder."""
-    lip_mm: _Length = 0.8
-    """How much of the mirror's lower edge the holder's lip covers."""
-    wall_mm: _Length = 2.4
-    """Thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
-    pad_height_mm: _Length = 21.2
-    """Height of the finger plane over the groove's bottom."""
-    widest_mm: _Length = 22.0
-    """Width of the widest finger."""
-    tip_margin_mm: _Length = 27.0
-    """From the fingertip's stop to the picture's upper border."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(
-            self.wide_mm > self.lip_mm + 1.0 and self.long_mm > 1.0,
-            "mirrors.parts.wide_mm must be at least 1 mm more than what the lip covers, and long_mm above 1.",
-        )
+# The printed parts that carry the mirrors: those of a rig whose mirrors show the whole side of most fingers, larger
+# than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
+_LONG_MM, _WIDE_MM, _THICK_MM = 30.0, 30.0, 2.0  # a mirror along its lower edge, up its slope, and its glass
+_GAP_MM = 1.0  # between the groove's block and a holder
+_LIP_MM = 0.8  # how much of the mirror's lower edge the holder's lip covers
+_WALL_MM = 2.4  # thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror
+_PAD_HEIGHT_MM = 21.2  # height of the finger plane over the groove's bottom
+_WIDEST_MM = 22.0  # width of the widest finger
+_TIP_MARGIN_MM = 27.0  # from the fingertip's stop to the picture's upper border
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +225,6 @@ class MirrorSettings(Checked):
     """Bright specks on the mirrors."""
     truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Spacing of the grid around the finger in the truth."""
-    parts: _MirrorParts = field(default_factory=_MirrorParts)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -263,9 +238,9 @@ _HALF = math.sqrt(0.5)
 _LIP_WALL_MM, _GROOVE_IN_FLOOR_MM, _POCKET_MM = 1.2, 0.4, 1.0
 
 
-def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
+def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> Rig:
     """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the drawing has them."""
-    rig = default_rig(scale, seed, intensity_spread)
+    rig = default_rig(scale, seed)
     rows, columns = (round(side * scale) for side in views.image_size)
     camera = replace(rig.camera, px_per_mm=views.px_per_mm * scale, image_size=(rows, columns))
     if views.model == "perspective":
@@ -278,20 +253,20 @@ def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, int
 
 def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:
     """Return the mirrors as drawn: the part of each face that the holder's lip leaves free."""
-    face = holder_profile(views.parts)["face"]
-    quads = (holder_quad(views.parts, name, camera, *face).tolist() for name in views.names)
+    face = holder_profile()["face"]
+    quads = (holder_quad(name, camera, *face).tolist() for name in views.names)
     return tuple(
         Mirror(name, tuple((x, y, z) for x, y, z in quad), views.reflectance)
         for name, quad in zip(views.names, quads, strict=True)
     )
 
 
-def stop_y_mm(parts: _MirrorParts, camera: Camera) -> float:
+def stop_y_mm(camera: Camera) -> float:
     """Return where the fingertip stops, in the rig's frame."""
-    return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, _PHALANX_MM / 2)
+    return min(camera.image_size[0] / camera.px_per_mm / 2 - _TIP_MARGIN_MM, _PHALANX_MM / 2)
 
 
-def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
+def holder_profile() -> dict[str, tuple[Array, Array]]:
     """Return lines in the section of a holder with its mirror, each between two points (distance from the holder's
     front, height over its foot), mm.
 
@@ -300,33 +275,31 @@ def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
     face meets the holder's front; ``shade``: what stands before the mirror below that edge, seen from the mirror, dark;
     ``back``: the holder's top behind the mirror.
     """
-    p, along, behind = parts, np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
-    front = np.array(
-        [(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (p.thick_mm + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM]
-    )
-    low, high = front + p.lip_mm * along, front + p.wide_mm * along
+    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    front = np.array([(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (_THICK_MM + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM])
+    low, high = front + _LIP_MM * along, front + _WIDE_MM * along
     inside = front - _CLEARANCE_MM * behind
     outside = inside - _LIP_WALL_MM * behind
     start = np.array([0.0, outside[1] - outside[0]])
-    inside, outside = inside + p.lip_mm * along, outside + p.lip_mm * along
-    edge = high + (p.thick_mm + _CLEARANCE_MM) * behind
+    inside, outside = inside + _LIP_MM * along, outside + _LIP_MM * along
+    edge = high + (_THICK_MM + _CLEARANCE_MM) * behind
     return {
         "face": (low, high),
-        "glass": (high, high + p.thick_mm * behind),
+        "glass": (high, high + _THICK_MM * behind),
         "lip": (inside, outside),
         "lip_front": (outside, start),
         "shade": (outside - np.array([0.0, 8.0]), outside),
-        "back": (edge, edge + np.array([p.wall_mm, 0.0])),
+        "back": (edge, edge + np.array([_WALL_MM, 0.0])),
     }
 
 
-def holder_quad(parts: _MirrorParts, name: str, camera: Camera, low: Array, high: Array) -> Array:
+def holder_quad(name: str, camera: Camera, low: Array, high: Array) -> Array:
     """(4, 3) rectangle between two points of the section, along the whole holder `name`, in the rig's frame."""
-    p, stop = parts, stop_y_mm(parts, camera)
-    foot = -p.pad_height_mm + _GROOVE_IN_FLOOR_MM - _POCKET_MM
-    half = p.long_mm / 2
-    side = (p.widest_mm + _FINGER_CLEARANCE_MM) / 2 + p.wall_mm + p.gap_mm
-    middle, tip = stop + 1.0 - half, stop + p.wall_mm + p.gap_mm
+    stop = stop_y_mm(camera)
+    foot = -_PAD_HEIGHT_MM + _GROOVE_IN_FLOOR_MM - _POCKET_MM
+    half = _LONG_MM / 2
+    side = (_WIDEST_MM + _FINGER_CLEARANCE_MM) / 2 + _WALL_MM + _GAP_MM
+    middle, tip = stop + 1.0 - half, stop + _WALL_MM + _GAP_MM
     corners = [(low, -half), (low, half), (high, half), (high, -half)]
     if name == "tip":
         return np.array([(along, tip + u, foot + v) for (u, v), along in corners])

@@ -111,8 +111,6 @@ class TwinSettings(Checked):
     """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
     rig_seed: int | None = 0
     """Seed of the LEDs' individual intensities; None makes them equal."""
-    intensity_spread: float = 0.1
-    """Standard deviation of the LEDs' intensities."""
     skin: SkinOptics | SkinRanges = field(default_factory=SkinRanges)
     """The skin itself, or the ranges from which each finger's is drawn."""
     pose: FingerPose | PoseRanges = field(default_factory=PoseRanges)
@@ -122,7 +120,7 @@ class TwinSettings(Checked):
     sensor: SensorSettings = field(default_factory=SensorSettings)
     rig: Rig | None = None
     """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
-    `scale`, `rig_seed` and `intensity_spread`."""
+    `scale` and `rig_seed`."""
     side_lights: Annotated[int, Limits(0, 16)] = 0
     """White LEDs added to the side of the finger, 90 mm from the axis and 30 mm above the finger plane, on an arc that
     leaves the hand free."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
 from splitknit import BadInput, Camera
 from splitknit.errors import require
-from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     GroundScene,
@@ -44,20 +43,20 @@ class CardScene(BaseScene):
 
 
 @dataclass(frozen=True, slots=True)
-class PrintedBoard(Checked):
+class PrintedBoard:
     """A printed checkerboard."""
 
-    rows: Annotated[int, Limits(2)] = 7
+    rows: int = 7
     """Inner corners, down."""
-    columns: Annotated[int, Limits(2)] = 10
+    columns: int = 10
     """Inner corners, across."""
-    square_mm: Annotated[float, Limits(0.1, 100.0)] = 3.0
-    margin_mm: Annotated[float, Limits(0.0, 100.0)] = 3.0
+    square_mm: float = 3.0
+    margin_mm: float = 3.0
     """White paper around the outer squares."""
-    paper: Annotated[float, Limits(0.0, 1.0)] = 0.85
+    paper: float = 0.85
     """Reflectances."""
-    ink: Annotated[float, Limits(0.0, 1.0)] = 0.05
-    print_blur_mm: Annotated[float, Limits(0.0, 1.0)] = 0.02
+    ink: float = 0.05
+    print_blur_mm: float = 0.02
     """Standard deviation of the print's edges: a 600 dpi laser printer's dots are 0.042 mm wide."""
 
     @property

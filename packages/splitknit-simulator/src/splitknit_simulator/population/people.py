@@ -72,7 +72,11 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 
 # From what hands are drawn.
 
-_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05  # of the length from tip to first crease: men's over women's, relative
+_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05
+"""Of the length from tip to first crease: men's over women's; relative standard deviation between people of one sex."""
+_WIDTH_SEX_RATIO, _WIDTH_SPREAD = 1.14, 0.055  # the same of the pad's breadth
+_PERIOD_SEX_RATIO, _PERIOD_SPREAD = 1.10, 0.045  # the same of the ridge period
+_PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
 _PERSON_SHARE = 0.8  # fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
 _PERIOD_OWN_SPREAD = 0.02  # relative standard deviation of the ridge period between the fingers of a hand
 _PATTERN_SHARES = 0.35, 0.25
@@ -93,18 +97,8 @@ class PeopleRanges(Checked):
     """Mean breadth of the pad by digit, thumb to little finger, both sexes."""
     length_mm: Annotated[Five, Limits(18.0, 34.0)] = (30.5, 25.0, 26.0, 25.5, 22.8)
     """Mean length from tip to first crease."""
-    width_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.14
-    """Men's over women's breadth."""
-    width_spread: Annotated[float, Limits(0.0, 0.12)] = 0.055
-    """Relative standard deviation of the breadth between people of one sex."""
     period_mm: Annotated[float, Limits(0.38, 0.5)] = 0.435
     """Mean ridge period, both sexes: 23 ridges per cm, as in the thesis."""
-    period_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.10
-    """Men's over women's ridge period."""
-    period_digit: Annotated[Five, Limits(0.9, 1.1)] = (1.05, 1.02, 1.0, 0.98, 0.95)
-    """Relative ridge period of each digit."""
-    period_spread: Annotated[float, Limits(0.0, 0.12)] = 0.045
-    """Relative standard deviation of the ridge period between people of one sex."""
     optics: SkinRanges = field(default_factory=SkinRanges)
     """Skin of a person; the fingers differ little."""
     habit_roll_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 3.0
@@ -192,11 +186,11 @@ class _Hand:
 def _print_settings(
     rng: np.random.Generator, hand: _Hand, place: int, man: bool, ranges: PeopleRanges
 ) -> MasterPrintSettings:
-    sex = (0.5 if man else -0.5) * np.log(ranges.period_sex_ratio)
+    sex = (0.5 if man else -0.5) * np.log(_PERIOD_SEX_RATIO)
     person = hand.score("period", place, 1.0, 0.0)
     own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)
-    logs = sex + ranges.period_spread * np.clip(person, -2.2, 2.2) + own
-    period = ranges.period_mm * ranges.period_digit[place % len(DIGITS)] * float(np.exp(logs))
+    logs = sex + _PERIOD_SPREAD * np.clip(person, -2.2, 2.2) + own
+    period = ranges.period_mm * _PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
 
 
@@ -212,7 +206,7 @@ def _shape_and_relief(
     def trait(name: str) -> float:
         return hand.trait(name, place)
 
-    width = size("width", ranges.width_mm, ranges.width_sex_ratio, ranges.width_spread)
+    width = size("width", ranges.width_mm, _WIDTH_SEX_RATIO, _WIDTH_SPREAD)
     length = size("length", ranges.length_mm, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
     shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
     shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))

@@ -67,8 +67,6 @@ class SessionRanges(Checked):
     """Relative gain in breadth, and loss in thickness, of a resting finger."""
     deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
     """Largest shift of the skin against the body."""
-    deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
-    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
     glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
     """Weight of the surface reflection of dry and of moist skin."""
     roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
@@ -223,9 +221,8 @@ def population_capture(
     place = [settings.seed, 0x5E53, person.number, FINGERS.index(finger), session]
     skin_seed, drift_seed, photo_seed = np.random.SeedSequence(place).spawn(3)
     master = master or own.finger.master()
-    amplitude_mm, smooth_mm = impression.deformation_mm, settings.sessions.deformation_smooth_mm
     rng = np.random.default_rng(skin_seed)
-    deformation = draw_deformation(rng, master, amplitude_mm, smooth_mm, impression.swelling)
+    deformation = draw_deformation(rng, master, impression.deformation_mm, stretch=impression.swelling)
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
