@@ -94,23 +94,6 @@ def test_the_roll_between_two_captures_is_found_and_changes_sign_with_their_orde
         roll_between(a, laid_down(whorl=-1.5))
 
 
-def test_a_perspective_camera_sees_the_same_surface() -> None:
-    """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the smooth body's depth)."""
-    found = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
-    assert found["0.25 to 0.8 mm"][MAIN]["rms_um"]["value"] < 1.0
-    assert found["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
-
-
-@pytest.mark.slow
-def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
-    true = laid_down(half_mm=7.5)
-    x = np.arange(-7.9, 7.9, PITCH)
-    beyond = np.maximum(np.rad2deg(np.arcsin(np.clip(np.abs(x) / RADIUS_MM, 0, 0.95))) - 61.0, 0.0)
-    wrong = replace(true, height_mm=true.height_mm + np.float32(0.05) * beyond.astype(np.float32))
-    found = compare_results(wrong, true).figures["relief"][MAIN]
-    assert found["rms_um"]["value"] < 0.5
-
-
 @pytest.mark.slow
 def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     a, b = laid_down(), laid_down(**POSE, stretched=0.03)

@@ -69,13 +69,13 @@ def test_rigs_that_cannot_be_built_are_refused(changes: dict[str, dict[str, obje
 def test_mirrors_stand_where_the_simulator_has_them() -> None:
     enlarged = {"tip_margin_mm": 27.0, "pad_height_mm": 21.2, "widest_mm": 22.0, "groove_depth_mm": 3.0}
     changes = {"finger": {**enlarged, "stop_height_mm": 3.5}, "mirror": {"wide_mm": 30.0}}
-    rig, parts = mirror_rig(MirrorSettings(names=("left", "right", "tip")), 0.5), MirrorSettings().parts
+    rig = mirror_rig(MirrorSettings(names=("left", "right", "tip")), 0.5)
     d = dimensions_of(rig, read_dimensions(changes=changes))
     corners = {mirror.name: np.array(mirror.corners_mm) for mirror in rig.mirrors}
     for name, place, away in zip(("right", "left", "tip"), holder_places(d), (0, 0, 1), strict=True):
         assert corners[name][:, 1 - away].mean() == pytest.approx(place[1 - away], abs=1e-9)
         assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(sizes.MIRROR_LONG_MM)
-    profile, outline = holder_profile(parts), np.array(mirror_profile(d.settings))
+    profile, outline = holder_profile(), np.array(mirror_profile(d.settings))
     for corner in (*profile["lip"], *profile["lip_front"], *profile["back"]):
         assert np.hypot(*(outline - corner).T).min() < 1e-9
 
@@ -154,20 +154,6 @@ def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
         if file.name != "rig.json":  # it names the release
             assert file.read_bytes() == (BOARD / file.name).read_bytes(), file.name
     assert read_rig(tmp_path / "rig.json").leds == read_rig(BOARD / "rig.json").leds
-
-
-def test_other_values_are_written_beside_their_parts(tmp_path: Path) -> None:
-    weak = {"current_a": 0.02, "limit_a": 0.025, "forward_v": 3.2, "spread_v": 0.4, "intensity_cd": 8.2}
-    facts = write_circuit(tmp_path, read_dimensions(changes={"circuit": {"white": weak}}))
-    ohm = facts["stages"]["white"]["resistors"]["emitter"]["ohm"]
-    bill = list(csv.reader((tmp_path / "parts.csv").read_text(encoding="utf-8").splitlines()))
-    values = {ref: line[1] for line in bill for ref in line[-1].split()}
-    assert values["R201"].startswith(f"{ohm:g}R".replace(".", "R").removesuffix("R")) and values["R208"] == "27R 0.6 W"
-    for name in ("circuit.net", "board.kicad_pcb"):
-        assert values["R201"] in (tmp_path / name).read_text(encoding="utf-8")
-    switch = write_circuit(tmp_path / "switch", read_dimensions(changes={"circuit": {"topology": "switch"}}))
-    assert "laid out for the topology sink" in switch["board"]
-    assert sorted(file.name for file in (tmp_path / "switch").iterdir()) == ["circuit.json", "rig.json"]
 
 
 @pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])
@@ -260,27 +246,6 @@ def test_light_above_a_limit_is_refused(tmp_path: Path) -> None:
         with pytest.raises(BadInput, match=words):
             write_circuit(tmp_path / "board", read_dimensions(changes={"circuit": changes}))
     assert not (tmp_path / "board").exists()
-
-
-def test_the_page_has_the_figures() -> None:
-    stages = {band: design_stage(band, circuit()) for band in ("white", "nir")}
-    found, failed = (safety.rig_hazards(default_rig(), stages, shorted=shorted) for shorted in (False, True))
-    page = (ROOT / "docs" / "guide" / "rig-safety.md").read_text(encoding="utf-8")
-    table = page.partition("<!-- safety -->")[2].partition("<!-- /safety -->")[0].strip().splitlines()[2:]
-    assert table == [
-        f"| {h.band} | {h.name} | {h.clause} | {h.value:.3g} {h.unit} | {h.limit:.3g} {h.unit} | {h.margin:.2g} | "
-        f"{worse.margin:.2g} |"
-        for h, worse in zip(found, failed, strict=True)
-    ]
-    table = page.partition("<!-- safety films -->")[2].partition("<!-- /safety films -->")[0].strip().splitlines()[2:]
-    for row, kind in zip(table, ("servo", "neighbours"), strict=True):
-        rig = films.with_films(default_rig(), kind)
-        passed = {"passed": films.TRANSMISSION}
-        blue = [
-            named(safety.rig_hazards(rig, stages, **way), "4.3.3") for way in (passed, {**passed, "shorted": True}, {})
-        ]
-        margins = " | ".join(f"{one.margin:.2g}" for one in blue)
-        assert row.endswith(f"| {blue[0].value:.3g} W/m2/sr | {margins} |")
 
 
 # What is printed.

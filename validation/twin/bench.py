@@ -16,7 +16,7 @@ import numpy as np
 
 from splitknit.model import nominal_rig
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, PrintedBoard, board_poses
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -43,7 +43,6 @@ def print_times() -> None:
         makers: dict[str, Callable[[], LitScene]] = {
             "card": lambda own=own: CardScene(**own),
             "board": lambda scale=scale: board_scene(1, scale),
-            "disc": lambda own=own: DiscScene(**own),
             "nail": lambda own=own: NailScene(**own, position_mm=(3.0, 2.0)),
             "chrome ball": lambda own=own: SphereScene(**own),
             "matt ball": lambda own=own: SphereScene(**own, chrome=False),
@@ -117,7 +116,7 @@ def picture() -> np.ndarray:
     scenes: list[tuple[LitScene, list[int]]] = [
         (CardScene(**own, tilt_deg=tilt), [0]),
         (board_scene(1, scale), [3]),
-        (DiscScene(**own, rotation_deg=7.0, shift_mm=(1.0, 2.0), tilt_deg=tilt), [0, 2, 4]),
+        (board_scene(2, scale), [0, 2, 4]),
         (NailScene(**own, position_mm=(3.0, 2.0), tilt_deg=tilt), [2]),
         (SphereScene(**own, tilt_deg=tilt), [0, 2, 3, 5]),
         (SphereScene(**own, chrome=False, ground=0.3, tilt_deg=tilt), [5]),

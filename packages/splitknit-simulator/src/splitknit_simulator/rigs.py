@@ -49,36 +49,31 @@ def with_side_lights(rig: Rig, count: int) -> Rig:
 # As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
 
 
-@dataclass(frozen=True, slots=True)
-class _Tolerances:
-    """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
-
-    led_position_mm: float = 0.7
-    """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
-    off its lens's axis and 1 mm along it from lot to lot."""
-    led_beam_deg: float = 2.0
-    """Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
-    led_half_angle: float = 0.08
-    """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
-    led_intensity: float = 0.1
-    """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
-    focal_length: float = 0.01
-    """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
-    camera_height_mm: float = 0.5
-    """Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
-    camera_tilt_deg: float = 0.3
-    """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
-    camera_shift_mm: float = 0.3
-    """Per axis, of the camera against the LEDs' circle: the play of its screws."""
-    principal_point: float = 0.005
-    """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
-    corner_distortion: float = 0.005
-    """Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
-    corner_vignetting: tuple[float, float] = (0.10, 0.20)
-    """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
+# How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said.
+_LED_POSITION_MM = 0.7
+"""Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
+off its lens's axis and 1 mm along it from lot to lot."""
+_LED_BEAM_DEG = 2.0
+"""Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
+_LED_HALF_ANGLE = 0.08
+"""Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
+_LED_INTENSITY = 0.1
+"""Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
+_FOCAL_LENGTH = 0.01
+"""Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
+_CAMERA_HEIGHT_MM = 0.5
+"""Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
+_CAMERA_TILT_DEG = 0.3  # per axis, of the camera against the base: 0.15 mm over a seat of 25 mm
+_CAMERA_SHIFT_MM = 0.3  # per axis, of the camera against the LEDs' circle: the play of its screws
+_PRINCIPAL_POINT = 0.005
+"""Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
+_CORNER_DISTORTION = 0.005
+"""Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
+_CORNER_VIGNETTING = 0.10, 0.20
+"""Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
 
 
-def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
+def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
     every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
 
@@ -86,64 +81,61 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None =
     ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
-    tolerances = tolerances or _Tolerances()
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
-    camera = _built_camera(drawn.camera, tolerances, rng)
-    shift = np.array([*(tolerances.camera_shift_mm * _normal(rng, 2)), 0.0])
-    tilt_deg = tolerances.camera_tilt_deg * _normal(rng, 2)
+    camera = _built_camera(drawn.camera, rng)
+    shift = np.array([*(_CAMERA_SHIFT_MM * _normal(rng, 2)), 0.0])
+    tilt_deg = _CAMERA_TILT_DEG * _normal(rng, 2)
     # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned about the camera
     turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
     seat = np.array([0.0, 0.0, camera.height_mm])
-    leds = tuple(_built_led(led, tolerances, rng, (turn, seat, shift)) for led in drawn.leds)
+    leds = tuple(_built_led(led, rng, (turn, seat, shift)) for led in drawn.leds)
     tilt = [round(float(t), 6) for t in tilt_deg]
     provenance = {"source": "digital twin", "rig": "as built", "seed": seed, "base_tilt_deg": tilt}
     return Rig(camera=camera, leds=leds, provenance=provenance)
 
 
-def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generator) -> Camera:
+def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     assert drawn.matrix is not None
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
     distortion, vignetting = rng.random(2)
-    focal_px = float(drawn.matrix[0, 0]) * (1.0 + tolerances.focal_length * focal)
-    height_mm = drawn.height_mm + tolerances.camera_height_mm * height
-    middle = np.array([columns - 1, rows - 1]) / 2 + tolerances.principal_point * columns * np.array(offset)
+    focal_px = float(drawn.matrix[0, 0]) * (1.0 + _FOCAL_LENGTH * focal)
+    height_mm = drawn.height_mm + _CAMERA_HEIGHT_MM * height
+    middle = np.array([columns - 1, rows - 1]) / 2 + _PRINCIPAL_POINT * columns * np.array(offset)
     matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
     corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)  # squared tangent of the field angle at the corners
-    low, high = tolerances.corner_vignetting
+    low, high = _CORNER_VIGNETTING
     lost = low + (high - low) * vignetting
     return replace(
         drawn,
         px_per_mm=float(focal_px / height_mm),
         height_mm=float(height_mm),
         matrix=matrix,
-        distortion=(float(tolerances.corner_distortion * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
+        distortion=(float(_CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
         # cos^4 = (1 + tan^2)^-2 = 1 - 2 tan^2 + 3 tan^4 - ..., and vignetting, which sets in late
         shading=(float(-2.0 * corner2), float(3.0 * corner2**2 - lost)),
     )
 
 
-def _built_led(
-    drawn: Led, tolerances: _Tolerances, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
-) -> Led:
+def _built_led(drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]) -> Led:
     turn, seat, shift = seen_from_camera
-    position = np.asarray(drawn.position_mm) + tolerances.led_position_mm * _normal(rng, 3) + shift
+    position = np.asarray(drawn.position_mm) + _LED_POSITION_MM * _normal(rng, 3) + shift
     position = turn @ (position - seat) + seat
-    first, second = np.tan(np.deg2rad(tolerances.led_beam_deg * _normal(rng, 2)))
+    first, second = np.tan(np.deg2rad(_LED_BEAM_DEG * _normal(rng, 2)))
     aim = turn @ drawn.axis
     across = np.cross(aim, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
     aim = aim + first * across + second * np.cross(aim, across)
     aim /= np.linalg.norm(aim)
     half_angle, intensity = _normal(rng, 2)
-    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + tolerances.led_half_angle * half_angle)
+    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + _LED_HALF_ANGLE * half_angle)
     return replace(
         drawn,
         position_mm=(float(position[0]), float(position[1]), float(position[2])),
         aim=(float(aim[0]), float(aim[1]), float(aim[2])),
         lobe_exponent=round(lobe_exponent(angle), 6),
-        intensity=round(float(1.0 + tolerances.led_intensity * intensity), 6),
+        intensity=round(float(1.0 + _LED_INTENSITY * intensity), 6),
     )
 
 

@@ -14,13 +14,13 @@ from splitknit.devices import Opened
 from splitknit.errors import require
 from splitknit.model import default_rig
 from splitknit_simulator.bench_photos import BOARD
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, board_poses
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinLightBank
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import FingerScene, twin_settings
 
-TARGETS = ("card", "disc", "nail", "board", "sphere")
+TARGETS = ("card", "nail", "board", "sphere")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Twin:
 
     @classmethod
     def made(cls, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Twin:
-        """Change settings of finger, skin, light and sensor; BadInput if one is unknown, or the rig is another camera's."""
+        """Change settings of finger, skin, light and sensor; BadInput if unknown, or the rig is another camera's."""
         settings = twin_settings(scale, changes)
         if rig is not None:
             require(
@@ -84,6 +84,6 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
         scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
-    makers: dict[str, Any] = {"card": CardScene, "disc": DiscScene, "sphere": SphereScene}
+    makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene}
     require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
     return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

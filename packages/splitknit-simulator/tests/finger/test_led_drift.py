@@ -5,14 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.finger.led_drift import drift_words, led_drift
-from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import view_of
 from splitknit.model import Rig, default_rig
-from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.twin import simulate_capture
 
 NAMES = [f"white {k}" for k in range(7)]
 AZIMUTH = 2 * np.pi * np.arange(7) / 7
@@ -54,26 +50,6 @@ def plane():
     return Scene(None)
 
 
-def without_first_order(gains):
-    """What is left of ln(gains) when a common factor and a tilt are taken off."""
-    basis = np.linalg.qr(FIRST_ORDER.T)[0]
-    departure = np.log(gains)
-    return departure - basis @ (basis.T @ departure)
-
-
-@pytest.mark.parametrize("scene", ["dome", "plane"])
-def test_patterns_that_a_tilt_cannot_make_are_found(scene, request):
-    surface = request.getfixturevalue(scene)
-    gains = 1 + 0.08 * np.random.default_rng(5).standard_normal(7)
-    found = led_drift(surface.stack(gains), surface.lights, surface.mask)
-    assert found.observable.shape == (4, 7)
-    assert np.abs(found.observable @ np.log(found.gain / gains)).max() < 0.01
-    assert np.abs(np.log(found.gain) - without_first_order(gains)).max() < 0.015
-    assert found.error.max() < 0.01
-    departure = np.log(found.gain)
-    assert np.abs(found.observable.T @ (found.observable @ departure) - departure).max() < 1e-9
-
-
 @pytest.mark.parametrize("scene", ["dome", "plane"])
 def test_a_first_order_pattern_is_a_tilt(scene, request):
     """It leaves no trace on a plane and hardly one on a dome: it is not called a drift."""
@@ -107,13 +83,6 @@ def test_calibrated_leds_raise_no_alarm(dome):
     assert found.residual_percent < 1.5
 
 
-def test_several_leds_are_no_single_one(dome):
-    gains = np.array([1.0, 0.85, 1.0, 1.15, 1.0, 0.85, 1.15])
-    found = led_drift(dome.stack(gains), dome.lights, dome.mask)
-    assert found.suspect is None
-    assert "several LEDs depart" in drift_words(found, NAMES)[0]
-
-
 def test_shadows_and_gloss_do_not_count(dome):
     images = dome.stack(np.ones(7))
     images[2, :60] *= 0.02  # a cast shadow
@@ -121,43 +90,3 @@ def test_shadows_and_gloss_do_not_count(dome):
     found = led_drift(images, dome.lights, dome.mask)
     assert np.abs(found.gain - 1).max() < 0.01
     assert found.suspect is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lights", ["near", "distant"])
-def test_skin_does_not_mislead(lights):
-    """A simulated finger with gloss, wandering light and shadows; the surface that the lights meet is known or not."""
-    capture, truth = simulate_capture(2, "whorl", TwinSettings(scale=0.1))
-    band = capture.bands["white"]
-    rig = capture.rig.select(band.leds)
-    mask = np.asarray(truth["mask"])
-    z = np.where(mask, truth["shape_mm"], 0).astype(np.float32)
-    vectors = rig.light_vectors()
-    if lights == "near":
-        vectors = light_vectors_at(rig, *view_of(rig.camera).points(z))
-    stack = linear_stack(band, capture.encoding)
-    calm = led_drift(stack, vectors, mask)
-    assert calm.suspect is None and drift_words(calm, NAMES) == []
-    gains = np.where(np.arange(7) == 5, 0.93, 1.0).astype(np.float32)
-    found = led_drift(stack * gains[:, None, None], vectors, mask)
-    assert found.suspect == 5
-    # lamps that are taken for distant ones cost a little more
-    assert found.suspect_gain == pytest.approx(0.93, abs=0.012 if lights == "near" else 0.015)
-
-
-def test_the_order_of_the_lights_does_not_matter(dome):
-    gains = np.array([1.0, 1.1, 1.0, 0.95, 1.0, 1.0, 1.0])
-    order = np.array([3, 0, 6, 1, 5, 2, 4])
-    found = led_drift(dome.stack(gains), dome.lights, dome.mask)
-    turned = led_drift(dome.stack(gains)[order], dome.lights[order], dome.mask)
-    assert np.abs(turned.gain - found.gain[order]).max() < 1e-4
-
-
-def test_bad_input_is_refused(dome):
-    stack = dome.stack(np.ones(7))
-    with pytest.raises(BadInput, match="at least 5 images"):
-        led_drift(stack[:4], dome.lights[:4])
-    with pytest.raises(BadInput, match=r"\(7, 3\)"):
-        led_drift(stack, dome.lights[:6])
-    with pytest.raises(BadInput, match="only 0 pixels"):
-        led_drift(0 * stack, dome.lights)

@@ -55,6 +55,7 @@ GONE: dict[str, str] = {
     "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
     "gallery repair": "use 'gallery check', and 'gallery remove --row' for what it names.",
     "identify --shards": "leave it out: an index in memory serves up to some 100,000 captures.",
+    "calibrate lights --nail-seen": "mark the nail's tip in the table.",
     "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
     "reconstruct --frames": "reconstruct each colour photograph by itself.",
     "reconstruct --level": "it was for gel sensors.",

@@ -36,6 +36,7 @@ _ACROSS = 60  # cells along the longer side of the card's picture
 _STEADY = 0.004  # relative deviation of an LED's light from one photograph to the next, with its shot noise
 _NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
 _MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
+_LEAK_ERROR = 2.5e-4  # half of the largest error of what is left, on simulated rigs
 
 
 def films_to_file(
@@ -267,7 +268,7 @@ def _with_leak(films: Films, light: Array) -> tuple[Films, dict[str, Any]]:
     """The films with their leak, and its interval; `light` (L, 2, 2): parallel and crossed highlights, deviations."""
     both = light[:, 0, 0] + light[:, 1, 0]
     leak = light[:, 1, 0] / both
-    error = np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both
+    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
     words = "light {}: {:.1f} % of the specular light is left in the crossed image; turn its film or the analyser."
     facts = {
         "leak_interval": [[rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)],

@@ -54,7 +54,7 @@ def calibrate_to_file(
     check_rig_file(out)
     check_picture(residuals, folder)
     progress("reading", 0.0)
-    plan = _read_radiometry_plan(folder)
+    plan = read_radiometry_plan(folder)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
     plane = CardPlane(card_height_mm, card_tilt_deg or _base_tilt_deg(rig))
@@ -203,7 +203,7 @@ class _RadiometryPlan:
     document: Path | None = None
 
 
-def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
+def read_radiometry_plan(folder: Path) -> _RadiometryPlan:
     """Read ``radiometry.json``; an empty plan where there is none. Raises BadInput naming the file and the field."""
     file = folder / DOCUMENT
     if not file.is_file():

@@ -60,7 +60,7 @@ _LAG_FRAMES = 3  # frames until a new exposure takes effect
 _PREVIEW_COLUMNS = 800  # width of a preview in pixels, about: it is reduced by a whole number
 SENSITIVITY_PER_S = 500.0
 """Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
-_SETTLE_S = 0.02  # time until an LED reaches full brightness
+SETTLE_S = 0.02  # time until an LED reaches full brightness
 
 
 class TwinLightBank(GuardedLights):
@@ -70,7 +70,7 @@ class TwinLightBank(GuardedLights):
         """Take the LEDs, all off."""
         self._clock = clock
         self._since: dict[int, float] = {}
-        super().__init__(len(scene.leds), _SETTLE_S)
+        super().__init__(len(scene.leds), SETTLE_S)
 
     def brightness(self, at_s: float) -> float:
         """Fraction of its full light that the last LED that was switched on gives at a time: it rises evenly."""
