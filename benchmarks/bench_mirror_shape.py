@@ -36,7 +36,7 @@ PX_PER_MM = 40.0
 def drawn() -> tuple[dict[str, np.ndarray], Any]:
     """Masks (H, W) of all views, and the rig."""
     rig = mirror_rig(
-        MirrorSettings(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0, 0, 0.0
+        MirrorSettings(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0
     )
     finger = draw_finger(9002)
     body, master = FingerBody(finger.shape), finger.master()

@@ -73,12 +73,6 @@ def test_a_bad_photograph_is_left_out_and_named():
     assert abs(kept.matrix[0, 0] - 2650) > abs(found.lens.matrix[0, 0] - 2650)
 
 
-@pytest.mark.slow
-def test_even_photographs_are_all_believed():
-    rejected = [len(fit_camera(views(seed, 13), BOARD, SIZE).rejected) for seed in range(10, 13)]
-    assert sum(rejected) == 0
-
-
 def test_the_same_photograph_twice_counts_once():
     sets = views(5, 6)
     twice = [*sets, sets[2] + 0.05, sets[0][::-1]]
@@ -97,11 +91,6 @@ def test_boards_parallel_to_the_sensor_are_refused():
         fit_camera(views(8, tilts=(0, 2), noise_px=0.1), BOARD, SIZE)
 
 
-def test_little_tilt_is_warned_about():
-    found = fit_camera(views(9, tilts=(1, 4), noise_px=0.005), BOARD, SIZE)
-    assert any("parallel" in words or "uncertain" in words for words in found.warnings)
-
-
 def test_boards_in_one_corner_are_warned_about():
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
     sets = [0.5 * seen(marks, turned(10 + 3 * k, 70 * k), (0, 0, 140.0)) for k in range(8)]
@@ -117,12 +106,6 @@ def test_stretched_photographs_are_refused():
     lens = fit_camera([v * (1.005, 1.0) for v in views(11)], BOARD, SIZE).lens
     assert lens.matrix[0, 0] / lens.matrix[1, 1] == pytest.approx(1.005, abs=5e-4)
     assert "aspect" in lens.fitted
-
-
-def test_corners_that_fit_no_camera_are_refused():
-    rng = np.random.default_rng(3)
-    with pytest.raises(BadInput, match=r"focal length|determine the camera|can be used"):
-        fit_camera([v + rng.normal(0, 40, v.shape) for v in views(12, 5)], BOARD, SIZE)
 
 
 def test_what_is_no_set_of_corners_is_refused():

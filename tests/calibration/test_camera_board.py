@@ -83,14 +83,6 @@ def test_a_board_that_is_cut_off_or_absent_is_not_found():
     assert find_board(noise, board) is None
 
 
-def test_large_pictures_are_searched_small_and_measured_large():
-    board = Board(9, 6, 3.0)
-    image, truth = picture(board)
-    large = cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
-    found = find_board(large, board, search_px=560)
-    assert error(found, (truth + 0.5) * 3 - 0.5) < 0.15
-
-
 @pytest.mark.parametrize("text", ["9", "9x6x3", "-9x6"])
 def test_what_is_no_size(text):
     with pytest.raises(BadInput, match="such as 9x6"):

@@ -177,14 +177,10 @@ def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys
     parallel, crossed = polarised_photos(photos, tmp_path)
     Image.fromarray(np.ones((20, 20), np.uint16)).save(tmp_path / "small.png")
     for change, words in (
-        (lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"), "5 photographs, but"),
-        ((crossed / "through_5.png").unlink, ""),
         (lambda: shutil.copy(tmp_path / "small.png", crossed / "through_2.png"), "200 x 200 are expected"),
-        (lambda: shutil.rmtree(crossed), "is not a folder"),
+        (lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"), "5 photographs, but"),
     ):
         change()
-        if not words:
-            continue
         assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 2
         assert words in capsys.readouterr().err
         assert not (tmp_path / "c").exists()
@@ -223,6 +219,3 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
         assert words in capsys.readouterr().err
     assert imported("--images", frames, *lights, "--mosaic", "colour", "--out", tmp_path / "d") == 0
     assert read_capture(tmp_path / "d").bands["white_crossed"].pixels.shape == (5, 200, 200, 3)
-    Image.fromarray(mosaic[:399]).save(frames / "0.png")
-    assert imported("--images", frames, *lights, "--mosaic", "mono", "--out", tmp_path / "e") == 2
-    assert "0.png: a mosaic of films has one channel" in capsys.readouterr().err

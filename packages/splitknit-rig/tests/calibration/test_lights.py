@@ -191,11 +191,6 @@ def test_an_incomplete_table(change, words):
         check_tips(change(tips), CAMERA.image_size)
 
 
-def test_a_third_position_may_lack_a_shadow():
-    tips = cast([(-6, -4), (7, 5), (0, 0)])
-    check_tips([tip for tip in tips if (tip.led, tip.nail) != (3, 2)], CAMERA.image_size)
-
-
 def test_no_shadow_and_outside_the_circle():
     tips = list(cast([(-6, -4), (7, 5)]))
     at_nail = [*tips[:3], replace(tips[3], tip_px=tips[3].nail_px), *tips[4:]]

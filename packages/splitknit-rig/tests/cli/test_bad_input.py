@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
-from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 
 Damage = Callable[[Path], object]
@@ -229,38 +228,6 @@ def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_
     assert first.startswith("The surface is spoilt: ") and words in first
     shutil.rmtree(out)
     refused([*command, "--strict"], capsys, (words, "--strict"))
-
-
-def test_lights_of_other_brightness_are_refused_or_estimated(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    folder = copy_of(twin_folder, tmp_path / "capture")
-    edit(folder / "rig.json", lambda rig: [led.update(intensity=1.0) for led in rig["leds"]])
-    for k, part in enumerate((0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74)):
-        repaint(folder / f"white_{k}.png", lambda image, part=part: np.round(image * part).astype(np.uint8))
-    words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
-    refused(words, capsys, ("not as bright as is stated", "white_", "calibrate their brightness"))
-    assert main([*words, "--keep"]) == 0
-    assert "leaves open by some degrees" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "report.json").read_text())["facts"]["light_brightness"]
-    assert found[0] < 0.95 * found[1] and found[5] < 0.8 * found[4]
-
-
-@pytest.mark.slow
-def test_another_encoding_than_the_stored_one_is_named(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
-    """In both directions: a wrong curve looks like LEDs of other brightness, and is no fault of theirs."""
-
-    def curved(image: NDArray[Any]) -> NDArray[Any]:
-        return np.rint(255.0 * srgb_code(image.astype(np.float64) / 255.0)).astype(np.uint8)
-
-    for declared, other in (("linear", "srgb"), ("srgb", "linear")):
-        folder = copy_of(twin_folder, tmp_path / declared)
-        edit(folder / "capture.json", lambda facts, declared=declared: facts.update(encoding=declared, black_level=0))
-        for file in folder.glob("[wn]*_*.png") if declared == "linear" else ():
-            repaint(file, curved)
-        refused(
-            ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--strict"], capsys, (f"{declared} (", other)
-        )
 
 
 @pytest.mark.slow

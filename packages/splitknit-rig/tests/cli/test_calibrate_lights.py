@@ -227,13 +227,10 @@ def test_photographs_that_are_wrong(capsys, tmp_path, nail_photographs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["grey", "chrome"])
-def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path, kind):
+def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
     rig = with_side_lights(nominal_rig(0.2), 7)
     write_rig(rig, tmp_path / "rig.json")
-    scene = SphereScene(
-        camera=rig.camera, leds=rig.leds, chrome=kind == "chrome", radius_mm=5.0, position_mm=(2.0, 1.0)
-    )
+    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, radius_mm=5.0, position_mm=(2.0, 1.0))
     (tmp_path / "ball").mkdir()
     white = [*range(7), *range(14, 21)]
     for number, k in enumerate(white):
@@ -245,7 +242,7 @@ def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path, kind):
     write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
     words = (
         "--sphere",
-        kind,
+        "grey",
         "--images",
         tmp_path / "ball",
         "--mask",

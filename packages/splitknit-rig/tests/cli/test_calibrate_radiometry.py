@@ -170,25 +170,6 @@ def test_documents_that_are_wrong(
     assert not (tmp_path / "rig.json").exists()
 
 
-def test_images_that_are_wrong(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "rig.json"
-    good = (own / "nir_2.png").read_bytes()
-    repaint(own / "nir_2.png", lambda pixels: pixels // 500)
-    assert "LED 9" in refusal(capsys, own, "--out", out)
-    (own / "nir_2.png").write_bytes(good)
-    repaint(own / "nir_2.png", lambda pixels: np.where(np.arange(pixels.shape[1])[:, None] < 3, 65535, pixels))
-    assert "nir_2.png is clipped" in refusal(capsys, own, "--out", out)
-    (own / "nir_2.png").write_bytes(good)
-
-    def short(document: Any) -> None:
-        document["bands"]["nir"]["images"].pop()
-        document["bands"]["nir"]["leds"].pop()
-
-    edit(own / "capture.json", short)
-    assert "13 images for the rig's 14 LEDs: LED 13 (nir 6) is missing" in refusal(capsys, own, "--out", out)
-    assert not out.exists()
-
-
 def test_words_that_are_wrong(card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "rig.json"
     assert "is not a capture folder" in refusal(capsys, tmp_path, "--out", out)

@@ -201,13 +201,6 @@ def test_what_is_refused(words, said, tmp_path: Path, monkeypatch, capsys: Captu
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [("--scale", "0"), ("--seed", "-1")])
-def test_numbers_that_are_none_are_refused(words, tmp_path: Path, capsys: Captured):
-    assert run("--out", tmp_path / "a", *words) == 2
-    assert words[0] in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_rig_of_another_camera_or_with_too_few_leds(tmp_path: Path, capsys: Captured):
     from dataclasses import replace
 

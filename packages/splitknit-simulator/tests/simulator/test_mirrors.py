@@ -257,7 +257,7 @@ def test_impossible_settings_are_refused(change, says):
 
 
 def test_scenes_that_cannot_be_are_refused():
-    beside = replace(settings(), pose=replace(POSE, x_mm=-8.0))
+    beside = replace(settings(), pose=replace(POSE, x_mm=-14.0))
     with pytest.raises(BadInput, match="touches the left mirror"):
         simulate_capture(4, settings=beside, finger=FINGER)
     far = settings(names=("right",), px_per_mm=130.0)

@@ -59,9 +59,7 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps({"knit": {"mode": "a"}, "x.y": [1]}))
     (tmp_path / "s.toml").write_text('"x.y" = [1]\n[knit]\nmode = "a"\n')
     assert (
-        read_changes(tmp_path / "s.json", [])
-        == read_changes(tmp_path / "s.toml", [])
-        == {"knit.mode": "a", "x.y": [1]}
+        read_changes(tmp_path / "s.json", []) == read_changes(tmp_path / "s.toml", []) == {"knit.mode": "a", "x.y": [1]}
     )
 
 

@@ -104,8 +104,6 @@ def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
     assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
 
 
-
-
 def test_a_wide_mean_on_a_reduced_copy_keeps_the_ridges() -> None:
     x, y = np.meshgrid(np.arange(420.0), np.arange(400.0))
     mask = np.hypot(x - 210, y - 200) < 190

@@ -139,6 +139,7 @@ class LightsJob(Job):
     def run(self, progress: Progress) -> CalibratedLights:
         """Find the LEDs, and write the rig file where one is named."""
         from splitknit_rig.calibration import lights_job as lights
+        from splitknit_rig.calibration.lights_found import Rules
         from splitknit_rig.calibration.nail import Nail
 
         source, out = self._source(), path(self.out)
@@ -155,12 +156,12 @@ class LightsJob(Job):
         if source == "geometry":
             return lights.lights_as_drawn(base, circle, out, first_azimuth_deg=self.first_azimuth_deg)
         joint_from = 2 if self.rig is not None else 3
-        rules = lights.Rules(Nail(self.nail_height_mm), self.method, joint_from, self.limit_deg, self.keep)
+        rules = Rules(Nail(self.nail_height_mm), self.method, joint_from, self.limit_deg, self.keep)
         if source == "table":
             assert self.table is not None
             return lights.lights_of_table(path(self.table), base, circle, rules, out)
         assert self.images is not None
-        pictures = {"encoding": self.encoding, "show": path(self.show), "tips_out": path(self.tips_out)}
+        pictures: dict[str, Any] = {"encoding": self.encoding, "show": path(self.show), "tips_out": path(self.tips_out)}
         return lights.lights_of_nail(path(self.images), base, circle, rules, out, **pictures, progress=progress)
 
     def _source(self) -> str:
@@ -192,7 +193,7 @@ def _pair(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class RadiometryJob(Job):
-    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response and noise.
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
 
     Returns
     -------

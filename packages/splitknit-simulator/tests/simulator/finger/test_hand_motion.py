@@ -99,8 +99,8 @@ def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     changed = [
         np.abs(b.astype(float) - a)[inside].mean(axis=0) for a, b in zip(first.pixels, second.pixels, strict=True)
     ]
-    assert changed[1].max() < 1.5  # the reference: noise
-    assert changed[0].min() > 1.8 * changed[1].max()  # every colour has moved
+    assert changed[1].max() < 2.0  # the reference: noise and tremor
+    assert changed[0].min() > 5 * changed[1].max()  # every colour has moved
 
 
 def test_mirrors_are_refused():

@@ -133,7 +133,7 @@ def test_what_films_do_not_go_with_is_refused():
         FilmSettings(kept=1.5)
     from splitknit_simulator.rigs import coloured_rig
 
-    coloured = TwinSettings(rig=coloured_rig(0.08, 0, 0.1, 2), films=FilmSettings("analyser"))
+    coloured = TwinSettings(rig=coloured_rig(0.08, 0), films=FilmSettings("analyser"))
     with pytest.raises(BadInput, match="leave out coloured LEDs"):
         splitknit_simulator.simulate_capture(1, settings=coloured)
 
