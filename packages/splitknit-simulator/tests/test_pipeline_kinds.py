@@ -123,7 +123,7 @@ TWINS: dict[str, TwinSettings] = {
     "rolled": TwinSettings(pose=FingerPose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
     "dark skin": TwinSettings(skin=SkinOptics(melanin=0.02, glare=1.3, roughness=0.2)),
     "fair skin": TwinSettings(skin=SkinOptics(melanin=0.0002, blood=0.003)),
-    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, gradient=0.5, albedo=0.02)),
+    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, albedo=0.02)),
     "dust": TwinSettings(background=BackgroundSettings(dust_per_cm2=15.0)),
 }
 

@@ -129,7 +129,7 @@ class MirrorScene:
         """(H, W, 3) radiance of the whole picture under light k."""
         camera = self.rig.camera
         card = white_card(camera, led, -BACKGROUND_MM)
-        frame = self.front.frame(front, k, self.front.background(card))
+        frame = self.front.frame(front, k, self.front.background(card, led.band))
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             # (H, W, 3) radiance of what a mirror shows behind the finger
             above = np.array([0.0, 0.0, 1.0])

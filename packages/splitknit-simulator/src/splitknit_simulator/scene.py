@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
 from itertools import zip_longest
 from typing import Annotated, Any
 
@@ -31,7 +32,7 @@ from splitknit_simulator.light.films import (
 )
 from splitknit_simulator.light.lighting import cut_out, finger_window, towards, white_card
 from splitknit_simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
-from splitknit_simulator.light.skin import CHANNELS, SkinOptics, SkinRanges
+from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
 
@@ -50,6 +51,9 @@ class BackgroundSettings(Checked):
     """Bright specks on the background."""
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Fraction of the light that the hand takes away at the finger's base, 0 to 1."""
+    colour: Annotated[tuple[float, float, float, float] | None, Limits(0.0, 1.0)] = None
+    """Diffuse reflectance in red, green, blue and NIR of coloured paper in place of the black background. What it sends
+    on to the finger's flanks is simulated too, as from an endless, evenly lit plane. Not between mirrors."""
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Ambient light: radiance of a white card relative to the same card under one LED."""
 
@@ -62,6 +66,18 @@ def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.rand
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
         _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
     return albedo
+
+
+def _background_albedos(
+    camera: Camera, settings: BackgroundSettings, rng: np.random.Generator
+) -> dict[Channel, FloatArray]:
+    """(H, W) albedo of the background for every channel; dust is white."""
+    if settings.colour is None:
+        return dict.fromkeys(CHANNELS, background_albedo(camera, settings, rng))
+    return {
+        channel: background_albedo(camera, replace(settings, albedo=albedo), deepcopy(rng))
+        for channel, albedo in zip(CHANNELS, settings.colour, strict=True)
+    }
 
 
 def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng: np.random.Generator) -> None:
@@ -123,6 +139,10 @@ class TwinSettings(Checked):
         require(
             self.motion.amplitude_mm == 0 or not self.between_mirrors,
             "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
+        )
+        require(
+            self.background.colour is None or not self.between_mirrors,
+            "the background between mirrors is black in the twin; leave out mirrors, or background.colour.",
         )
         require(
             self.films.kind == "none" or not self.between_mirrors,
@@ -190,7 +210,8 @@ class Scene:
         """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
         surface, rig, skin = subject
         self.surface, self.rig, self.skin, self.settings = surface, rig, skin, settings
-        self.albedo = np.where(surface.mask, 0, background_albedo(rig.camera, settings.background, rng))
+        albedos = _background_albedos(rig.camera, settings.background, rng)
+        self.albedo = {channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()}
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
         below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
@@ -234,18 +255,33 @@ class Scene:
     def render(self, name: str, leds: Sequence[Led]) -> BandLight:
         """Light of the finger under LEDs of one band."""
         name = spectral_band(name)
-        return render_band(self.surface, leds, self.skin.medium(name), self.settings.render)
+        light = render_band(self.surface, leds, self.skin.medium(name), self.settings.render)
+        if self.settings.background.colour is not None:
+            self._add_reflected(light, name, leds)
+        return light
 
-    def background(self, light: FloatArray | np.float32) -> FloatArray:
+    def _add_reflected(self, light: BandLight, name: str, leds: Sequence[Led]) -> None:
+        """Add to the finger's light what comes by way of the background, in place: a hemisphere from below."""
+        channels = BAND_CHANNELS[name]
+        up = np.array([0.0, 0.0, -1.0])
+        below = render_ambient(self.surface, 1.0, self.skin.medium(name), self.settings.render, up)
+        colour = dict(zip(CHANNELS, self.settings.background.colour or (), strict=True))
+        for k, led in enumerate(leds):
+            card = float(white_card(self.rig.camera, led, -BACKGROUND_MM).mean())
+            for c, channel in enumerate(channels):
+                light.diffuse[k, c] += np.float32(card * colour[channel]) * below[c]
+
+    def background(self, light: FloatArray | np.float32, name: str) -> FloatArray:
         """(H, W, 3) radiance of the background, none where the finger is, where a white card sends `light`."""
-        return np.repeat((light * self.albedo)[..., None], 3, axis=2)
+        channels = BAND_CHANNELS[name] * (3 // len(BAND_CHANNELS[name]))
+        return np.stack([light * self.albedo[channel] for channel in channels], axis=-1)
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
         """(H, W, 3) what the pixels see under a group's LEDs together and `ambient` light; `light`: of all `leds`."""
         mixing, frame = self._mixing, ambient.copy()
         for k in group:
             card = white_card(self.rig.camera, leds[k], -BACKGROUND_MM)
-            lit = self.frame(light, k, self.background(card))
+            lit = self.frame(light, k, self.background(card, leds[k].band))
             if leds[k].colour:
                 c = COLOURS.index(leds[k].colour)
                 lit = lit[..., c : c + 1] * mixing[:, c].astype(np.float32)
@@ -289,7 +325,7 @@ class Scene:
         """(H, W, 3) radiance of finger and background with all LEDs off."""
         name = spectral_band(name)
         level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
-        frame = self.background(np.float32(level))
+        frame = self.background(np.float32(level), name)
         if level > 0.0:
             skin = render_ambient(self.surface, level, self.skin.medium(name), self.settings.render)
             frame[finger_window(self.surface)] += np.moveaxis(skin, 0, -1)

@@ -400,7 +400,7 @@ class FingerScene:
             window, all_planes = self._rendered(self.leds[index].band)
             members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
             card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
-            frame += scene.background(card) * scene.shade[..., None]
+            frame += scene.background(card, self.leds[index].band) * scene.shade[..., None]
             frame[window] += np.moveaxis(all_planes[members.index(index)] * scene.shade[window[0]], 0, -1)
         return scene.through_lens(frame)
 

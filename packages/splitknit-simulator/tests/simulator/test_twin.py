@@ -15,6 +15,7 @@ from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import PoseRanges
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings, background_albedo
 from splitknit_simulator.twin import photograph, simulate_capture
 from surfaces import ridged_egg
@@ -107,6 +108,27 @@ def test_dust_and_the_shadow_of_the_hand(egg, rig):
     assert ratio[np.flatnonzero(truth["mask"][:, 130])[-1] - 2, 130] < 0.5
     background = open_hand.bands["white"].pixels[0][~truth["mask"]] / 65535.0
     assert 0 < background.mean() < 0.02
+
+
+@pytest.mark.slow
+def test_a_coloured_background_lights_the_flanks(egg, rig):
+    black, truth = _photo(egg, rig, sensor=QUIET)
+    green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
+    before_green, its = _photo(egg, rig, sensor=QUIET, background=green)
+    beside = ~truth["mask"]
+    paper = before_green.bands["white"].pixels[0][beside].mean(axis=0)
+    assert paper[0] < 0.01 * paper[1]
+    assert paper[2] == pytest.approx(0.25 * paper[1], rel=0.02)
+    assert before_green.bands["nir"].pixels[0][beside].mean() > 5 * black.bands["nir"].pixels[0][beside].mean()
+    one, other = (
+        linear_stack(c.bands["white"], "linear", "green")[0] / t["exposure_white"]
+        for c, t in ((black, truth), (before_green, its))
+    )
+    added, level = other - one, truth["normals"][..., 2]
+    flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
+    assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
+    with pytest.raises(BadInput, match="between mirrors is black"):
+        TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
 
 def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
