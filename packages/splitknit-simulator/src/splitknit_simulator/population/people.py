@@ -76,10 +76,10 @@ _LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05
 """Of the length from tip to first crease: men's over women's; relative standard deviation between people of one sex."""
 _WIDTH_SEX_RATIO, _WIDTH_SPREAD = 1.14, 0.055  # the same of the pad's breadth
 _PERIOD_SEX_RATIO, _PERIOD_SPREAD = 1.10, 0.045  # the same of the ridge period
-_PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
-_WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)  # mean breadth of the pad by digit, thumb to little finger, both sexes
-_LENGTH_MM: Five = (30.5, 25.0, 26.0, 25.5, 22.8)  # mean length from tip to first crease
-_PERIOD_MM = 0.435  # mean ridge period, both sexes: 23 ridges per cm, as in the thesis
+PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
+WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)  # mean breadth of the pad by digit, thumb to little finger, both sexes
+LENGTH_MM: Five = (30.5, 25.0, 26.0, 25.5, 22.8)  # mean length from tip to first crease
+PERIOD_MM = 0.435  # mean ridge period, both sexes: 23 ridges per cm, as in the thesis
 _HABIT_ROLL_SD_DEG = 3.0  # standard deviation of each finger's habitual roll
 _PERSON_SHARE = 0.8  # fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
 _PERIOD_OWN_SPREAD = 0.02  # relative standard deviation of the ridge period between the fingers of a hand
@@ -184,7 +184,7 @@ def _print_settings(rng: np.random.Generator, hand: _Hand, place: int, man: bool
     person = hand.score("period", place, 1.0, 0.0)
     own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)
     logs = sex + _PERIOD_SPREAD * np.clip(person, -2.2, 2.2) + own
-    period = _PERIOD_MM * _PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
+    period = PERIOD_MM * PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
 
 
@@ -200,8 +200,8 @@ def _shape_and_relief(
     def trait(name: str) -> float:
         return hand.trait(name, place)
 
-    width = size("width", _WIDTH_MM, _WIDTH_SEX_RATIO, _WIDTH_SPREAD)
-    length = size("length", _LENGTH_MM, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
+    width = size("width", WIDTH_MM, _WIDTH_SEX_RATIO, _WIDTH_SPREAD)
+    length = size("length", LENGTH_MM, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
     shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
     shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))
     first, second = (
