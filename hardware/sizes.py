@@ -75,10 +75,7 @@ def _checked(s: SimpleNamespace) -> SimpleNamespace:
 
 
 NOZZLE_MM = 0.4  # width of the nozzle: the calibration nail's tip is as wide
-LAYER_MM = 0.2  # height of a layer: the step in which a part is looked through for what hangs over
 MIN_WALL_MM = 1.2  # three lines of a 0.4 mm nozzle
-MAX_OVERHANG_DEG = 45.0  # faces that look down and lean further than this from the vertical need a look
-BRIDGE_MM = 10.0  # longest bridge over air that is printed without support
 DENSITY_G_PER_CM3 = 1.24  # PLA
 
 

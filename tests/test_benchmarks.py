@@ -19,15 +19,6 @@ def test_all_benchmarks_are_run_and_named() -> None:
     assert [name for name in sorted(scripts) if f"| `{name}` |" not in page] == []
 
 
-def test_quick_runs_ask_for_one_or_two_rounds() -> None:
-    with scripts_of(BENCHMARKS) as script:
-        for name, (full, quick) in script("run_all").SUITES.items():
-            for arguments in (full, quick):
-                assert all(isinstance(word, str) for word in arguments), name
-            if "--rounds" in full:
-                assert int(quick[quick.index("--rounds") + 1]) <= 2, name
-
-
 def test_the_page_shows_rows_of_the_stored_tables() -> None:
     page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(encoding="utf-8")
     with scripts_of(BENCHMARKS) as script:

@@ -77,40 +77,6 @@ def test_settings_page_is_current() -> None:
     assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), "run tools/make_settings_page.py"
 
 
-def settings_without_words(source: str, dataclasses: set[str]) -> list[str]:
-    """Fields of settings classes without a docstring below them; groups of settings are explained by their class."""
-    found = []
-    for kind in [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]:
-        if kind.name not in dataclasses or not kind.name.endswith(("Settings", "Ranges")):
-            continue
-        for line, below in zip(kind.body, [*kind.body[1:], ast.Pass()], strict=True):
-            if not isinstance(line, ast.AnnAssign):
-                continue
-            group = ast.unparse(line.annotation).removesuffix(" | None") in dataclasses
-            if not group and not (isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)):
-                found.append(f"{kind.name}.{ast.unparse(line.target)}")
-    return found
-
-
-def test_every_setting_has_words() -> None:
-    sources = [file.read_text(encoding="utf-8") for file in ROOT.glob("packages/*/src/**/*.py")]
-    dataclasses = {name for text in sources for name in re.findall(r"^@dataclass.*\nclass (\w+)", text, re.MULTILINE)}
-    with_settings = [text for text in sources if re.search(r"^class \w+(Settings|Ranges)\b", text, re.MULTILINE)]
-    assert [name for text in with_settings for name in settings_without_words(text, dataclasses)] == []
-
-
-def test_a_setting_without_words_is_found() -> None:
-    source = '''
-@dataclass
-class BlurSettings:
-    sigma_mm: float = 1.0
-    """Width."""
-    rounds: int = 3
-    inner: InnerSettings = InnerSettings()
-'''
-    assert settings_without_words(source, {"BlurSettings", "InnerSettings"}) == ["BlurSettings.rounds"]
-
-
 def test_verbs_of_the_readme_exist() -> None:
     from splitknit.cli.main import build_parser
 

@@ -26,7 +26,6 @@ from splitknit_match.prints.make import PrintingSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
 from splitknit_simulator.bench_photos import BenchPhotos
-from splitknit_simulator.camera.device import TwinDeviceSettings
 from splitknit_simulator.population.sessions import PopulationSettings
 from splitknit_simulator.scene import TwinSettings
 
@@ -125,7 +124,7 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
     (
         "`splitknit capture`",
         "With `--device twin` the settings of `simulate` as well.",
-        (("capture.", SessionSettings()), ("pi.", PiCameraSettings()), ("device.", TwinDeviceSettings())),
+        (("capture.", SessionSettings()), ("pi.", PiCameraSettings())),
     ),
     (
         "`splitknit print`",

@@ -44,13 +44,6 @@ def test_pose_and_direction_of_the_tilt(tilt, side):
     assert pose.rms_px < 1e-3
 
 
-def test_height_is_along_the_axis_wherever_the_marks_lie():
-    rotation = base(2.0, -3.0)
-    for shift in ((8.0, 0.0, 0.0), (-5.0, 6.0, 0.0)):
-        places = seen(MARKS, rotation, rotation @ shift + (0, 0, 140.0))
-        assert plane_pose(BOARD.points_mm, places, MATRIX).height_mm == pytest.approx(140, abs=1e-3)
-
-
 def test_deviations_are_what_repetition_gives():
     rotation = base(0.6, -0.4)
     exact = seen(MARKS, rotation, (0, 0, 140.0))

@@ -83,14 +83,6 @@ def test_json_is_one_object_and_nothing_else(capture_folder: Path, seen: dict[st
     assert said.err == ""
 
 
-def test_a_tip_direction_is_handed_on(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
-    out = capture_folder.parent / "result"
-    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--tip-direction", "-90"]) == 0
-    assert seen["tip"] == -90.0
-    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--tip-direction", "inf"]) == 2
-    assert "--tip-direction must be an angle from -360 to 360" in capsys.readouterr().err
-
-
 def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) -> None:
     assert main(["reconstruct", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
@@ -149,8 +141,6 @@ def test_traceback_is_shown_on_request(capture_folder: Path, seen: dict[str, Any
         ["reconstruct"],
         ["reconstruct", "x"],
         ["reconstruct", "x", "--out", "y", "--preset", "best"],
-        ["simulate", "--out", "x", "--seed", "-1"],
-        ["simulate", "--out", "x", "--seed", "1.5"],
         ["simulate", "--out", "x", "--scale", "nan"],
         ["simulate", "--out", "x", "--scale", "7"],
         ["simulate", "--out", "x", "--set", "scale"],
@@ -315,31 +305,6 @@ def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> N
         assert wanted in (run.stdout + run.stderr).decode("ascii")
 
 
-@pytest.mark.parametrize("where", ["capture", "."])
-def test_results_do_not_replace_a_capture(
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured, where: str
-) -> None:
-    """Also not where the capture was written by us, and its folder could be replaced."""
-    before = sorted(path.name for path in capture_folder.iterdir())
-    out = (capture_folder.parent / where).resolve()
-    assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == 2
-    assert sorted(path.name for path in capture_folder.iterdir()) == before
-    assert "holds the input itself" in capsys.readouterr().err
-    assert seen == {}  # refused before the work
-
-
-def test_one_kind_of_folder_does_not_replace_another(
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured
-) -> None:
-    out = str(capture_folder.parent / "result")
-    assert main(["reconstruct", str(capture_folder), "--out", out]) == 0
-    assert main(["reconstruct", str(capture_folder), "--out", out, "--preset", "ea"]) == 0  # an earlier result may go
-    assert main(["simulate", "--out", out]) == 2
-    assert main(["demo", "--out", out]) == 2
-    assert (Path(out) / "height.npz").is_file()
-    assert capsys.readouterr().err.count("name another folder") == 2
-
-
 def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     """SIGTERM in the middle of the work: code 130 and an empty folder."""
     code = (
@@ -354,32 +319,6 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     assert run.returncode == 130, run.stderr
     assert "interrupted" in run.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_simulate_then_reconstruct(tmp_path: Path, capsys: Captured) -> None:
-    """The real thing, small."""
-    arguments = [
-        "simulate",
-        "--out",
-        str(tmp_path / "c"),
-        "--seed",
-        "3",
-        "--pattern",
-        "whorl",
-        "--scale",
-        "0.15",
-        "--json",
-    ]
-    assert main(arguments) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["pattern"] == "whorl"
-    assert facts["images"] == 14
-    assert facts["image_size"] == [330, 480]
-    assert (tmp_path / "c" / "truth.npz").is_file()
-    assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["comparison"]["metric"]["surface_rms_mm"] < 0.8  # a fifth of the scale; validation holds the accuracy
 
 
 def test_experiments_and_benchmarks_import_no_command_line() -> None:

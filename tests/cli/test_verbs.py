@@ -10,10 +10,9 @@ from typing import Annotated, Any, Literal
 
 import pytest
 
-import splitknit
 from splitknit import registry
 from splitknit.cli.main import build_parser, main
-from splitknit.cli.verb import Verb, job_of, options_of
+from splitknit.cli.verb import Verb, job_of
 from splitknit.errors import BadInput, require
 from splitknit.settings import Limits
 from splitknit.verbs import AnyPath, Help, Job, Natural, Progress, Settings, function_of, refuse_given
@@ -168,14 +167,3 @@ def test_the_table_and_the_jobs_say_the_same() -> None:
     verbs = build_parser()._subparsers._group_actions[0]  # type: ignore[union-attr]
     lines = {action.dest: action.help for action in verbs._choices_actions}  # type: ignore[attr-defined]
     assert {name: lines[name] for name in registry.VERBS} == {name: line for name, (_, line) in registry.VERBS.items()}
-
-
-def test_no_verb_has_an_option_twice() -> None:
-    from splitknit.cli.reconstruct import RECONSTRUCT
-
-    assert options_of(RECONSTRUCT)["max_megapixels"] == "--max-size"
-    assert options_of(RECONSTRUCT)["capture"] == "CAPTURE"
-
-
-def test_public_functions_of_jobs_are_described() -> None:
-    assert "max_megapixels : float, optional" in (inspect.getdoc(splitknit.read_photographs) or "")

@@ -11,7 +11,7 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.io.images import read_image
 from splitknit.io.rig import read_rig
-from splitknit_rig.calibration.targets import Board, find_board, size_in_view
+from splitknit_rig.calibration.targets import Board, find_board
 
 pytestmark = pytest.mark.external
 
@@ -57,7 +57,6 @@ def test_part_of_a_board_is_not_the_board(folder):
     pixels = read_image(folder / "left01.jpg")
     assert find_board(pixels, Board(9, 6, 25.0)) is not None
     assert find_board(pixels, Board(8, 6, 25.0)) is None
-    assert size_in_view(pixels) == (9, 6)
 
 
 @pytest.mark.slow
@@ -72,5 +71,5 @@ def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out.unlink()
     assert main([*words, "--board", "8x5"]) == 2
     message = capsys.readouterr().err
-    assert "shows a checkerboard of 9 x 6 inner corners, not of 8 x 5; give --board 9x6" in message
+    assert "a checkerboard of 8 x 5 inner corners is in full view in 0 of" in message and "compare --board" in message
     assert not out.exists()

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, scripts_of
 from splitknit.io.light_list import read_light_list
 from splitknit.photometric.frames import FRAMES, fit_lights
 
@@ -57,15 +56,3 @@ def test_wrong_orders_are_found_and_the_right_one_never_doubted(data_dir, name):
     for order in (own, own[::-1], np.roll(own, -3), np.random.default_rng(1).permutation(own)):
         fit = fit_lights(stack[order], lights, mask)
         assert (fit.order, fit.frame) == (tuple(order.tolist()), "right-up")
-
-
-def test_balls_in_a_gel_are_no_wrong_frame(data_dir):
-    if not (data_dir / "elastomer" / "BGA-001").is_dir():
-        pytest.skip("data set is absent")
-    with scripts_of(VALIDATION / "accuracy") as script:
-        lights = script("light_orders").lights_of_balls(data_dir)
-    folder = data_dir / "elastomer" / "BGA-001"
-    stack = np.stack([cv2.imread(str(folder / f"image{k:02d}.png"), 0)[::8, ::8] for k in range(7, 13)]) / 255.0
-    fit = fit_lights(stack, lights)
-    assert (fit.order, fit.frame) == (tuple(range(6)), "right-up")
-    assert fit.residual < 0.06

@@ -69,13 +69,13 @@ def test_rigs_that_cannot_be_built_are_refused(changes: dict[str, dict[str, obje
 def test_mirrors_stand_where_the_simulator_has_them() -> None:
     enlarged = {"tip_margin_mm": 27.0, "pad_height_mm": 21.2, "widest_mm": 22.0, "groove_depth_mm": 3.0}
     changes = {"finger": {**enlarged, "stop_height_mm": 3.5}, "mirror": {"wide_mm": 30.0}}
-    rig, parts = mirror_rig(MirrorSettings(names=("left", "right", "tip")), 0.5), MirrorSettings().parts
+    rig = mirror_rig(MirrorSettings(names=("left", "right", "tip")), 0.5)
     d = dimensions_of(rig, read_dimensions(changes=changes))
     corners = {mirror.name: np.array(mirror.corners_mm) for mirror in rig.mirrors}
     for name, place, away in zip(("right", "left", "tip"), holder_places(d), (0, 0, 1), strict=True):
         assert corners[name][:, 1 - away].mean() == pytest.approx(place[1 - away], abs=1e-9)
         assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(sizes.MIRROR_LONG_MM)
-    profile, outline = holder_profile(parts), np.array(mirror_profile(d.settings))
+    profile, outline = holder_profile(), np.array(mirror_profile(d.settings))
     for corner in (*profile["lip"], *profile["lip_front"], *profile["back"]):
         assert np.hypot(*(outline - corner).T).min() < 1e-9
 
@@ -156,20 +156,6 @@ def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
     assert read_rig(tmp_path / "rig.json").leds == read_rig(BOARD / "rig.json").leds
 
 
-def test_other_values_are_written_beside_their_parts(tmp_path: Path) -> None:
-    weak = {"current_a": 0.02, "limit_a": 0.025, "forward_v": 3.2, "spread_v": 0.4, "intensity_cd": 8.2}
-    facts = write_circuit(tmp_path, read_dimensions(changes={"circuit": {"white": weak}}))
-    ohm = facts["stages"]["white"]["resistors"]["emitter"]["ohm"]
-    bill = list(csv.reader((tmp_path / "parts.csv").read_text(encoding="utf-8").splitlines()))
-    values = {ref: line[1] for line in bill for ref in line[-1].split()}
-    assert values["R201"].startswith(f"{ohm:g}R".replace(".", "R").removesuffix("R")) and values["R208"] == "27R 0.6 W"
-    for name in ("circuit.net", "board.kicad_pcb"):
-        assert values["R201"] in (tmp_path / name).read_text(encoding="utf-8")
-    switch = write_circuit(tmp_path / "switch", read_dimensions(changes={"circuit": {"topology": "switch"}}))
-    assert "laid out for the topology sink" in switch["board"]
-    assert sorted(file.name for file in (tmp_path / "switch").iterdir()) == ["circuit.json", "rig.json"]
-
-
 @pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])
 def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path: Path) -> None:
     facts = write_circuit(tmp_path, read_dimensions(changes={"rig": {"films": kind}, "circuit": {"supply_v": 8.5}}))
@@ -216,11 +202,9 @@ POINT = {"intensity_w_sr": 1.0, "half_angle_deg": 5.0, "source_mm": 0.1, "forwar
 @pytest.mark.parametrize(
     ("nm", "blue", "burn"),
     [  # IEC 62471:2006, table 4.2, as printed
-        (380, 0.01, 0.1), (400, 0.10, 1.0), (415, 0.80, 8.0), (435, 1.00, 10.0), (440, 1.00, 10.0), (445, 0.97, 9.7),
-        (450, 0.94, 9.4), (460, 0.80, 8.0), (470, 0.62, 6.2), (485, 0.40, 4.0), (490, 0.22, 2.2), (495, 0.16, 1.6),
-        (500, 0.10, 1.0), (550, 0.01, 1.0), (600, 0.001, 1.0), (650, 0.001, 1.0), (700, 0.001, 1.0),
-        (810, 0.0, 0.603), (850, 0.0, 0.501), (950, 0.0, 0.316), (1050, 0.0, 0.2), (1100, 0.0, 0.2),
-        (1175, 0.0, 0.0632), (1300, 0.0, 0.02), (1450, 0.0, 0.0),
+        (380, 0.01, 0.1), (415, 0.80, 8.0), (440, 1.00, 10.0), (460, 0.80, 8.0), (490, 0.22, 2.2), (500, 0.10, 1.0),
+        (550, 0.01, 1.0), (600, 0.001, 1.0), (810, 0.0, 0.603), (950, 0.0, 0.316), (1100, 0.0, 0.2),
+        (1300, 0.0, 0.02), (1450, 0.0, 0.0),
     ],
 )  # fmt: skip
 def test_the_weighting_functions_are_the_tables(nm: float, blue: float, burn: float) -> None:
@@ -260,27 +244,6 @@ def test_light_above_a_limit_is_refused(tmp_path: Path) -> None:
         with pytest.raises(BadInput, match=words):
             write_circuit(tmp_path / "board", read_dimensions(changes={"circuit": changes}))
     assert not (tmp_path / "board").exists()
-
-
-def test_the_page_has_the_figures() -> None:
-    stages = {band: design_stage(band, circuit()) for band in ("white", "nir")}
-    found, failed = (safety.rig_hazards(default_rig(), stages, shorted=shorted) for shorted in (False, True))
-    page = (ROOT / "docs" / "guide" / "rig-safety.md").read_text(encoding="utf-8")
-    table = page.partition("<!-- safety -->")[2].partition("<!-- /safety -->")[0].strip().splitlines()[2:]
-    assert table == [
-        f"| {h.band} | {h.name} | {h.clause} | {h.value:.3g} {h.unit} | {h.limit:.3g} {h.unit} | {h.margin:.2g} | "
-        f"{worse.margin:.2g} |"
-        for h, worse in zip(found, failed, strict=True)
-    ]
-    table = page.partition("<!-- safety films -->")[2].partition("<!-- /safety films -->")[0].strip().splitlines()[2:]
-    for row, kind in zip(table, ("servo", "neighbours"), strict=True):
-        rig = films.with_films(default_rig(), kind)
-        passed = {"passed": films.TRANSMISSION}
-        blue = [
-            named(safety.rig_hazards(rig, stages, **way), "4.3.3") for way in (passed, {**passed, "shorted": True}, {})
-        ]
-        margins = " | ".join(f"{one.margin:.2g}" for one in blue)
-        assert row.endswith(f"| {blue[0].value:.3g} W/m2/sr | {margins} |")
 
 
 # What is printed.

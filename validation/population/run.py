@@ -26,7 +26,16 @@ from numpy.typing import NDArray
 from splitknit_match.evaluation.rates import d_prime, roc
 from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, ink_print
-from splitknit_simulator.population.people import DIGITS, FINGERS, Person, class_fractions
+from splitknit_simulator.population.people import (
+    DIGITS,
+    FINGERS,
+    LENGTH_MM,
+    PERIOD_DIGIT,
+    PERIOD_MM,
+    WIDTH_MM,
+    Person,
+    class_fractions,
+)
 from splitknit_simulator.population.sessions import (
     PopulationSettings,
     draw_impression,
@@ -48,7 +57,6 @@ def people(seed: int, count: int) -> Iterator[Person]:
 def sizes(count: int = 2000) -> dict[str, Any]:
     """Breadths, lengths, ridge periods and classes of many people, against what was asked for."""
     everybody = list(people(0, count))
-    ranges = PopulationSettings().people
     result: dict[str, Any] = {"people": count, "digits": {}, "classes": {}}
     for k, digit in enumerate(DIGITS):
         table = {}
@@ -59,7 +67,7 @@ def sizes(count: int = 2000) -> dict[str, Any]:
                 "length_mm": _mean_sd([finger.shape.length_mm for finger in some]),
                 "period_mm": _mean_sd([finger.print_settings.period_mm for finger in some], 4),
             }
-        asked = (ranges.width_mm[k], ranges.length_mm[k], ranges.period_mm * ranges.period_digit[k])
+        asked = (WIDTH_MM[k], LENGTH_MM[k], PERIOD_MM * PERIOD_DIGIT[k])
         result["digits"][digit] = {"asked_mean_of_sexes": [round(value, 4) for value in asked], **table}
     worst = 0.0
     for name in FINGERS:

@@ -36,7 +36,7 @@ def twin_of(seed: int, scale: float) -> Twin:
     """The first capture of a person: the same as :func:`splitknit_simulator.twin.simulate_capture` takes."""
     settings = TwinSettings(scale=scale)
     assert isinstance(settings.skin, SkinRanges) and isinstance(settings.pose, PoseRanges)
-    rig = default_rig(scale, settings.rig_seed, settings.intensity_spread)
+    rig = default_rig(scale, settings.rig_seed)
     skin = settings.skin.draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
     pose_seed, photo_seed = np.random.SeedSequence([seed, 0, 0x52]).spawn(2)
     pose = settings.pose.draw(np.random.default_rng(pose_seed), rig.camera)

@@ -55,7 +55,7 @@ def scene(
     model: str = "orthographic",
 ) -> Scene:
     """The masks of a drawn finger's views."""
-    rig = mirror_rig(MirrorSettings(names=names, nir=False, model=model), SCALE, 0, 0.0)
+    rig = mirror_rig(MirrorSettings(names=names, nir=False, model=model), SCALE)
     finger = draw_finger(seed)
     body, master = FingerBody(finger.shape), finger.master()
     pose = pose or FingerPose(yaw_rad=0.06, pitch_rad=0.02, roll_rad=0.0, insertion_mm=28.5)

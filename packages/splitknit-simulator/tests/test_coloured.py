@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,8 @@ import pytest
 from small_capture import edit
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.imaging.band import has_colour, linear_channels, linear_stack, linear_survey, saturation_levels
-from splitknit.imaging.coloured import COMPOSED, _colour_factors, balanced, composed
+from splitknit.imaging.band import linear_channels, linear_stack
+from splitknit.imaging.coloured import COMPOSED, balanced, composed
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
@@ -48,43 +48,6 @@ def band_of(light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: 
         "white", np.rint(light * 65535).astype(np.uint16), tuple(groups), np.ones(count), np.zeros(count),
         colours=colours, crosstalk=crosstalk,
     )  # fmt: skip
-
-
-def test_mixed_colours_are_separated_in_the_order_of_the_lights() -> None:
-    rng = np.random.default_rng(0)
-    own = rng.uniform(0.05, 0.4, (2, 5, 6, 3))
-    band = band_of(own @ MIXING.T, (("blue", "red", "green"), ("green", "blue", "red")), MIXING)
-    assert band.lights == ((1,), (2,), (0,), (5,), (3,), (4,))
-    stack = linear_stack(band, "linear")
-    np.testing.assert_allclose(stack, np.moveaxis(own, 3, 1).reshape(6, 5, 6), atol=3e-5)
-    assert not has_colour(band)
-    mean, grey = linear_survey(band, "linear")
-    assert mean.shape == (5, 6, 1)
-    np.testing.assert_array_equal(grey, stack)
-    assert saturation_levels(band, "linear").shape == (6,)
-    with pytest.raises(BadInput, match="no channel 'red'"):
-        linear_channels(band, "linear", ("red",))
-    binned = linear_stack(band, "linear", binning=2)
-    np.testing.assert_allclose(binned[0, 0, 0], stack[0, :2, :2].mean(), rtol=1e-4)
-
-
-def test_without_crosstalk_channels_are_the_images_and_clipped_light_stays_clipped() -> None:
-    own = np.random.default_rng(1).uniform(0.1, 0.5, (1, 4, 4, 3))
-    plain = linear_stack(band_of(own, (("red", "green", "blue"),), None), "linear")
-    np.testing.assert_allclose(plain, np.moveaxis(own[0], 2, 0), atol=2e-5)
-    own[0, 2, 2, 1] = 1.0
-    stack = linear_stack(band_of(np.minimum(own @ MIXING.T, 1), (("red", "green", "blue"),), MIXING), "linear")
-    assert stack[1, 2, 2] == pytest.approx(1.0, abs=1e-4)
-    assert (stack > 0.985).sum() == 1
-
-
-def test_white_and_coloured_exposures_live_together() -> None:
-    own = np.random.default_rng(2).uniform(0.1, 0.5, (2, 4, 4, 3))
-    band = band_of(own, (("red", "blue"), ("",)), None)
-    assert band.lights == ((0,), (1,), (2,))
-    stack = linear_stack(band, "linear")
-    np.testing.assert_allclose(stack[:2], np.moveaxis(own[0][..., [0, 2]], 2, 0), atol=2e-5)
-    np.testing.assert_allclose(stack[2], own[1] @ [0.299, 0.587, 0.114], atol=1e-3)
 
 
 def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -> None:
@@ -137,32 +100,9 @@ def test_what_cannot_be_separated_is_refused(  # noqa: PLR0917
     assert not (tmp_path / "r").exists()
 
 
-def test_grey_images_hold_one_colour_at_most(twin: Capture, tmp_path: Path) -> None:
-    band = twin.bands["white"]
-    grey = replace(band, pixels=band.pixels[..., :1].copy(), ambient=None)
-    write_capture(replace(twin, bands={"white": grey}), tmp_path / "c")
-    with pytest.raises(BadInput, match="can be separated in colour images only"):
-        read_capture(tmp_path / "c")
-
-
 def test_our_preset_refuses_coloured_leds(twin: Capture) -> None:
     with pytest.raises(BadInput, match="blurs the light of each coloured LED differently"):
         reconstruct(twin)
-
-
-def test_colours_are_balanced_by_what_the_finger_shows() -> None:
-    rng = np.random.default_rng(3)
-    normals = rng.normal(size=(3, 500)) * 0.3
-    normals[0] += 0.5  # tilted, and no colour stands all around: brightness alone would mislead
-    normals[2] = 1.0
-    normals /= np.linalg.norm(normals, axis=0)
-    angle = 2 * np.pi * np.arange(6) / 6
-    lights = np.stack([0.35 * np.cos(angle), 0.35 * np.sin(angle), np.full(6, 0.9)], axis=1)
-    colour = np.repeat(["red", "blue", "green"], 2)
-    true = np.array([{"red": 1.8, "green": 1.0, "blue": 0.6}[name] for name in colour])
-    found = _colour_factors(true[:, None] * (lights @ normals) * rng.uniform(0.5, 1, 500), lights, colour)
-    np.testing.assert_allclose(found / found[5], true, rtol=0.01)
-    assert np.exp(np.log(found).mean()) == pytest.approx(1.0)
 
 
 def test_white_images_become_coloured_exposures(white: Capture) -> None:
@@ -186,25 +126,6 @@ def test_white_images_become_coloured_exposures(white: Capture) -> None:
     assert f"2 coloured exposures were {COMPOSED}" in result.warnings
     plain = reconstruct(made, "lin")
     np.testing.assert_array_equal(result.height_mm, plain.height_mm)
-
-
-def test_composing_keeps_the_encoding_and_the_exposure(white: Capture) -> None:
-    band = white.bands["white"]
-    longer = replace(white, bands={**white.bands, "white": replace(band, exposure=band.exposure * 0.25, ambient=None)})
-    plain = replace(white, bands={**white.bands, "white": replace(band, ambient=None)})
-    one, other = (linear_stack(composed(c, 2).bands["white"], "linear") for c in (longer, plain))
-    np.testing.assert_allclose(one * 0.25, other, atol=1e-4)
-    curved = linear_stack(composed(replace(plain, encoding="srgb"), 2).bands["white"], "srgb")
-    expected = linear_channels(band, "srgb", ("red",))[0].max()
-    assert curved.max() == pytest.approx(expected, rel=0.3)
-
-
-def test_composing_needs_colour_and_enough_images(white: Capture) -> None:
-    band = white.bands["white"]
-    with pytest.raises(BadInput, match="the white band is grey"):
-        composed(replace(white, bands={"white": replace(band, pixels=band.pixels[..., :1])}))
-    with pytest.raises(BadInput, match="need 9 white images, but there are 7"):
-        composed(white, 3)
 
 
 def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:

@@ -15,12 +15,10 @@ import kinds
 from small_capture import copy_of, edit
 from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.finger.ridge_period import _RidgePeriod
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
-from splitknit.methods.scale import doubt_of_size
-from splitknit.model import Band, Capture, Reconstruction, default_rig
+from splitknit.model import Capture, Reconstruction, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.steps import Memory
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -99,12 +97,6 @@ def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Trut
     assert (result.x_mm is not None) == (kind == "perspective" and preset == "metric")
 
 
-@pytest.mark.parametrize("material", ["skin", "opaque"])
-def test_colours_of_a_grey_capture_are_refused(material: str, capture: Capture) -> None:
-    with pytest.raises(BadInput, match="the white band is grey"):
-        quick(kinds.grey(capture, material), "lin")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(323, 459), pytest.param((329, 470), marks=pytest.mark.slow)])
 def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> None:
@@ -131,7 +123,7 @@ TWINS: dict[str, TwinSettings] = {
     "rolled": TwinSettings(pose=FingerPose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
     "dark skin": TwinSettings(skin=SkinOptics(melanin=0.02, glare=1.3, roughness=0.2)),
     "fair skin": TwinSettings(skin=SkinOptics(melanin=0.0002, blood=0.003)),
-    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, gradient=0.5, albedo=0.02)),
+    "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, albedo=0.02)),
     "dust": TwinSettings(background=BackgroundSettings(dust_per_cm2=15.0)),
 }
 
@@ -204,17 +196,6 @@ def upright(capture: Capture, twin_memory: Memory) -> Reconstruction:
     return reconstruct(capture, "ea", memory=twin_memory)
 
 
-@pytest.mark.parametrize("quarter_turns", [1, 2])
-def test_the_tips_direction_is_found(quarter_turns: int, capture: Capture, upright: Reconstruction) -> None:
-    result = reconstruct(kinds.turned(capture, quarter_turns, None), "ea")
-    assert result.facts["tip_direction"] == "found"
-    turn = result.facts["yaw_deg"] - upright.facts["yaw_deg"]
-    assert (turn - 90.0 * quarter_turns + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.5)
-    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
-    assert tip[1] < 0.1 * result.upright_size[0]
-    assert result.facts["crease_found"] == upright.facts["crease_found"]
-
-
 def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
     """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
     rows, columns = np.nonzero(mask)
@@ -227,24 +208,6 @@ def test_a_strip_as_a_mask_is_refused(capture: Capture) -> None:
     mask[200:300, 240:256] = True
     with pytest.raises(BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"):
         reconstruct(replace(capture, mask=mask), "ea")
-
-
-def test_grey_images_stored_as_colour_are_grey(capture: Capture) -> None:
-    grey = kinds.grey(capture, "opaque")
-    noise = np.random.default_rng(0).integers(0, 2, (*grey.bands["white"].pixels.shape[:3], 3))  # as JPEG rounds
-
-    def coloured(band: Band) -> Band:
-        pixels = np.repeat(band.pixels, 3, axis=3)
-        unit = np.iinfo(pixels.dtype).max // 255
-        pixels[..., ::2] = np.maximum(pixels[..., ::2], unit) - (unit * noise[..., ::2]).astype(pixels.dtype)
-        return replace(
-            band, pixels=pixels, ambient=None if band.ambient is None else np.repeat(band.ambient, 3, axis=2)
-        )
-
-    stored = replace(grey, bands={"white": coloured(grey.bands["white"])})
-    alone = replace(grey, bands={"white": grey.bands["white"]})
-    expected, found = quick(alone, "ea"), quick(stored, "ea")
-    np.testing.assert_array_equal(found.height_mm, expected.height_mm)
 
 
 @pytest.mark.parametrize(("material", "px_per_mm"), [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0),
@@ -263,17 +226,3 @@ def test_an_odd_scale_is_noted_by_the_width_or_the_ridges(capture: Capture) -> N
     warned = quick(half, "ea").warnings
     assert [text for text in warned if "mm is usual: check" in text]
     assert not [text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text]
-
-
-@pytest.mark.parametrize(("part", "px_per_mm", "doubts"), [(0.3, 9.0, 0), (0.7, 9.0, 1), (0.3, 20.0, 1)])
-def test_ridges_that_may_be_too_fine_to_be_seen_cast_no_doubt(
-    part: float, px_per_mm: float, doubts: int, capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At 9 px/mm usual ridges lie 4 px apart: waves in a third of the places are not those of a finger."""
-    still = kinds.distant(capture)
-    result = quick(still, "ea")
-    camera = replace(still.rig.camera, px_per_mm=px_per_mm)
-    found = _RidgePeriod(0.9 / result.pitch_mm, 0.1, 9, part)
-    monkeypatch.setattr("splitknit.methods.scale.ridge_period", lambda *_, **__: found)
-    notes = doubt_of_size(replace(still, rig=replace(still.rig, camera=camera)), result, metric=False)
-    assert len([note for note in notes if "distance of the ridges" in note]) == doubts

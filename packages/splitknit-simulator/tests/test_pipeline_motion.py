@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from splitknit.finger.steady import find_steady_finger
 from splitknit.io.capture import write_capture
 from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.steps import Memory
 from splitknit_simulator.finger.motion import HandMotion
 from splitknit_simulator.rigs import coloured_rig
 from splitknit_simulator.scene import TwinSettings
@@ -79,19 +77,6 @@ def test_the_report_tells_the_motion(moved, undone):
 
 
 @pytest.mark.slow
-def test_the_reference_shot_and_the_capture_given_are_not_touched(moved):
-    capture, _ = moved
-    before = {name: band.pixels.copy() for name, band in capture.bands.items()}
-    other, _ = steadied(capture)
-    for name, pixels in before.items():
-        np.testing.assert_array_equal(capture.bands[name].pixels, pixels)
-    np.testing.assert_array_equal(other.bands["white"].pixels[3], before["white"][3])
-    assert (other.bands["white"].pixels[0] != before["white"][0]).any()
-    assert (other.bands["nir"].pixels[0] != before["nir"][0]).any()
-    assert other.bands["white"].pixels.dtype == before["white"].dtype
-
-
-@pytest.mark.slow
 def test_a_still_finger_is_left_alone(still, unmoved):
     capture, _ = still
     same, finger = steadied(capture)
@@ -111,18 +96,6 @@ def test_off_changes_nothing_and_on_always_registers(still, moved):
 
 
 @pytest.mark.slow
-def test_cases_of_one_capture_share_the_registration(moved, undone):
-    capture, _ = moved
-    memory = Memory(capture)
-    first = reconstruct(capture, "ea", memory=memory)
-    np.testing.assert_array_equal(first.ridge_mm, undone.ridge_mm)
-    plain = reconstruct(capture, "ea", OFF, memory=memory)
-    assert "motion" not in plain.facts
-    again = reconstruct(capture, "ea", {"height.method": "poisson"}, memory=memory)
-    assert again.facts["motion"] == first.facts["motion"]
-
-
-@pytest.mark.slow
 def test_too_much_motion_is_refused(moved, tmp_path, capsys):
     capture, truth = moved
     with pytest.raises(BadInput, match=r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):
@@ -136,18 +109,6 @@ def test_too_much_motion_is_refused(moved, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_shots_that_do_not_fit_together_are_refused(moved):
-    capture, _ = moved
-    white = capture.bands["white"]
-    pixels = white.pixels.copy()
-    for k in (0, 2, 5):
-        pixels[k] = np.roll(pixels[k], (round(2.4 * 11), round((k - 2) * 11)), axis=(0, 1))
-    broken = replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels)})
-    with pytest.raises(BadInput, match=r"mm can be undone|do not fit together"):
-        steadied(broken, correct="on")
-
-
-@pytest.mark.slow
 def test_photographs_of_coloured_leds_are_brought_together():
     motion = HandMotion(amplitude_mm=0.8)
     capture, truth = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion))
@@ -158,19 +119,3 @@ def test_photographs_of_coloured_leds_are_brought_together():
     flow = np.nanmean(truth["motion_flow_px"][:count], axis=(2, 3)) * capture.rig.camera.pitch_mm
     assert np.hypot(*flow[0]) > 0.15
     np.testing.assert_allclose(told["shift_mm"], flow * [1, -1], atol=0.06)
-
-
-@pytest.mark.slow
-def test_few_shots_are_left_alone(moved):
-    capture, _ = moved
-    white = capture.bands["white"]
-    few = {"pixels": white.pixels[:4], "leds": white.leds[:4], "exposure": white.exposure[:4]}
-    short = replace(white, **few, black_level=white.black_level[:4])
-    other = replace(capture, bands={**capture.bands, "white": short})
-    assert steadied(other, correct="on")[0] is other
-
-
-@pytest.mark.parametrize(("name", "value"), [("correct", "maybe"), ("most_mm", 0.0)])
-def test_bad_settings(name, value):
-    with pytest.raises(BadInput, match=f"motion.{name}"):
-        override(preset_settings("ea"), {f"motion.{name}": value})

@@ -61,18 +61,6 @@ def test_points_lie_where_they_are(photographed: tuple[Capture, Truth], reconstr
     assert scale - scale_flat == pytest.approx(0.06, abs=0.02)
 
 
-def test_the_top_sets_the_scale(photographed: tuple[Capture, Truth], reconstructed: Reconstruction) -> None:
-    (capture, truth), low = photographed, reconstructed
-    high = reconstruct(capture, settings={"metric.rounds": 1, "top_mm": 14.0})
-    seen = low.mask
-    assert np.nanmax(low.shape_mm) == pytest.approx(0.0, abs=0.05)
-    assert np.nanmax(high.shape_mm) == pytest.approx(14.0, abs=0.05)
-    assert np.ptp(high.height_mm[seen]) / np.ptp(low.height_mm[seen]) == pytest.approx(0.9, abs=0.005)
-    assert high.x_mm is not None and low.x_mm is not None
-    assert np.ptp(high.x_mm[seen]) / np.ptp(low.x_mm[seen]) == pytest.approx(0.9, abs=0.005)
-    assert truth["height_mm"].shape == low.height_mm.shape
-
-
 @pytest.mark.slow
 def test_shading_is_divided_out(photographed: tuple[Capture, Truth], reconstructed: Reconstruction) -> None:
     (capture, truth), kept = photographed, reconstructed

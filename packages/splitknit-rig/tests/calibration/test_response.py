@@ -7,7 +7,6 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit_rig.calibration.sensor import fit_response
-from splitknit_simulator.camera.sensor import SensorSettings, record
 
 TIMES = np.array([1.0, 2.0, 4.0, 8.0])
 LIGHT = np.random.default_rng(0).uniform(0.01, 0.12, 400)
@@ -73,24 +72,3 @@ def test_series_that_tell_nothing_are_refused():
         fit_response(0.1 * TRUE, TIMES)
     with pytest.raises(BadInput, match="0 places that are unclipped"):
         fit_response(np.ones_like(TRUE), TIMES)
-
-
-def test_clipped_values_are_left_out():
-    clipped = np.minimum(noisy(1.3 * TRUE), 1.0)
-    found = fit_response(clipped, TIMES)
-    assert found.encoding == "linear"
-    assert found.span[1] < 0.98
-
-
-@pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_the_twins_sensor_is_what_it_says(encoding):
-    """8-bit files with the sensor's noise, patches of 8 x 8 pixels."""
-    sensor = SensorSettings(encoding=encoding)
-    light = np.kron(LIGHT.reshape(20, 20), np.ones((8, 8))).astype(np.float32)
-    rows = []
-    for k, time in enumerate(TIMES):
-        shot = record(np.repeat(time * light[..., None], 3, axis=2), "white", np.random.SeedSequence([k]), sensor)
-        rows.append(shot[..., 1].reshape(20, 8, 20, 8).mean(axis=(1, 3)).ravel() / 255)
-    found = fit_response(np.stack(rows), TIMES)
-    assert found.encoding == encoding
-    assert min(found.linear_percent, found.srgb_percent) < 0.5

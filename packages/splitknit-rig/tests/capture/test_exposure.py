@@ -7,8 +7,7 @@ import pytest
 
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput
-from splitknit_rig.capture.exposure import ExposureSettings, _level_of, _split, find_exposure, survey, typical_level
-from splitknit_rig.capture.shots import _clipped_fraction
+from splitknit_rig.capture.exposure import ExposureSettings, find_exposure, survey, typical_level
 
 CAMERA = ExposureRange(1e-4, 0.2, 1.0, 8.0)
 SETTINGS = ExposureSettings()
@@ -51,13 +50,6 @@ def test_the_brightest_led_reaches_the_target_whatever_the_light(strength):
     assert len(bench.looks) < 40
 
 
-def test_time_comes_before_gain():
-    assert _split(0.05, CAMERA, SETTINGS) == (0.05, 1.0)
-    assert _split(0.3, CAMERA, SETTINGS) == (0.066, pytest.approx(0.3 / 0.066))
-    assert _split(1e-9, CAMERA, SETTINGS) == (1e-4, 1.0)
-    assert _split(9.0, CAMERA, SETTINGS) == (0.066, 8.0)
-
-
 def test_what_is_always_clipped_or_dark_is_refused():
     with pytest.raises(BadInput, match=r"overexposed even with the shortest.*lid"):
         Bench({0: 5e4, 1: 5e4}).find()
@@ -71,20 +63,6 @@ def test_the_target_can_be_set_and_the_room_is_taken_off_expectations():
     found = Bench({0: 10.0, 1: 9.0}, room=2.0).find(ExposureSettings(target=0.4))
     assert found.level == pytest.approx(0.4, rel=0.07)
     assert found.expected[0] == pytest.approx(10.0 * found.exposure_s * 2.3 / 3, rel=0.05)
-
-
-def test_levels_count_black_and_the_brightest_channel():
-    pixels = np.full((20, 20, 3), (30, 130, 80), dtype=np.uint8)
-    assert _level_of(Frame(pixels, 1.0, 1.0, black_level=30.0), REGION) == pytest.approx(100 / 225)
-
-
-def test_a_pixel_is_clipped_if_two_channels_are():
-    pixels = np.zeros((20, 20, 3), dtype=np.uint8)
-    pixels[5:10, 5:15, 0] = 255
-    assert _clipped_fraction(pixels, REGION) == 0.0
-    pixels[5:10, 5:15, 1] = 254
-    assert _clipped_fraction(pixels, REGION) == 0.5
-    assert _clipped_fraction(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
 
 
 @pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])

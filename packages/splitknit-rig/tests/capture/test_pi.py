@@ -13,17 +13,13 @@ import pytest
 from gpiozero.pins.mock import MockFactory
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
-from fake_picamera2 import FakePicamera2, World, tuning
+from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit_rig.capture.pi import (
-    _WHITE_GAINS,
     SENSORS,
     PiCamera,
     PiCameraSettings,
-    _linear_tuning,
-    _open_camera,
-    _open_lights,
     developed,
     opened_pi,
 )
@@ -63,7 +59,7 @@ def test_the_picture_is_the_middle_of_the_sensor_one_to_one_and_nothing_is_autom
         assert controls["FrameDurationLimits"] == (47_700, 47_700)
         camera.lock(0.1, 1.0, "white")
         assert made.asked[-1][1]["FrameDurationLimits"] == (101_000, 101_000)
-        assert made.asked[-1][1]["ColourGains"] == _WHITE_GAINS
+        assert made.asked[-1][1]["ColourGains"] == (1.11, 2.13)
     assert made.calls == ["start", "stop", "close"]
 
 
@@ -90,24 +86,25 @@ def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypat
 
 
 @pytest.mark.parametrize("digital", [1.5, 0.5])
-def test_a_digital_gain_is_not_accepted(world, digital):
+def test_a_digital_gain_is_not_accepted(world, monkeypatch, digital):
+    metadata = FakeRequest.get_metadata
     with camera_in(world) as camera:
-        assert camera._as_locked({"ExposureTime": 9998, "AnalogueGain": 1.0, "ColourGains": (1.11, 2.13)})
-        assert not camera._as_locked(
-            {"ExposureTime": 9998, "AnalogueGain": 1.0, "ColourGains": (1.11, 2.13), "DigitalGain": digital}
-        )
+        monkeypatch.setattr(FakeRequest, "get_metadata", lambda own: metadata(own) | {"DigitalGain": digital})
+        with pytest.raises(BadInput, match="did not take its settings"):
+            camera.capture()
 
 
-def test_the_tuning_becomes_linear():
-    straight = _linear_tuning(tuning())
+def test_the_tuning_becomes_linear(world, monkeypatch):
+    with camera_in(world):
+        straight = FakePicamera2.opened[0].tuning
     algorithms = {name: values for entry in straight["algorithms"] for name, values in entry.items()}
     assert "rpi.alsc" not in algorithms
     assert algorithms["rpi.contrast"] == {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
     assert np.array_equal(np.reshape(algorithms["rpi.ccm"]["ccms"][0]["ccm"], (3, 3)), np.eye(3))
     assert algorithms["rpi.black_level"] == {"black_level": 4096}
-    assert straight["target"] == "bcm2835"
+    monkeypatch.setattr(FakePicamera2, "load_tuning_file", lambda name: {"version": 1.0, "rpi.contrast": {}})
     with pytest.raises(BadInput, match="unknown version"):
-        _linear_tuning({"version": 1.0, "rpi.contrast": {}})
+        camera_in(world)
 
 
 def test_raw_pictures_are_developed_in_the_right_colours():
@@ -220,19 +217,24 @@ def test_a_pi_without_a_camera_says_so_and_its_leds_are_off(world, pins: MockFac
     assert not any(pins.pin(pin).function == "output" and pins.pin(pin).state for pin in PINS)
 
 
-def test_a_camera_in_use_says_so(world, monkeypatch):
+def opened(rig=None) -> None:
+    with opened_pi(rig or default_rig(), SMALL):
+        pass
+
+
+def test_a_camera_in_use_says_so(world, pins, monkeypatch):  # noqa: F811
     monkeypatch.setattr(FakePicamera2, "broken", True)
     with pytest.raises(BadInput, match=r"could not be started .*resource busy.*close other programs"):
-        _open_camera(SMALL)
+        opened()
 
 
-def test_missing_libraries_are_named(monkeypatch):
+def test_missing_libraries_are_named(pins, monkeypatch):  # noqa: F811
     monkeypatch.setitem(sys.modules, "picamera2", None)
     with pytest.raises(BadInput, match=r"picamera2.*apt install"):
-        _open_camera()
+        opened()
     monkeypatch.setitem(sys.modules, "gpiozero", None)
     with pytest.raises(BadInput, match=r"gpiozero.*apt install"):
-        _open_lights(default_rig())
+        opened()
 
 
 @pytest.mark.parametrize(
@@ -242,12 +244,12 @@ def test_missing_libraries_are_named(monkeypatch):
         "ImportError('numpy.core.multiarray failed to import')",
     ],
 )
-def test_a_picamera2_compiled_for_numpy_1_says_so(monkeypatch, tmp_path: Path, error: str):
+def test_a_picamera2_compiled_for_numpy_1_says_so(pins, monkeypatch, tmp_path: Path, error: str):  # noqa: F811
     (tmp_path / "picamera2.py").write_text(f"raise {error}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "picamera2", raising=False)
     with pytest.raises(BadInput, match=r"compiled for numpy 1 .* numpy 2.*Trixie"):
-        _open_camera()
+        opened()
 
 
 def test_a_computer_without_gpio_lines_says_so(monkeypatch):
@@ -259,16 +261,15 @@ def test_a_computer_without_gpio_lines_says_so(monkeypatch):
 
     monkeypatch.setattr(gpiozero.Device, "_default_pin_factory", none)
     with pytest.raises(BadInput, match=r"no GPIO lines.*`device` twin"):
-        _open_lights(default_rig())
+        opened()
 
 
-def test_a_line_in_use_is_named_and_the_others_are_given_back(pins: MockFactory):  # noqa: F811
+def test_a_line_in_use_is_named_and_the_others_are_given_back(world, pins: MockFactory):  # noqa: F811
     other = gpiozero.LED(PINS[5])
     with pytest.raises(BadInput, match=f"GPIO{PINS[5]}.*in use"):
-        _open_lights(default_rig())
+        opened()
     other.close()
-    with _open_lights(default_rig()) as lights:  # nothing was kept
-        assert lights.count == 14
+    opened()  # nothing was kept
 
 
 @pytest.mark.hardware

@@ -15,12 +15,9 @@ from test_contract_pi import PINS, mock_pins
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
-from splitknit.io.enrolment import PlannedCapture
 from splitknit.io.rig import write_rig
 from splitknit.model import default_rig
 from splitknit_rig.capture import pi
-from splitknit_rig.capture.exposure import Focus, FocusWatch
-from splitknit_rig.cli import capture as capture_verb
 
 CAMERA = ("--set", "pi.image_size=[220, 320]")
 
@@ -102,23 +99,3 @@ def test_an_enrolment_asks_for_every_finger(rig_of_pi, tmp_path, capsys, monkeyp
     assert "Skipped: S01/session_1/right_middle" in out
     assert "1 of 3 are finished" in out
     assert [file.parent.name for file in folder.rglob("capture.json")] == ["right_index"]
-
-
-def test_the_terminal_says_why_a_finger_is_asked_for_again(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
-    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), "the finger moved") == "go"
-    err = capsys.readouterr().err
-    assert "Not yet: the finger moved" in err
-    assert "S01, session 2, left ring" in err
-    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), None) == "stop"  # nobody answers any more
-
-
-def test_the_focus_bar_shows_the_best_and_ends_at_enter(monkeypatch, capsys):
-    watch = FocusWatch()
-    watch.add(Focus(2.0, 5.0))
-    monkeypatch.setattr(capture_verb.sys.stdin, "isatty", lambda: False, raising=False)
-    bar = capture_verb._FocusBar()
-    assert not bar(Focus(1.0, 5.0), watch)
-    shown = capsys.readouterr().err
-    assert "1.00 %, best  2.00" in shown
-    assert shown.count("#") == 15

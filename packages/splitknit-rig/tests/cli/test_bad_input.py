@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
-from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 
 Damage = Callable[[Path], object]
@@ -73,15 +72,6 @@ def mask_of(shape: tuple[int, int], rows: slice, columns: slice) -> Damage:
     return damage
 
 
-def in_one_plane(document: Any) -> None:
-    for k, led in enumerate(document["leds"]):
-        led["position_mm"] = [10.0 * k - 60.0, 0.0, 140.0]
-
-
-def twice(document: Any) -> None:
-    document["leds"][1]["position_mm"] = document["leds"][0]["position_mm"]
-
-
 def exchanged(one: str, other: str) -> Damage:
     def damage(folder: Path) -> None:
         both = (folder / one).read_bytes(), (folder / other).read_bytes()
@@ -132,79 +122,23 @@ def white(document: Any) -> Any:
 # name: (what is done to a good capture, words that the sentence must hold)
 KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
     "missing image": (lambda folder: (folder / "white_3.png").unlink(), ("white_3.png", "does not exist")),
-    "missing ambient": (lambda folder: (folder / "ambient_nir.png").unlink(), ("ambient_nir.png", "does not exist")),
-    "missing rig": (lambda folder: (folder / "rig.json").unlink(), ("rig.json", "does not exist")),
-    "no capture.json": (lambda folder: (folder / "capture.json").unlink(), ("capture.json", "capture folder")),
     "truncated image": (cut_short("nir_2.png", 0.6), ("nir_2.png",)),
-    "empty image": (cut_short("white_0.png", 0.0), ("white_0.png", "empty")),
-    "image that is text": (lambda folder: (folder / "white_1.png").write_text("hello"), ("white_1.png",)),
     "all black": (of_image("white_4.png", np.zeros_like), ("white_4.png", "black", "LED 4", "capture it again")),
-    "one unlit": (of_image("nir_5.png", lambda pixels: pixels // 60), ("nir_5.png", "black", "LED 12")),
     "saturated": (
         of_image("white_5.png", lambda pixels: np.where(pixels > 30, 255, pixels).astype(np.uint8)),
         ("white_5.png", "overexposed", "shorter exposure"),
     ),
-    "all white": (of_image("white_5.png", lambda pixels: np.full_like(pixels, 255)), ("white_5.png",)),
     "one of another size": (of_image("nir_1.png", lambda pixels: pixels[:-1]), ("nir_1.png", "329", "330")),
-    "one of another depth": (
-        of_image("white_1.png", lambda pixels: pixels.astype(np.uint16) * 257),
-        ("white_1.png", "16"),
-    ),
     "rig for another camera": (of_rig(lambda document: resized(document, (440, 640))), ("rig", "640", "480")),
-    "two images": (
-        of_capture(lambda document: white(document).update(images=["white_0.png", "white_1.png"], leds=[0, 1])),
-        ("capture.json", "2 images", "three"),
-    ),
-    "fewer images than leds": (
-        of_capture(lambda document: white(document)["images"].pop()),
-        ("capture.json", "6 images", "7"),
-    ),
-    "no white band": (of_capture(lambda document: document["bands"].pop("white")), ("capture.json", "white")),
-    "led not in the rig": (
-        of_capture(lambda document: white(document)["leds"].__setitem__(0, 20)),
-        ("LED 20", "0 to 13"),
-    ),
-    "led of the other band": (
-        of_capture(lambda document: white(document)["leds"].__setitem__(0, 9)),
-        ("LED 9", "nir"),
-    ),
-    "lights in one plane": (of_rig(in_one_plane), ("leds", "coplanar")),
-    "two lights in one place": (of_rig(twice), ("leds", "same direction")),
-    "light that is not a number": (
-        lambda folder: (folder / "rig.json").write_text((folder / "rig.json").read_text().replace("140.0", "NaN", 2)),
-        ("rig.json", "not valid JSON"),
-    ),
-    "light below the finger": (
-        of_rig(lambda document: document["leds"][3].update(position_mm=[1.0, 2.0, -5.0])),
-        ("rig.json", "leds[3]"),
-    ),
-    "dark light": (of_rig(lambda document: document["leds"][2].update(intensity=0.0)), ("rig.json", "leds[2]")),
     "broken capture.json": (cut_short("capture.json", 0.5), ("capture.json", "not valid JSON")),
-    "broken rig.json": (cut_short("rig.json", 0.5), ("rig.json", "not valid JSON")),
-    "list as capture.json": (lambda folder: (folder / "capture.json").write_text("[1]"), ("capture.json", "object")),
-    "another format": (of_capture(lambda document: document.update(format="x")), ("capture.json", "format")),
-    "a later version": (of_capture(lambda document: document.update(version=2)), ("capture.json", "version")),
-    "unknown encoding": (of_capture(lambda document: document.update(encoding="rec709")), ("capture.json", "srgb")),
-    "unknown material": (of_capture(lambda document: document.update(material="wax")), ("capture.json", "opaque")),
     "path above the folder": (
         of_capture(lambda document: white(document)["images"].__setitem__(0, "../white_0.png")),
         ("capture.json", "../white_0.png"),
     ),
-    "absolute path": (
-        of_capture(lambda document: white(document)["images"].__setitem__(0, "/etc/passwd")),
-        ("capture.json", "/etc/passwd"),
-    ),
     "link out of the folder": (linked_out, ("white_2.png",)),
     "three borders": (too_close, ("capture", "touches 3 borders", "mask")),
-    "darkness": (noise(0, 3), ("white_0.png", "black")),
     "no finger": (noise(20, 30), ("capture", "no finger", "mask")),
-    "mask of another size": (mask_of((100, 100), np.s_[:], np.s_[:]), ("given.png", "100")),
-    "empty mask": (mask_of((330, 480), np.s_[:0], np.s_[:]), ("given.png", "empty")),
     "mask too small": (mask_of((330, 480), np.s_[200:202], np.s_[240:242]), ("capture", "mask", "small")),
-    "a scale of a microscope": (
-        of_rig(lambda document: document["camera"].update(px_per_mm=1000 * document["camera"]["px_per_mm"])),
-        ("px/mm", "possible"),
-    ),
     "values that wrapped round": (of_all(lambda pixels: pixels * np.uint8(10)), ("capture", "do not fit the lights")),
     "NIR exchanged": (exchanged("nir_0.png", "nir_3.png"), ("nir_0.png and nir_3.png", "deg (median)", "--keep")),
     "white exchanged": (exchanged("white_0.png", "white_1.png"), ("white_0.png and white_1.png", "--keep")),
@@ -228,10 +162,6 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
         ("position_mm", "possible"),
     ),
     "truth of another capture": (truth_of_another, ("capture", "truth")),
-    "truth that is missing": (
-        of_capture(lambda document: document.update(truth="truth.npz")),
-        ("truth.npz", "does not exist"),
-    ),
 }
 
 
@@ -300,38 +230,6 @@ def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_
     refused([*command, "--strict"], capsys, (words, "--strict"))
 
 
-def test_lights_of_other_brightness_are_refused_or_estimated(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    folder = copy_of(twin_folder, tmp_path / "capture")
-    edit(folder / "rig.json", lambda rig: [led.update(intensity=1.0) for led in rig["leds"]])
-    for k, part in enumerate((0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74)):
-        repaint(folder / f"white_{k}.png", lambda image, part=part: np.round(image * part).astype(np.uint8))
-    words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
-    refused(words, capsys, ("not as bright as is stated", "white_", "calibrate their brightness"))
-    assert main([*words, "--keep"]) == 0
-    assert "leaves open by some degrees" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "report.json").read_text())["facts"]["light_brightness"]
-    assert found[0] < 0.95 * found[1] and found[5] < 0.8 * found[4]
-
-
-@pytest.mark.slow
-def test_another_encoding_than_the_stored_one_is_named(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
-    """In both directions: a wrong curve looks like LEDs of other brightness, and is no fault of theirs."""
-
-    def curved(image: NDArray[Any]) -> NDArray[Any]:
-        return np.rint(255.0 * srgb_code(image.astype(np.float64) / 255.0)).astype(np.uint8)
-
-    for declared, other in (("linear", "srgb"), ("srgb", "linear")):
-        folder = copy_of(twin_folder, tmp_path / declared)
-        edit(folder / "capture.json", lambda facts, declared=declared: facts.update(encoding=declared, black_level=0))
-        for file in folder.glob("[wn]*_*.png") if declared == "linear" else ():
-            repaint(file, curved)
-        refused(
-            ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--strict"], capsys, (f"{declared} (", other)
-        )
-
-
 @pytest.mark.slow
 def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
     """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
@@ -371,11 +269,6 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
     [
         (["--set", "nowhere.field=1"], ("nowhere.field", "there is no setting")),
         (["--set", "knit.mehtod=addition"], ("did you mean 'knit.method'",)),
-        (["--set", "knit.method=glue"], ("knit.method", "crossover")),
-        (["--set", "metric.rounds=many"], ("metric.rounds", "whole number")),
-        (["--set", "normals.rounds=2"], ("normals.rounds", "there is no setting")),
-        (["--set", "skin.scattering_factor=NaN"], ("skin.scattering_factor",)),
-        (["--set", "metric.rounds=" + "1" * 400], ("metric.rounds must be", "...")),
         (["--set", "metric.rounds=0x" + "f" * 5000], ("metric.rounds must be", "thousands of digits")),
         (["--set", "mask"], ("--set", "stage.field=value")),
         (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
@@ -386,13 +279,6 @@ def test_wrong_settings_are_refused_before_the_work(
 ) -> None:
     """Even before the capture is looked for."""
     refused(["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *arguments], capsys, words)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_unknown_preset(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
-    arguments = ["reconstruct", str(twin_folder), "--out", str(tmp_path / "out"), "--preset", "best"]
-    assert main(arguments) == 2
-    assert "metric" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

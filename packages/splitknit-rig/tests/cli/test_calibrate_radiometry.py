@@ -93,13 +93,6 @@ def test_the_base_lies_as_the_camera_found_it(card: Path, tmp_path: Path, capsys
     assert tilt_of(0.1, "--card-tilt-deg", "0,0.1") == [0, 0.1]
 
 
-def test_words_for_people(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(card, "--out", tmp_path / "rig.json") == 0
-    said = capsys.readouterr().out
-    assert "nir 6" in said and "The camera is linear" in said and "Written:" in said
-    assert "Please note" not in said
-
-
 def test_same_folder_same_bytes(card: Path, calibrated: Path, tmp_path: Path) -> None:
     assert run(card, "--out", tmp_path / "rig.json") == 0
     assert (tmp_path / "rig.json").read_bytes() == calibrated.read_bytes()
@@ -175,35 +168,6 @@ def test_documents_that_are_wrong(
     edit(own / "radiometry.json", lambda document: document.update(change))
     assert sentence in refusal(capsys, own, "--out", tmp_path / "rig.json")
     assert not (tmp_path / "rig.json").exists()
-
-
-def test_images_that_are_wrong(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "rig.json"
-    good = (own / "nir_2.png").read_bytes()
-    repaint(own / "nir_2.png", lambda pixels: pixels // 500)
-    assert "LED 9" in refusal(capsys, own, "--out", out)
-    (own / "nir_2.png").write_bytes(good)
-    repaint(own / "nir_2.png", lambda pixels: np.where(np.arange(pixels.shape[1])[:, None] < 3, 65535, pixels))
-    assert "nir_2.png is clipped" in refusal(capsys, own, "--out", out)
-    (own / "nir_2.png").write_bytes(good)
-
-    def short(document: Any) -> None:
-        document["bands"]["nir"]["images"].pop()
-        document["bands"]["nir"]["leds"].pop()
-
-    edit(own / "capture.json", short)
-    assert "13 images for the rig's 14 LEDs: LED 13 (nir 6) is missing" in refusal(capsys, own, "--out", out)
-    assert not out.exists()
-
-
-def test_a_small_card(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for band in ("white", "nir"):
-        for k in range(7):
-            repaint(
-                own / f"{band}_{k}.png",
-                lambda pixels: np.where(np.arange(pixels.shape[1])[:, None] < 60, pixels // 30, pixels),
-            )
-    assert "the card does not fill the field" in refusal(capsys, own, "--out", tmp_path / "rig.json")
 
 
 def test_words_that_are_wrong(card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,7 @@ from splitknit_simulator.calibration_set.bench import (
     photograph_bench,
     well_exposed,
 )
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, PrintedBoard, board_poses
 from splitknit_simulator.calibration_set.solids import Lines, NailScene, SphereScene, directions, mirrored, unit
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
@@ -42,7 +42,6 @@ EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
 PUPIL_MM = 1.6  # a lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels
 _LONGEST = EXPOSURES_S[-1]
 _EXPOSED = 0.9
-ANALYSER_DEG = (80, 85, 95, 100)  # positions of the analyser between those of polarised captures, 0 and 90
 _LONGER = 64.0  # the ball behind a crossed analyser is exposed longer, up to so many times
 
 
@@ -78,7 +77,7 @@ def bench_to_folder(
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 
-    Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
+    Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane),
     ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with an exposure
     series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
     calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
@@ -86,7 +85,7 @@ def bench_to_folder(
     photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
-    count = photos.boards + photos.nails + 3 + (2 + len(ANALYSER_DEG)) * photos.polarisers
+    count = photos.boards + photos.nails + 2 + 2 * photos.polarisers
     ball = None
     if photos.polarisers:
         films, ball = drawn_films(rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM))
@@ -126,8 +125,6 @@ def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Itera
     plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
     under["tilt_deg"] = tilt
-    disc = DiscScene(**under, rotation_deg=3.0, shift_mm=(1.0, -0.7))
-    yield "disc", partial(_one, disc, white, of_plane.spawn(1)[0], Path("disc.png"))
     for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
         nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
@@ -137,7 +134,7 @@ def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Itera
 def behind_films(
     rig: Rig, ball: BlackBallScene, seed: np.random.SeedSequence
 ) -> Iterator[tuple[str, Callable[[Path], None]]]:
-    """The printed card and the ball with the analyser parallel and crossed, and the ball at positions between."""
+    """The printed card and the ball with the analyser parallel and crossed."""
     assert rig.films is not None
     tilt = np.deg2rad(rig.provenance["base_tilt_deg"])
     pose = (float(tilt[0]), float(tilt[1]), 0.0)
@@ -148,9 +145,6 @@ def behind_films(
     longest = _LONGER * _EXPOSED / float(ball.light([rig.films.leds[0]]).max())
     series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
     yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
-    for turn in ANALYSER_DEG:
-        series = {"white": replace(ball, analyser_deg=float(turn))}
-        yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / f"ball_{turn}", turn=turn)
 
 
 def _polarised(  # noqa: PLR0917
@@ -160,7 +154,6 @@ def _polarised(  # noqa: PLR0917
     longest: float,
     folder: Path,
     target: Path,
-    turn: float | None = None,
 ) -> None:
     """A capture folder of what is behind films under every white LED, each image with its own exposure."""
     films, bands, sensor = rig.films, {}, SensorSettings(bits=16)
@@ -168,13 +161,13 @@ def _polarised(  # noqa: PLR0917
     for name, scene in series.items():
         pixels, exposures = [], []
         for k, led in enumerate(films.leds):
-            crossed = float(name == "white_crossed") if turn is None else np.sin(np.deg2rad(turn)) ** 2
-            tint = 1.0 + crossed * (np.array(films.brightness[k]) - 1.0)  # of a lens that polarises a little
-            light = scene.light([led]) * tint.astype(np.float32)
+            light = scene.light([led])
+            if name == "white_crossed":
+                light *= np.array(films.brightness[k], dtype=np.float32)
             exposures.append(min(0.7 / float(light.max()), longest))
             light = light * np.float32(exposures[-1])
             pixels.append(record(light, "white", seed.spawn(1)[0], sensor, binning_scale(scene.camera)))
-        polarisation = "" if len(series) == 1 else "parallel" if name == "white" else "crossed"
+        polarisation = "parallel" if name == "white" else "crossed"
         bands[name] = _band(name, pixels, films.leds, exposures, polarisation=polarisation)
     drawn = nominal_rig(rig.camera.image_size[0] / 2200)
     write_capture(Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True)
@@ -259,12 +252,12 @@ class BlackBallScene(SphereScene):
         leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))  # of both films 2 leak / (1 + leak^2)
         return 0.5 * reflected_through(to_led, to_camera, polariser, analyser, leak)
 
-    def highlight(self, index: int) -> tuple[float, float]:
-        """Turn in degrees of an LED's reflection towards the camera, and what of it is left when films are crossed."""
+    def leak(self, index: int) -> float:
+        """What is left of an LED's reflection towards the camera when films are crossed."""
         point, led = self.highlights_mm()[index], self.leds[index]
         ways = unit(np.asarray(led.position_mm) - point), unit(self._towards_camera(point))
-        level, up, slant = (float(replace(self, analyser_deg=a)._passed(led, *ways)) for a in (0.0, 90.0, 45.0))
-        return float(np.rad2deg(0.5 * np.arctan2(2.0 * slant - level - up, level - up))), up / (level + up)
+        level, up = (float(replace(self, analyser_deg=angle)._passed(led, *ways)) for angle in (0.0, 90.0))
+        return up / (level + up)
 
 
 def drawn_films(
@@ -281,17 +274,14 @@ def drawn_films(
     extinction = drawn if extinction is None else extinction
     turned = tuple(float(angle) for angle in angles)
     ball = BlackBallScene(camera=rig.camera, leds=rig.leds, bench=bench, extinction=extinction, angle_deg=turned)
-    turns, leak = zip(*(ball.highlight(k) for k in leds), strict=True)
     tint = rng.uniform(0.93, 1.02, 3) * rng.uniform(0.95, 1.05, (len(leds), 1))
     x, y = rng.uniform(-2.0, 2.0, 2)
     films = Films(
         leds=leds,
-        leak=leak,
+        leak=tuple(ball.leak(k) for k in leds),
         brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
         shift_px=(float(x), float(y)),
         scale=float(1.0 + rng.normal(0.0, 5e-4)),
-        extinction_ratio=extinction,
-        angle_deg=turns,
     )
     return films, ball
 

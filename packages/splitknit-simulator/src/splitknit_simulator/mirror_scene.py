@@ -249,11 +249,11 @@ def _mirror_frame(
     view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera, views: MirrorSettings, rng: np.random.Generator
 ) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror; the holders stand where the drawing has them."""
-    name, profile = view.mirror.name, holder_profile(views.parts)
+    name, profile = view.mirror.name, holder_profile()
     inwards = {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
 
     def quad(line: str) -> Array:
-        return holder_quad(views.parts, name, camera, *profile[line])
+        return holder_quad(name, camera, *profile[line])
 
     def plate(line: str, albedo: float = _PLASTIC_ALBEDO) -> _Plate:
         corners = quad(line)

@@ -36,7 +36,7 @@ def rig_with_mirrors(settings: TwinSettings) -> Rig:
     """Return the rig as drawn: the one that is given, else the thesis's with a camera that sees the mirrors too."""
     views = settings.mirrors
     if settings.rig is None:
-        return mirror_rig(views, settings.scale, settings.rig_seed, settings.intensity_spread)
+        return mirror_rig(views, settings.scale, settings.rig_seed)
     rig, names = settings.rig, [mirror.name for mirror in settings.rig.mirrors]
     unknown = [name for name in views.names if name not in names]
     require(
@@ -53,7 +53,7 @@ def poses_between_mirrors(ranges: PoseRanges, settings: TwinSettings, camera: Ca
     """The ranges with the tip at its stop, unless they or the rig are given."""
     if settings.rig is not None or ranges.insertion_mm != PoseRanges().insertion_mm:
         return ranges
-    stop = stop_y_mm(settings.mirrors.parts, camera) - picture_on_plane(camera)[1]
+    stop = stop_y_mm(camera) - picture_on_plane(camera)[1]
     low, high = _INSERTION_MM
     return replace(ranges, insertion_mm=(min(low, stop), min(high, stop)))
 

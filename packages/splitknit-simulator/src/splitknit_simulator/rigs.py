@@ -6,7 +6,7 @@ The rig as it is drawn is :func:`splitknit.model.default_rig`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import cv2
@@ -49,36 +49,31 @@ def with_side_lights(rig: Rig, count: int) -> Rig:
 # As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
 
 
-@dataclass(frozen=True, slots=True)
-class _Tolerances:
-    """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
-
-    led_position_mm: float = 0.7
-    """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
-    off its lens's axis and 1 mm along it from lot to lot."""
-    led_beam_deg: float = 2.0
-    """Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
-    led_half_angle: float = 0.08
-    """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
-    led_intensity: float = 0.1
-    """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
-    focal_length: float = 0.01
-    """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
-    camera_height_mm: float = 0.5
-    """Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
-    camera_tilt_deg: float = 0.3
-    """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
-    camera_shift_mm: float = 0.3
-    """Per axis, of the camera against the LEDs' circle: the play of its screws."""
-    principal_point: float = 0.005
-    """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
-    corner_distortion: float = 0.005
-    """Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
-    corner_vignetting: tuple[float, float] = (0.10, 0.20)
-    """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
+# How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said.
+_LED_POSITION_MM = 0.7
+"""Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
+off its lens's axis and 1 mm along it from lot to lot."""
+_LED_BEAM_DEG = 2.0
+"""Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
+_LED_HALF_ANGLE = 0.08
+"""Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
+_LED_INTENSITY = 0.1
+"""Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
+_FOCAL_LENGTH = 0.01
+"""Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
+_CAMERA_HEIGHT_MM = 0.5
+"""Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
+_CAMERA_TILT_DEG = 0.3  # per axis, of the camera against the base: 0.15 mm over a seat of 25 mm
+_CAMERA_SHIFT_MM = 0.3  # per axis, of the camera against the LEDs' circle: the play of its screws
+_PRINCIPAL_POINT = 0.005
+"""Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
+_CORNER_DISTORTION = 0.005
+"""Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
+_CORNER_VIGNETTING = 0.10, 0.20
+"""Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
 
 
-def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
+def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
     every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
 
@@ -86,64 +81,61 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None =
     ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
-    tolerances = tolerances or _Tolerances()
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
-    camera = _built_camera(drawn.camera, tolerances, rng)
-    shift = np.array([*(tolerances.camera_shift_mm * _normal(rng, 2)), 0.0])
-    tilt_deg = tolerances.camera_tilt_deg * _normal(rng, 2)
+    camera = _built_camera(drawn.camera, rng)
+    shift = np.array([*(_CAMERA_SHIFT_MM * _normal(rng, 2)), 0.0])
+    tilt_deg = _CAMERA_TILT_DEG * _normal(rng, 2)
     # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned about the camera
     turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
     seat = np.array([0.0, 0.0, camera.height_mm])
-    leds = tuple(_built_led(led, tolerances, rng, (turn, seat, shift)) for led in drawn.leds)
+    leds = tuple(_built_led(led, rng, (turn, seat, shift)) for led in drawn.leds)
     tilt = [round(float(t), 6) for t in tilt_deg]
     provenance = {"source": "digital twin", "rig": "as built", "seed": seed, "base_tilt_deg": tilt}
     return Rig(camera=camera, leds=leds, provenance=provenance)
 
 
-def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generator) -> Camera:
+def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     assert drawn.matrix is not None
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
     distortion, vignetting = rng.random(2)
-    focal_px = float(drawn.matrix[0, 0]) * (1.0 + tolerances.focal_length * focal)
-    height_mm = drawn.height_mm + tolerances.camera_height_mm * height
-    middle = np.array([columns - 1, rows - 1]) / 2 + tolerances.principal_point * columns * np.array(offset)
+    focal_px = float(drawn.matrix[0, 0]) * (1.0 + _FOCAL_LENGTH * focal)
+    height_mm = drawn.height_mm + _CAMERA_HEIGHT_MM * height
+    middle = np.array([columns - 1, rows - 1]) / 2 + _PRINCIPAL_POINT * columns * np.array(offset)
     matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
     corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)  # squared tangent of the field angle at the corners
-    low, high = tolerances.corner_vignetting
+    low, high = _CORNER_VIGNETTING
     lost = low + (high - low) * vignetting
     return replace(
         drawn,
         px_per_mm=float(focal_px / height_mm),
         height_mm=float(height_mm),
         matrix=matrix,
-        distortion=(float(tolerances.corner_distortion * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
+        distortion=(float(_CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
         # cos^4 = (1 + tan^2)^-2 = 1 - 2 tan^2 + 3 tan^4 - ..., and vignetting, which sets in late
         shading=(float(-2.0 * corner2), float(3.0 * corner2**2 - lost)),
     )
 
 
-def _built_led(
-    drawn: Led, tolerances: _Tolerances, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
-) -> Led:
+def _built_led(drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]) -> Led:
     turn, seat, shift = seen_from_camera
-    position = np.asarray(drawn.position_mm) + tolerances.led_position_mm * _normal(rng, 3) + shift
+    position = np.asarray(drawn.position_mm) + _LED_POSITION_MM * _normal(rng, 3) + shift
     position = turn @ (position - seat) + seat
-    first, second = np.tan(np.deg2rad(tolerances.led_beam_deg * _normal(rng, 2)))
+    first, second = np.tan(np.deg2rad(_LED_BEAM_DEG * _normal(rng, 2)))
     aim = turn @ drawn.axis
     across = np.cross(aim, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
     aim = aim + first * across + second * np.cross(aim, across)
     aim /= np.linalg.norm(aim)
     half_angle, intensity = _normal(rng, 2)
-    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + tolerances.led_half_angle * half_angle)
+    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + _LED_HALF_ANGLE * half_angle)
     return replace(
         drawn,
         position_mm=(float(position[0]), float(position[1]), float(position[2])),
         aim=(float(aim[0]), float(aim[1]), float(aim[2])),
         lobe_exponent=round(lobe_exponent(angle), 6),
-        intensity=round(float(1.0 + tolerances.led_intensity * intensity), 6),
+        intensity=round(float(1.0 + _LED_INTENSITY * intensity), 6),
     )
 
 
@@ -155,13 +147,15 @@ def _normal(rng: np.random.Generator, count: int) -> Array:
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 """Intensities by which light skin fills the three channels about equally."""
 
+_INTENSITY_SPREAD = 0.1  # standard deviation of the coloured LEDs' intensities, as of default_rig's white ones
+
 
 # With coloured LEDs.
 
 
-def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
+def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2) -> Rig:
     """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
-    plain = default_rig(scale, seed, intensity_spread)
+    plain = default_rig(scale, seed)
     count = 3 * exposures
     colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}
     deviations = np.zeros(count) if seed is None else _normal(np.random.default_rng([seed, 0xC0]), count)
@@ -169,7 +163,7 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
     for k, deviation in enumerate(deviations):
         azimuth = 2.0 * np.pi * k / count
         position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
-        intensity = round(float(CURRENTS[colours[k]] * (1.0 + intensity_spread * deviation)), 6)
+        intensity = round(float(CURRENTS[colours[k]] * (1.0 + _INTENSITY_SPREAD * deviation)), 6)
         leds.append(Led(band="white", position_mm=position, intensity=intensity, colour=colours[k]))
     camera = replace(plain.camera, crosstalk=np.array(CROSSTALK))
     invisible = tuple(led for led in plain.leds if led.band == "nir")
@@ -178,45 +172,19 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: 
 
 SIDES = ("left", "right", "tip")
 
-_Length = Annotated[float, Limits(0.0, 200.0)]
 _CLEARANCE_MM = 0.2  # of all joints
 _FINGER_CLEARANCE_MM = 2.0  # between the widest finger and the walls of the groove, both sides together
 _PHALANX_MM = 30.0  # length of the last phalanx, tip to crease: in a large picture its centre is the picture's
 
-
-@dataclass(frozen=True, slots=True)
-class _MirrorParts(Checked):
-    """The printed parts that carry the mirrors, mm: those of a rig whose mirrors show the whole side of most fingers,
-    larger than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
-    """
-
-    _group = "mirrors.parts"
-
-    long_mm: _Length = 30.0
-    """Length of a mirror, along its lower edge."""
-    wide_mm: _Length = 30.0
-    """Width of a mirror, up its slope."""
-    thick_mm: _Length = 2.0
-    """Thickness of a mirror's glass."""
-    gap_mm: _Length = 1.0
-    """Between the groove's block and a holder."""
-    lip_mm: _Length = 0.8
-    """How much of the mirror's lower edge the holder's lip covers."""
-    wall_mm: _Length = 2.4
-    """Thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror."""
-    pad_height_mm: _Length = 21.2
-    """Height of the finger plane over the groove's bottom."""
-    widest_mm: _Length = 22.0
-    """Width of the widest finger."""
-    tip_margin_mm: _Length = 27.0
-    """From the fingertip's stop to the picture's upper border."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(
-            self.wide_mm > self.lip_mm + 1.0 and self.long_mm > 1.0,
-            "mirrors.parts.wide_mm must be at least 1 mm more than what the lip covers, and long_mm above 1.",
-        )
+# The printed parts that carry the mirrors: those of a rig whose mirrors show the whole side of most fingers, larger
+# than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
+_LONG_MM, _WIDE_MM, _THICK_MM = 30.0, 30.0, 2.0  # a mirror along its lower edge, up its slope, and its glass
+_GAP_MM = 1.0  # between the groove's block and a holder
+_LIP_MM = 0.8  # how much of the mirror's lower edge the holder's lip covers
+_WALL_MM = 2.4  # thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror
+_PAD_HEIGHT_MM = 21.2  # height of the finger plane over the groove's bottom
+_WIDEST_MM = 22.0  # width of the widest finger
+_TIP_MARGIN_MM = 27.0  # from the fingertip's stop to the picture's upper border
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +217,6 @@ class MirrorSettings(Checked):
     """Bright specks on the mirrors."""
     truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Spacing of the grid around the finger in the truth."""
-    parts: _MirrorParts = field(default_factory=_MirrorParts)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -263,9 +230,9 @@ _HALF = math.sqrt(0.5)
 _LIP_WALL_MM, _GROOVE_IN_FLOOR_MM, _POCKET_MM = 1.2, 0.4, 1.0
 
 
-def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
+def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> Rig:
     """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the drawing has them."""
-    rig = default_rig(scale, seed, intensity_spread)
+    rig = default_rig(scale, seed)
     rows, columns = (round(side * scale) for side in views.image_size)
     camera = replace(rig.camera, px_per_mm=views.px_per_mm * scale, image_size=(rows, columns))
     if views.model == "perspective":
@@ -278,20 +245,20 @@ def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, int
 
 def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:
     """Return the mirrors as drawn: the part of each face that the holder's lip leaves free."""
-    face = holder_profile(views.parts)["face"]
-    quads = (holder_quad(views.parts, name, camera, *face).tolist() for name in views.names)
+    face = holder_profile()["face"]
+    quads = (holder_quad(name, camera, *face).tolist() for name in views.names)
     return tuple(
         Mirror(name, tuple((x, y, z) for x, y, z in quad), views.reflectance)
         for name, quad in zip(views.names, quads, strict=True)
     )
 
 
-def stop_y_mm(parts: _MirrorParts, camera: Camera) -> float:
+def stop_y_mm(camera: Camera) -> float:
     """Return where the fingertip stops, in the rig's frame."""
-    return min(camera.image_size[0] / camera.px_per_mm / 2 - parts.tip_margin_mm, _PHALANX_MM / 2)
+    return min(camera.image_size[0] / camera.px_per_mm / 2 - _TIP_MARGIN_MM, _PHALANX_MM / 2)
 
 
-def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
+def holder_profile() -> dict[str, tuple[Array, Array]]:
     """Return lines in the section of a holder with its mirror, each between two points (distance from the holder's
     front, height over its foot), mm.
 
@@ -300,33 +267,31 @@ def holder_profile(parts: _MirrorParts) -> dict[str, tuple[Array, Array]]:
     face meets the holder's front; ``shade``: what stands before the mirror below that edge, seen from the mirror, dark;
     ``back``: the holder's top behind the mirror.
     """
-    p, along, behind = parts, np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
-    front = np.array(
-        [(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (p.thick_mm + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM]
-    )
-    low, high = front + p.lip_mm * along, front + p.wide_mm * along
+    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    front = np.array([(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (_THICK_MM + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM])
+    low, high = front + _LIP_MM * along, front + _WIDE_MM * along
     inside = front - _CLEARANCE_MM * behind
     outside = inside - _LIP_WALL_MM * behind
     start = np.array([0.0, outside[1] - outside[0]])
-    inside, outside = inside + p.lip_mm * along, outside + p.lip_mm * along
-    edge = high + (p.thick_mm + _CLEARANCE_MM) * behind
+    inside, outside = inside + _LIP_MM * along, outside + _LIP_MM * along
+    edge = high + (_THICK_MM + _CLEARANCE_MM) * behind
     return {
         "face": (low, high),
-        "glass": (high, high + p.thick_mm * behind),
+        "glass": (high, high + _THICK_MM * behind),
         "lip": (inside, outside),
         "lip_front": (outside, start),
         "shade": (outside - np.array([0.0, 8.0]), outside),
-        "back": (edge, edge + np.array([p.wall_mm, 0.0])),
+        "back": (edge, edge + np.array([_WALL_MM, 0.0])),
     }
 
 
-def holder_quad(parts: _MirrorParts, name: str, camera: Camera, low: Array, high: Array) -> Array:
+def holder_quad(name: str, camera: Camera, low: Array, high: Array) -> Array:
     """(4, 3) rectangle between two points of the section, along the whole holder `name`, in the rig's frame."""
-    p, stop = parts, stop_y_mm(parts, camera)
-    foot = -p.pad_height_mm + _GROOVE_IN_FLOOR_MM - _POCKET_MM
-    half = p.long_mm / 2
-    side = (p.widest_mm + _FINGER_CLEARANCE_MM) / 2 + p.wall_mm + p.gap_mm
-    middle, tip = stop + 1.0 - half, stop + p.wall_mm + p.gap_mm
+    stop = stop_y_mm(camera)
+    foot = -_PAD_HEIGHT_MM + _GROOVE_IN_FLOOR_MM - _POCKET_MM
+    half = _LONG_MM / 2
+    side = (_WIDEST_MM + _FINGER_CLEARANCE_MM) / 2 + _WALL_MM + _GAP_MM
+    middle, tip = stop + 1.0 - half, stop + _WALL_MM + _GAP_MM
     corners = [(low, -half), (low, half), (high, half), (high, -half)]
     if name == "tip":
         return np.array([(along, tip + u, foot + v) for (u, v), along in corners])

@@ -47,8 +47,6 @@ class BackgroundSettings(Checked):
 
     albedo: Annotated[float, Limits(0.0, 1.0)] = 0.006
     """Diffuse reflectance of the black background."""
-    gradient: Annotated[float, Limits(-1.0, 1.0)] = 0.0
-    """Relative change of the background's albedo from one edge of the frame to the other."""
     dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
     """Bright specks on the background."""
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
@@ -61,14 +59,9 @@ class BackgroundSettings(Checked):
 
 
 def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
-    """(H, W) albedo of the background: even, with a gradient and specks of dust where the settings enable them."""
+    """(H, W) albedo of the background: even, but for specks of dust."""
     height, width = camera.image_size
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
-    if settings.gradient:
-        angle = 2.0 * np.pi * rng.random()
-        across = np.linspace(-0.5, 0.5, width)[None, :] * np.cos(angle)
-        along = np.linspace(-0.5, 0.5, height)[:, None] * np.sin(angle)
-        albedo *= np.maximum(1.0 + settings.gradient * (across + along), 0.0).astype(np.float32)
     area_cm2 = height * width / (10.0 * camera.px_per_mm) ** 2
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
         _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
@@ -111,8 +104,6 @@ class TwinSettings(Checked):
     """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
     rig_seed: int | None = 0
     """Seed of the LEDs' individual intensities; None makes them equal."""
-    intensity_spread: float = 0.1
-    """Standard deviation of the LEDs' intensities."""
     skin: SkinOptics | SkinRanges = field(default_factory=SkinRanges)
     """The skin itself, or the ranges from which each finger's is drawn."""
     pose: FingerPose | PoseRanges = field(default_factory=PoseRanges)
@@ -122,7 +113,7 @@ class TwinSettings(Checked):
     sensor: SensorSettings = field(default_factory=SensorSettings)
     rig: Rig | None = None
     """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
-    `scale`, `rig_seed` and `intensity_spread`."""
+    `scale` and `rig_seed`."""
     side_lights: Annotated[int, Limits(0, 16)] = 0
     """White LEDs added to the side of the finger, 90 mm from the axis and 30 mm above the finger plane, on an arc that
     leaves the hand free."""

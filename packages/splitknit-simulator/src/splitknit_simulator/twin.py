@@ -82,7 +82,7 @@ def simulate_to_folder(
     if lights != "white":
         require(settings.rig is None, "a rig file says which LEDs there are; leave out `lights`, or `rig`.")
         require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out `mirrors` or `lights`.")
-        coloured = coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])
+        coloured = coloured_rig(settings.scale, settings.rig_seed, EXPOSURES[lights])
         settings = replace(settings, rig=coloured)
     finger = None
     require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
@@ -221,10 +221,10 @@ def drawn_finger(
     """Finger, pose, rig and skin of :func:`simulate_capture` with the same arguments."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     between = settings.between_mirrors
-    default = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    default = settings.rig or default_rig(settings.scale, settings.rig_seed)
     rig = rig_with_mirrors(settings) if between else with_side_lights(default, settings.side_lights)
     if settings.films.kind == "leds":
-        rig = with_crossed_leds(rig, settings.films.neighbour_mm)
+        rig = with_crossed_leds(rig)
     finger = finger or draw_finger(seed, pattern)
     person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)

@@ -13,15 +13,14 @@ from splitknit import Rig
 from splitknit.devices import Opened
 from splitknit.errors import require
 from splitknit.model import default_rig
-from splitknit.settings import override
 from splitknit_simulator.bench_photos import BOARD
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, board_poses
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinLightBank
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import FingerScene, twin_settings
 
-TARGETS = ("card", "disc", "nail", "board", "sphere")
+TARGETS = ("card", "nail", "board", "sphere")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +28,11 @@ class Twin:
     """The twin, set up: every finger is photographed with devices of its own."""
 
     settings: TwinSettings
-    devices: TwinDeviceSettings
 
     @classmethod
     def made(cls, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Twin:
-        """Sort settings: ``device.*`` to the devices, the rest to finger, skin, light and sensor. BadInput if one is
-        unknown, or the rig is another camera's.
-        """
-        own = {name: value for name, value in changes.items() if not name.startswith("device.")}
-        settings = twin_settings(scale, own)
+        """Change settings of finger, skin, light and sensor; BadInput if unknown, or the rig is another camera's."""
+        settings = twin_settings(scale, changes)
         if rig is not None:
             require(
                 "films" not in rig.provenance,
@@ -52,8 +47,7 @@ class Twin:
                 f"{size[1]}; leave `scale` out.",
             )
             settings = replace(settings, rig=rig)
-        devices = {name.removeprefix("device."): value for name, value in changes.items() if name not in own}
-        return cls(settings, override(TwinDeviceSettings(), devices))
+        return cls(settings)
 
     @contextmanager
     def opened(
@@ -68,17 +62,16 @@ class Twin:
             scene = FingerScene(seed, pattern, twin, impression=impression)
             truth, rig = scene.truth(), scene.rig
         else:
-            rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
+            rig = twin.rig or default_rig(twin.scale, twin.rig_seed)
             scene, words = _target_scene(target, rig, seed)
             notes = (words,)
         noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
         sensor: dict[str, Any] = {"sensor": twin.sensor, "sensor_scale": twin.sensor_scale, "seed": noise}
         with (
-            TwinLightBank(scene, clock, self.devices) as lights,
-            TwinCamera(scene, lights, clock, self.devices, **sensor) as camera,
+            TwinLightBank(scene, clock) as lights,
+            TwinCamera(scene, lights, clock, **sensor) as camera,
         ):
-            used = {"twin": twin, "devices": self.devices}
-            yield Opened("twin", camera, lights, rig, used, truth=truth, notes=notes)
+            yield Opened("twin", camera, lights, rig, {"twin": twin}, truth=truth, notes=notes)
 
 
 def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
@@ -91,6 +84,6 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
         scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
-    makers: dict[str, Any] = {"card": CardScene, "disc": DiscScene, "sphere": SphereScene}
+    makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene}
     require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
     return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

@@ -10,7 +10,7 @@ import pytest
 
 import splitknit_simulator
 from splitknit.finger.steady import find_steady_finger
-from splitknit.model import Band, Capture
+from splitknit.model import Capture
 from splitknit.presets import preset_settings
 from splitknit.settings import override
 
@@ -68,19 +68,6 @@ def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
         for one in (apart, steady)
     )
     assert after < 0.3 * before
-
-
-@pytest.mark.slow
-def test_grey_images_show_it_less_exactly(polarised: Capture) -> None:
-    def of_one_channel(band: Band) -> Band:
-        last = band.pixels.shape[3] // 2
-        one = slice(last, last + 1)
-        return replace(band, pixels=band.pixels[..., one], ambient=None)
-
-    grey = replace(polarised, bands={name: of_one_channel(band) for name, band in polarised.bands.items()})
-    _, finger = find_steady_finger(moved(grey, *MOVED_MM), METRIC)
-    found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
-    np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.04)
 
 
 @pytest.mark.slow

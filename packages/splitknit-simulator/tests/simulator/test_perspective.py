@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -21,9 +20,8 @@ from splitknit_simulator.finger.finger import (
     placement_of,
 )
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings
-from splitknit_simulator.finger.raycast import _Rays
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.light.lighting import cut_out, light_on, white_card
+from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import render_ambient, render_band
 from splitknit_simulator.light.separation import Checkerboard, pattern_states, separate_truth
 from splitknit_simulator.light.skin import (
@@ -35,7 +33,7 @@ from splitknit_simulator.light.skin import (
     fresnel,
 )
 from splitknit_simulator.surface import SimulatedSurface
-from surfaces import perspective_camera, perspective_plane, ridged_egg
+from surfaces import perspective_camera, perspective_plane
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = FingerPose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)
@@ -114,28 +112,6 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurf
     assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 0.5
 
 
-def test_from_very_far_it_is_the_orthographic_picture(finger: SimulatedFinger, master: MasterPrint) -> None:
-    far = perspective_camera((300, 260), 10.0, 1e8)
-    plain = finger_surface(replace(finger, printed=master), POSE, Camera(10.0, (300, 260)))
-    spread = finger_surface(replace(finger, printed=master), POSE, far)
-    assert (plain.mask != spread.mask).sum() <= 2
-    both = plain.mask & spread.mask & (plain.normals[..., 2] > 0.3)
-    np.testing.assert_allclose(spread.height_mm[both], plain.height_mm[both], atol=5e-4)
-    np.testing.assert_allclose(spread.shape_mm[both], plain.shape_mm[both], atol=5e-4)
-    np.testing.assert_allclose(spread.relief_um[both], plain.relief_um[both], atol=0.5)
-    np.testing.assert_allclose(spread.normals[both], plain.normals[both], atol=2e-2)
-    np.testing.assert_allclose(spread.landmarks["tip_px"], plain.landmarks["tip_px"], atol=0.1)
-    np.testing.assert_allclose(spread.landmarks["cores_px"], plain.landmarks["cores_px"], atol=0.01)
-    skin, led = SkinOptics(), Led("white", (52.5, 0.0, 140.0))
-    optics = [skin.channel("green")]
-    one, other = (
-        render_band(s, [led], Medium(optics, 0.25, 1.0)) for s in (plain, spread)
-    )  # fmt: skip
-    where = both[one.window]
-    for a, b in ((one.diffuse[0, 0], other.diffuse[0, 0]), (one.glare[0], other.glare[0])):
-        assert np.abs(a - b)[where].mean() < 2e-3 * a[where].mean()
-
-
 def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) -> None:
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the sides."""
     pose = FingerPose(insertion_mm=26.0)
@@ -146,63 +122,6 @@ def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) ->
     edges = [np.flatnonzero(s.mask[row])[[0, -1]] for s in (plain, spread)]
     inwards = np.array([edges[1][0] - edges[0][0], edges[0][1] - edges[1][1]]) / 15.0
     assert (inwards > 0.15).all() and (inwards < 0.45).all()
-
-
-def test_beside_the_axis_it_looks_below_the_finger(finger: SimulatedFinger, master: MasterPrint) -> None:
-    """A near camera sees skin of the side towards it that no orthographic camera sees: normals that point down."""
-    camera = perspective_camera((300, 420), 10.0, 30.0)
-    pose = FingerPose(x_mm=18.0, insertion_mm=20.0)
-    surface = finger_surface(replace(finger, printed=master), pose, camera)
-    down = surface.mask & (surface.shape_normals[..., 2] < -0.05)
-    assert down.sum() > 200
-    assert np.flatnonzero(surface.mask.any(axis=0))[0] > 270  # and nothing beside the finger
-    assert (_view(surface) * surface.normals).sum(-1)[surface.mask].min() > 5e-4
-    body = FingerBody(finger.shape)
-    placement = placement_of(body, pose, camera)
-    distance, _, _ = body.distance_and_chart(*placement.to_finger(*_points(surface)[down].T))
-    np.testing.assert_allclose(1e3 * distance, surface.relief_um[down], atol=0.03)
-    # the outline is where the smooth body, seen from the camera's centre, turns away
-    rim = surface.mask & ~ndimage.binary_erosion(surface.mask) & (np.indices(surface.mask.shape)[1] < 345)
-    rim[-4:] = False
-    assert np.median((_view(surface) * surface.shape_normals).sum(-1)[rim]) < 0.15
-
-
-def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
-    slopes = (np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, -0.3]))
-    rays = _Rays(np.zeros(3), np.zeros(3), slopes)
-    normals = np.array([[0.0, 0.0, 1.0], [0.99, 0.0, np.sqrt(1 - 0.99**2)], [0.0, -0.96, 0.28]])
-    given = normals.copy()
-    rays.turn_to_view(normals)
-    np.testing.assert_array_equal(normals[0], given[0])
-    view = np.array([-0.2, 0.0, 1.0]) / np.sqrt(1.04), np.array([0.0, 0.3, 1.0]) / np.sqrt(1.09)
-    np.testing.assert_allclose([normals[1] @ view[0], normals[2] @ view[1]], 1e-3, rtol=0.01)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-    parallel = _Rays(np.zeros(3), np.zeros(3))
-    parallel.turn_to_view(given)
-    np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
-
-
-def test_landmarks_are_pixels_of_the_lens(seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
-    body = FingerBody(finger.shape)
-    placement = placement_of(body, POSE, CAMERA)
-    named = np.concatenate([master.cores_mm, master.deltas_mm])
-    pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
-    shown = np.isfinite(pixels).all(axis=1)
-    assert shown.any()
-    points = np.stack([
-        cv2.remap(np.nan_to_num(p), *pixels[shown].astype(np.float32).T[:, :, None], cv2.INTER_LINEAR)[:, 0]
-        for p in np.moveaxis(_points(seen), -1, 0)
-    ])  # fmt: skip
-    _, u, v = body.distance_and_chart(*placement.to_finger(*points))
-    np.testing.assert_allclose(np.stack([u, v], 1), named[shown], atol=0.03)
-    tip = seen.landmarks["tip_px"]
-    assert seen.mask[round(tip[1]) + 2, round(tip[0])] and not seen.mask[round(tip[1]) - 3, round(tip[0])]
-
-
-def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
-    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
-    for name in ("height_mm", "normals", "x_mm", "y_mm"):
-        assert getattr(again, name).tobytes() == getattr(seen, name).tobytes()
 
 
 def test_the_pose_is_where_it_says_in_the_picture(finger: SimulatedFinger) -> None:
@@ -240,22 +159,6 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
     sky = render_ambient(sheet, 1.0, Medium([dense], 0.2))
     half = 0.5 * (1.0 + sheet.normals[..., 2])
     np.testing.assert_allclose(sky[0][inner], (half * albedo * (1 - fresnel(rough)))[inner], rtol=0.006)
-
-
-def test_a_mirror_shows_the_light_where_angles_are_equal() -> None:
-    """On a level sheet: at the fraction camera / (camera + light) of the way, heights above the sheet."""
-    sheet = perspective_plane(perspective_camera((160, 240), 4.0, 60.0, off=(11.0, 5.0)), -8.0)
-    _, sharp = light_on(cut_out(sheet), Led("white", (40.0, 6.0, 50.0)), 0.02, 0.0)
-    row, column = np.unravel_index(np.argmax(sharp), sharp.shape)
-    fraction = 68.0 / (68.0 + 58.0)
-    np.testing.assert_allclose(_points(sheet)[row, column, :2], [40.0 * fraction, 6.0 * fraction], atol=0.4)
-
-
-def test_diffusion_has_the_pitch_of_the_fingers_distance() -> None:
-    """The same sheet of skin, nearer: light spreads over more pixels, and the modulation left is that of its mm."""
-    assert cut_out(perspective_plane(perspective_camera((60, 80), 10.0, 50.0), -30.0)).px_per_mm == pytest.approx(6.25)
-    assert cut_out(perspective_plane(perspective_camera((60, 80), 10.0, 50.0), 25.0)).px_per_mm == pytest.approx(20.0)
-    assert cut_out(ridged_egg(size=(60, 60), px_per_mm=4.0)).px_per_mm == 4.0
 
 
 def test_a_card_is_lit_where_the_rays_meet_it() -> None:

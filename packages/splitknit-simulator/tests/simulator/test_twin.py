@@ -14,7 +14,7 @@ from splitknit.model import Camera, default_rig
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import PoseRanges
 from splitknit_simulator.light.renderer import RenderSettings
-from splitknit_simulator.light.skin import SkinOptics, SkinRanges
+from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings, background_albedo
 from splitknit_simulator.twin import photograph, simulate_capture
@@ -41,24 +41,6 @@ def _digest(capture, truth):
 
 def _photo(egg, rig, seed=1, skin=None, **settings):
     return photograph(egg, rig, skin or SkinOptics(), np.random.SeedSequence(seed), settings=TwinSettings(**settings))
-
-
-def test_default_rig_is_the_thesis_rig():
-    rig = default_rig(seed=7)
-    positions = np.array([led.position_mm for led in rig.leds])
-    assert rig.camera.image_size == (2200, 3200)
-    assert rig.camera.px_per_mm == 75.7
-    np.testing.assert_allclose(np.hypot(positions[:, 0], positions[:, 1]), 52.5)
-    np.testing.assert_allclose(positions[:, 2], 140.0)
-    azimuth = np.unwrap(np.arctan2(positions[:, 1], positions[:, 0])[:7])
-    np.testing.assert_allclose(np.diff(azimuth), 2 * np.pi / 7)
-    assert np.arctan2(positions[7, 1], positions[7, 0]) == pytest.approx(np.pi / 7)
-    assert [led.band for led in rig.leds] == ["white"] * 7 + ["nir"] * 7
-    assert 0.03 < np.std([led.intensity for led in rig.leds]) < 0.2
-    assert {led.intensity for led in default_rig().leds} == {1.0}
-    assert default_rig(0.5).camera.image_size == (1100, 1600)
-    with pytest.raises(BadInput, match="scale"):
-        default_rig(0.0)
 
 
 def test_a_capture_holds_what_the_format_says(egg, rig):
@@ -93,43 +75,6 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
     assert noise.std() > 0.3  # the three channels see the same light with their own noise
 
 
-def test_dark_skin_is_darker_and_less_red(egg, rig):
-    colours, exposures = [], []
-    for melanin in (0.0002, 0.02):
-        capture, truth = _photo(egg, rig, skin=SkinOptics(melanin=melanin, glare=0.0), sensor=QUIET)
-        pixels = capture.bands["white"].pixels[:, truth["mask"]].mean(axis=(0, 1))
-        colours.append(pixels / pixels[0])
-        exposures.append(float(truth["exposure_white"]))
-    assert exposures[1] > 2 * exposures[0]
-    assert colours[1][1] > 1.1 * colours[0][1]
-
-
-def test_light_minus_glare_is_what_no_glare_gives(egg, rig):
-    """The stored truth of the glare is in the images' own units."""
-    ambient = BackgroundSettings(ambient=0.0)
-    shiny, truth = _photo(egg, rig, sensor=QUIET, background=ambient)
-    matte, plain = _photo(egg, rig, skin=SkinOptics(glare=0.0), sensor=QUIET, background=ambient)
-    assert truth["exposure_white"] == plain["exposure_white"]
-    with_glare = linear_stack(shiny.bands["white"], "linear", "green")
-    without = linear_stack(matte.bands["white"], "linear", "green")
-    fits = with_glare < 0.99
-    np.testing.assert_allclose((with_glare - without)[fits], truth["glare_white"].astype(np.float32)[fits], atol=2e-4)
-    assert not plain["glare_white"].any()
-    assert truth["glare_white"].max() > 0.05
-
-
-def test_led_intensities_scale_the_images(egg):
-    rig = replace(default_rig(0.25), camera=egg.camera)
-    brighter = replace(rig, leds=(replace(rig.leds[0], intensity=0.5), *rig.leds[1:]))
-    background = BackgroundSettings(ambient=0.0)
-    one, first = _photo(egg, rig, sensor=QUIET, background=background)
-    half, second = _photo(egg, brighter, sensor=QUIET, background=background)
-    light, dimmed = (linear_stack(c.bands["white"], "linear", "green")[0] for c in (one, half))
-    gain = float(second["exposure_white"] / first["exposure_white"])
-    inside = first["mask"] & (light > 0.05) & (light < 0.9)
-    np.testing.assert_allclose(dimmed[inside] / light[inside], 0.5 * gain, rtol=0.005)
-
-
 def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     lit, truth = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.05))
     dark, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.0))
@@ -148,13 +93,12 @@ def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     assert abs(np.corrcoef(frame, image)[0, 1]) < 0.2  # each exposure has its own noise
 
 
-def test_background_dust_gradient_and_hand_shadow(egg, rig):
+def test_dust_and_the_shadow_of_the_hand(egg, rig):
     camera = Camera(20.0, (200, 300))
     plain = background_albedo(camera, BackgroundSettings(), np.random.default_rng(0))
     assert np.unique(plain).size == 1
-    dusty = background_albedo(camera, BackgroundSettings(dust_per_cm2=20.0, gradient=0.5), np.random.default_rng(0))
+    dusty = background_albedo(camera, BackgroundSettings(dust_per_cm2=20.0), np.random.default_rng(0))
     assert dusty.max() > 5 * plain.max()
-    assert np.ptp(_block_medians(dusty)) > 0.1 * plain.max()
     open_hand, truth = _photo(egg, rig, sensor=QUIET)
     shaded, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(hand_shadow=0.8))
     ratio = linear_stack(shaded.bands["white"], "linear", "green")[0] / np.maximum(
@@ -185,10 +129,6 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
     assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
     with pytest.raises(BadInput, match="between mirrors is black"):
         TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
-
-
-def _block_medians(image):
-    return np.median(image.reshape(10, 20, 10, 30), axis=(1, 3))
 
 
 def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
@@ -235,12 +175,6 @@ def test_pose_ranges_draw_inside_and_are_checked():
     assert deep.insertion_mm < 1100 / camera.px_per_mm
     with pytest.raises(BadInput, match="yaw_deg"):
         PoseRanges(yaw_deg=(5.0, -5.0))
-
-
-def test_population_spreads_in_tone():
-    skins = [SkinRanges().draw(np.random.default_rng(seed)) for seed in range(60)]
-    green = np.array([s.channel("green").absorption_per_mm for s in skins])
-    assert green.max() > 2 * green.min()
 
 
 def test_surface_and_camera_must_agree(egg):

@@ -10,13 +10,12 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.model import Camera, default_rig
-from splitknit_simulator.camera.lens import blur_sigma_px, fall_off, pixels_of_points
+from splitknit_simulator.camera.lens import fall_off, pixels_of_points
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale
-from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit_simulator.finger.finger import FingerPose, draw_finger
 from splitknit_simulator.finger.master_print import MasterPrintSettings
-from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
-from splitknit_simulator.scene import BackgroundSettings, Scene, TwinSettings
+from splitknit_simulator.scene import BackgroundSettings, TwinSettings
 from splitknit_simulator.twin import photograph, simulate_capture
 from surfaces import perspective_camera, ridged_egg
 
@@ -82,28 +81,6 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
     assert clear.bands["white"].shading == ()
 
 
-def test_ones_own_rig_is_used_as_it_is():
-    """The twin's own rig, given, changes nothing; `scale` is not used then."""
-    settings = TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0))
-    capture, truth = simulate_capture(4, settings=settings, finger=FINGER)
-    own = replace(settings, scale=1.0, rig=default_rig(0.1, 0))
-    again, same = simulate_capture(4, settings=own, finger=FINGER)
-    np.testing.assert_array_equal(capture.bands["white"].pixels, again.bands["white"].pixels)
-    assert truth.keys() == same.keys()
-    assert not {"x_mm", "camera_model"} & truth.keys()
-
-
-def test_aimed_beams_light_the_finger(perspective):
-    """Beams aimed elsewhere make another light; even numbers are as they were."""
-    rig, settings, capture, _ = perspective
-    plain = replace(rig, leds=tuple(replace(led, aim=None) for led in rig.leds))
-    other, _ = simulate_capture(4, settings=replace(settings, rig=plain), finger=FINGER)
-    one, two = (linear_stack(c.bands["white"], "linear", "green") for c in (capture, other))
-    gain = np.median(two[0] / np.maximum(one[0], 1e-3))
-    np.testing.assert_allclose(two[0], gain * one[0], atol=2e-3)
-    assert np.abs(two[1] - gain * one[1]).max() > 0.02
-
-
 def test_pixels_are_binned_as_the_picture_tells():
     assert binning_scale(default_rig(0.25).camera) == pytest.approx(0.25)
     assert binning_scale(default_rig(1 / 3).camera) == pytest.approx(1 / 3, rel=1e-9)
@@ -124,27 +101,3 @@ def test_pixels_are_binned_as_the_picture_tells():
     assert noise[2] > 3.0 * noise[0]
     with pytest.raises(BadInput, match="sensor_scale"):
         TwinSettings(sensor_scale=1.5)
-
-
-def test_depth_of_field_follows_the_axis(perspective):
-    rig, settings, _, truth = perspective
-    lens = RenderSettings(aperture_mm=6.0, focus_depth_mm=1.0)
-    soft, _ = simulate_capture(4, settings=replace(settings, render=lens), finger=FINGER)
-    assert np.abs(soft.bands["white"].pixels.astype(float) - perspective[2].bands["white"].pixels).max() > 2000
-    assert rig.camera.shading == SHADING
-    surface_z = truth["shape_mm"]
-    top = float(np.nanmax(surface_z))
-    deepest = np.unravel_index(np.nanargmin(surface_z), surface_z.shape)
-    below = top - 1.0 - float(surface_z[deepest])
-    # by similar triangles: the pencil of the pupil, `below` beyond the plane in focus, seen on that plane
-    disc_px = 6.0 * below / (121.0 - top + below) * (7.57 * 120.0 / (121.0 - top))
-    sigma = blur_sigma_px(surface_z[deepest], top - 1.0, 120.0, 6.0, 7.57 * 120.0 / (121.0 - top))
-    assert float(sigma) == pytest.approx(0.25 * disc_px, rel=1e-5)
-    assert _scene_blur(perspective, lens)[deepest] == pytest.approx(0.25 * disc_px, rel=1e-4)
-
-
-def _scene_blur(perspective, lens):
-    rig, settings, _, _ = perspective
-    surface = finger_surface(FINGER, settings.pose, rig.camera)
-    settings = replace(settings, render=lens)
-    return Scene((surface, rig, SkinOptics()), settings, np.random.default_rng(0)).blur

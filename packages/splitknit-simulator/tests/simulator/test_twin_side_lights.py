@@ -15,7 +15,6 @@ from splitknit.finger import steady
 from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import lights_in_front
 from splitknit.imaging.polarised import without_side_lights
-from splitknit.methods.photographs import SIDE_UNUSED
 from splitknit.model import Band, Capture, Led, Rig, default_rig
 from splitknit_simulator.light.lighting import arriving, cut_out, towards
 from splitknit_simulator.rigs import with_side_lights
@@ -60,17 +59,6 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
 
 
 @pytest.mark.slow
-def test_without_films_they_change_nothing_but_a_note_in_published_cases_and_coarse_images(lit: Capture) -> None:
-    white = _chosen(lit.bands["white"], 7)
-    ring = replace(lit, bands={**lit.bands, "white": white})
-    for preset in ("ea", "metric"):
-        both = [splitknit.reconstruct(one, preset) for one in (lit, ring)]
-        assert SIDE_UNUSED.format(SIDE) in both[0].warnings
-        assert set(both[0].warnings) - {SIDE_UNUSED.format(SIDE)} == set(both[1].warnings)
-        np.testing.assert_array_equal(both[0].height_mm, both[1].height_mm)
-
-
-@pytest.mark.slow
 def test_without_films_metric_measures_ridges_better_with_them() -> None:
     lit, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.25, "side_lights": 7})
     ring = replace(lit, bands={**lit.bands, "white": _chosen(lit.bands["white"], 7)})
@@ -81,16 +69,6 @@ def test_without_films_metric_measures_ridges_better_with_them() -> None:
     assert not any("from the side" in warning or "to the side" in warning for warning in both.warnings)
     errors = [splitknit.compare(one, truth).figures["ridge_rms_um"] for one in (both, before)]
     assert errors[0] < 0.95 * errors[1], errors
-
-
-def test_what_is_no_skin_keeps_all_its_lights(lit: Capture) -> None:
-    opaque = replace(lit, material="opaque")
-    assert without_side_lights(opaque) is opaque
-    parted = without_side_lights(lit).bands["white"]
-    assert parted.side is not None
-    assert (len(parted.leds), len(parted.side.leds)) == (7, SIDE)
-    few = replace(lit, bands={"white": replace(lit.bands["white"], **_last(lit.bands["white"], SIDE + 3))})
-    assert without_side_lights(few) is few  # too few in front
 
 
 @pytest.mark.parametrize(
@@ -115,11 +93,6 @@ def test_which_lights_stand_to_the_side(off_deg: list[float], front: int) -> Non
     assert max(np.array(off_deg)[found]) < min(np.array(off_deg)[~found], default=90.0)
 
 
-def _last(band: Band, count: int) -> dict[str, object]:
-    names = "pixels", "leds", "exposure", "black_level", "files"
-    return {name: getattr(band, name)[-count:] for name in names}
-
-
 @pytest.mark.parametrize(("common_mm", "moved"), [(0.0, False), (0.04, True)])
 def test_motion_before_the_side_images_is_what_all_share(
     lit: Capture, monkeypatch: pytest.MonkeyPatch, common_mm: float, moved: bool
@@ -136,18 +109,3 @@ def test_motion_before_the_side_images_is_what_all_share(
     kept, warnings = steady.without_moved_side(parted, cast("Finger", None))
     assert warnings == (steady.SIDE_MOVED,) * moved
     assert (kept is parted) is not moved
-
-
-def test_a_side_image_that_moved_alone_is_left_out(lit: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    parted = without_side_lights(lit)
-    side = parted.bands["white"].side
-    assert side is not None
-    shifts = np.zeros((SIDE, 2)) + 0.001
-    shifts[3] = 0.0, -0.12
-    facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
-    monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
-    kept, warnings = steady.without_moved_side(parted, cast("Finger", None))
-    assert warnings == (steady.SOME_MOVED.format(1),)
-    left = kept.bands["white"].side
-    assert left is not None
-    assert left.leds == (*side.leds[:3], *side.leds[4:])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from splitknit.cli.options import _read_settings_file, parse_assignment, read_changes
+from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 
 
@@ -59,9 +59,7 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps({"knit": {"mode": "a"}, "x.y": [1]}))
     (tmp_path / "s.toml").write_text('"x.y" = [1]\n[knit]\nmode = "a"\n')
     assert (
-        _read_settings_file(tmp_path / "s.json")
-        == _read_settings_file(tmp_path / "s.toml")
-        == {"knit.mode": "a", "x.y": [1]}
+        read_changes(tmp_path / "s.json", []) == read_changes(tmp_path / "s.toml", []) == {"knit.mode": "a", "x.y": [1]}
     )
 
 
@@ -82,9 +80,9 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
 def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes, words: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(BadInput, match=words):
-        _read_settings_file(tmp_path / name)
+        read_changes(tmp_path / name, [])
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="does not exist"):
-        _read_settings_file(tmp_path / "none.json")
+        read_changes(tmp_path / "none.json", [])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handmade import finger
-from splitknit.accuracy import _local_correlation, compare, high_passed
+from splitknit.accuracy import compare, high_passed
 from splitknit.errors import BadInput
 
 
@@ -102,12 +102,6 @@ def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
     ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
     kept = high_passed(np.ones(x.shape, bool), 8.0)(ridges + 0.05 * x)
     assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
-
-
-def test_local_correlation_of_opposites() -> None:
-    wave = np.sin(np.arange(200, dtype=np.float32) / 2)[None].repeat(60, axis=0)
-    where = np.ones(wave.shape, bool)
-    assert _local_correlation(wave, -2 * wave, where, 13).max() < -0.99
 
 
 def test_a_wide_mean_on_a_reduced_copy_keeps_the_ridges() -> None:

@@ -24,10 +24,6 @@ def gentle(rows=40, columns=50):
     return normals, 0.5 + 0.2 * np.sin(i / 5 + j / 8)
 
 
-def angles_deg(a, b):
-    return np.degrees(np.arccos(np.clip((a * b).sum(axis=-1), -1, 1)))
-
-
 def test_exact_on_a_matt_surface():
     normals, albedo = gentle()
     lights = ring() * np.linspace(0.5, 1.5, 7)[:, None]

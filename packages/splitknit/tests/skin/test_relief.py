@@ -87,9 +87,6 @@ def dome_slopes():
     return -0.12 * X, -0.06 * Y
 
 
-RAMP = (1.0 + 0.06 * X - 0.04 * Y).astype(np.float32)
-
-
 def lights(entering, trust):
     """Photometric stereo takes the vectors from the rig; here they only have to be there."""
     return Lighting(np.zeros((entering.shape[0], 3, *SHAPE), np.float32), entering, trust)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -17,25 +16,26 @@ import numpy as np
 
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.errors import naming, read_bytes, require
-from splitknit.io.images import MAX_BYTES, decode_image, read_image
+from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.plain import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file
 from splitknit.model import Array, PixelArray, default_rig, no_progress
 from splitknit.plausible import CAMERA_HEIGHT
-from splitknit.verbs import Progress, path
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
-from splitknit_rig.calibration.jobs import CameraJob
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
-from splitknit_rig.calibration.targets import Board, find_board, size_in_view
+from splitknit_rig.calibration.targets import Board, find_board
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredCamera:
     """A camera as photographs of targets show it, None for what they do not."""
 
-    job: CameraJob
-    """What was asked for."""
+    out: Path
+    """The rig file that was written."""
+    board: Board
+    """The checkerboard in the photographs."""
     camera: Camera
     """As it is in the rig file."""
     fit: CameraCalibration | None
@@ -51,51 +51,60 @@ class MeasuredCamera:
     """Whether the rig file's LEDs are the drawing's, as no rig was given."""
     boardless: tuple[str, ...] = ()
     """Photographs in which no board is in full view."""
-    hashes: Mapping[str, str] = field(default_factory=dict)
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
+def calibrate_to_rig(
+    folder: Path | None,
+    out: Path,
+    board: Board,
+    *,
+    plane: Sequence[Path] = (),
+    rig: Path | None = None,
+    pattern: str | None = None,
+    calibrated_at: str | None = None,
+    progress: Progress = no_progress,
+) -> MeasuredCamera:
     """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing is written then."""
     require(
-        job.folder is not None or len(job.plane) > 0,
+        folder is not None or len(plane) > 0,
         "give a FOLDER of photographs of a checkerboard, or `plane`: there is nothing to calibrate from.",
     )
-    check_rig_file(path(job.out))
-    base = read_rig(job.rig) if job.rig is not None else None
-    found = _find_camera(job, base, progress)
-    progress("writing", 0.97)
-    start = base or Rig(found.camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
-    found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
-    facts = camera_facts(found)
-    kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
-    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
-    origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, found.hashes)}
-    write_rig(replace(start, camera=found.camera, provenance={**start.provenance, "camera": origin}), job.out)
-    return found
-
-
-def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> MeasuredCamera:
-    board = Board.named(job.board, job.square_mm)
-    photos = _Photos(None if base is None else (base.camera.image_size, str(job.rig)))
+    check_rig_file(out)
+    base = read_rig(rig) if rig is not None else None
+    photos = _Photos(None if base is None else (base.camera.image_size, str(rig)))
     fit: CameraCalibration | None = None
     boardless: tuple[str, ...] = ()
-    folder = path(job.folder)
     if folder is not None:
-        files = _image_files(folder, job.pattern)
         corners, boardless = _board_photos(
-            photos, folder, files, board, lambda fraction: progress("finding corners", 0.85 * fraction)
+            photos, folder, _image_files(folder, pattern), board, lambda part: progress("finding corners", 0.85 * part)
         )
         progress("fitting", 0.86)
         fit = naming(folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners)))
-    marks = {file.name: _plane_marks(photos, file, board) for file in map(path, job.plane)}
+    marks = {file.name: _plane_marks(photos, file, board) for file in plane}
     progress("measuring the plane", 0.95)
-    found = _assembled(job, base, photos.size, fit, marks)
-    return replace(found, boardless=boardless, hashes=photos.hashes)
+    camera, poses, warnings = _assembled(base, str(rig), photos.size, fit, marks)
+    now = calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    pose = mean_pose(list(poses.values()), _focal_px(camera)) if poses else None
+    measured = MeasuredCamera(out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless)
+    measured = replace(measured, warnings=(*warnings, *_warnings(measured)))
+    progress("writing", 0.97)
+    facts = camera_facts(measured)
+    kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
+    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
+    origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, photos.hashes)}
+    start = base or Rig(camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
+    write_rig(replace(start, camera=camera, provenance={**start.provenance, "camera": origin}), out)
+    return measured
 
 
 def _assembled(
-    job: CameraJob, base: Rig | None, size: tuple[int, int], fit: CameraCalibration | None, marks: dict[str, Any]
-) -> MeasuredCamera:
+    base: Rig | None,
+    rig_name: str,
+    size: tuple[int, int],
+    fit: CameraCalibration | None,
+    marks: Mapping[str, tuple[Array, Array]],
+) -> tuple[Camera, dict[str, PlanePose], list[str]]:
+    """The camera with lens and height as measured, pose of the plane by photograph, and warnings."""
     old = base.camera if base is not None else Camera(75.7, size)
     require(
         fit is not None or old.model == "perspective",
@@ -107,26 +116,26 @@ def _assembled(
     if fit is not None:
         lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
     camera = replace(old, model="perspective", image_size=size, **lens)
-    assert camera.matrix is not None
-    focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     poses = {name: plane_pose(mm, px, camera.matrix, camera.distortion) for name, (mm, px) in marks.items()}
-    pose = mean_pose(list(poses.values()), focal) if poses else None
-    height = pose.height_mm if pose is not None else old.height_mm
-    if pose is not None:
-        given = "check the side of the board's squares (`square_mm`)"
-        warnings += CAMERA_HEIGHT.notes(height, given)
+    height = old.height_mm
+    if poses:
+        height = mean_pose(list(poses.values()), _focal_px(camera)).height_mm
+        remedy = "check the side of the board's squares (`square_mm`)"
+        warnings += CAMERA_HEIGHT.notes(height, remedy)
         if base is not None and not 0.6 < height / old.height_mm < 1.6:
-            warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
-    camera = replace(camera, height_mm=height, px_per_mm=focal / height)
-    now = job.calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return MeasuredCamera(job, camera, fit, poses, pose, tuple(warnings), now)
+            warnings.append(f"the camera is {height:.0f} mm high, by {rig_name} {old.height_mm:.0f} mm: {remedy}.")
+    return replace(camera, height_mm=height, px_per_mm=_focal_px(camera) / height), poses, warnings
+
+
+def _focal_px(camera: Camera) -> float:
+    assert camera.matrix is not None
+    return float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
 
 
 # Photographs of checkerboards: reading them, and finding what they show.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LEAST = 5
-_LOOKED_AT = 6  # photographs in which a board of another size is sought
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -194,17 +203,14 @@ def _board_photos(
             without.append(file)
         else:
             corners[_label(file, folder)] = found
-        if not corners and len(without) == _LOOKED_AT:
-            _refuse_other_size(without, board)
     lacking = tuple(_label(file, folder) for file in without)
     if len(corners) < LEAST:
-        _refuse_other_size(without, board)
         named = ", ".join(lacking[:4]) + (" and more" if len(lacking) > 4 else "")
         missing = f" (not in {named})" if without else ""
         raise BadInput(
             f"{folder}: a checkerboard of {board.columns} x {board.rows} inner corners is in full view in "
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
-            "take more, the board tilted differently in each."
+            "compare `board` with the print (corners where four squares meet), or take more, each tilted differently."
         )
     return corners, lacking
 
@@ -213,34 +219,12 @@ def _plane_marks(photos: _Photos, file: Path, board: Board) -> tuple[Array, Arra
     """Places of the board's corners in mm and in the image."""
     corners = naming(file, partial(find_board, photos.read(file), board))
     if corners is None:
-        _refuse_other_size([file], board)
         raise BadInput(
             f"{file} shows no checkerboard of {board.columns} x {board.rows} inner corners in full view; "
-            "lay the board flat on the finger plane, evenly lit, and photograph it again."
+            "compare `board` with the print (corners where four squares meet), or lay it flat and evenly lit, and "
+            "photograph it again."
         )
     return board.points_mm, corners
-
-
-def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
-    sizes: Counter[tuple[int, int]] = Counter()
-    for file in files[:_LOOKED_AT]:
-        try:
-            seen = size_in_view(read_image(file))
-        except BadInput:
-            continue
-        if seen is not None:
-            sizes[seen] += 1
-    if not sizes:
-        return
-    (size, count), *_ = sizes.most_common(1)
-    asked = max(board.size), min(board.size)
-    if size != asked and (count > 1 or len(files) == 1):
-        squares = asked == (size[0] + 1, size[1] + 1)
-        raise BadInput(
-            f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
-            f"{board.rows}; give `board` {size[0]}x{size[1]}"
-            + (" (corners where four squares meet, not squares)." if squares else ", or photograph the whole board.")
-        )
 
 
 # What a camera's calibration found: as facts for programs and as provenance for the rig file, with its warnings.
@@ -252,10 +236,10 @@ _POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3  # photographs of one plane that dif
 
 def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
     """Return all that was measured, as plain JSON."""
-    camera, job = found.camera, found.job
+    camera, board = found.camera, found.board
     measured, nominal = _origins(found)
     return {
-        "out": str(job.out),
+        "out": str(found.out),
         "calibrated_at": found.calibrated_at,
         "model": camera.model,
         "image_size": list(camera.image_size),
@@ -263,7 +247,7 @@ def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
         "distortion": None if camera.distortion is None else list(camera.distortion),
         "height_mm": camera.height_mm,
         "px_per_mm": camera.px_per_mm,
-        "board": {"inner_corners": job.board, "square_mm": job.square_mm},
+        "board": {"inner_corners": f"{board.columns}x{board.rows}", "square_mm": board.square_mm},
         "fit": _fit(found),
         "plane": _plane(found),
         "measured": measured,

@@ -7,8 +7,9 @@ from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from splitknit import BadInput
+from splitknit.errors import require
 from splitknit.settings import Limits
-from splitknit.verbs import AnyPath, Encoding, Help, Job, Positive, Progress, function_of
+from splitknit.verbs import AnyPath, Encoding, Help, Job, Positive, Progress, function_of, path
 
 if TYPE_CHECKING:  # a job is read without what does the work
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
@@ -61,8 +62,18 @@ class CameraJob(Job):
     def run(self, progress: Progress) -> MeasuredCamera:
         """Calibrate, and write the rig file."""
         from splitknit_rig.calibration.camera_photos import calibrate_to_rig
+        from splitknit_rig.calibration.targets import Board
 
-        return calibrate_to_rig(self, progress)
+        return calibrate_to_rig(
+            path(self.folder),
+            path(self.out),
+            Board.named(self.board, self.square_mm),
+            plane=tuple(map(path, self.plane)),
+            rig=path(self.rig),
+            pattern=self.pattern,
+            calibrated_at=self.calibrated_at,
+            progress=progress,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +121,6 @@ class LightsJob(Job):
     first_azimuth_deg: Annotated[float, Help("of white LED 0, for `geometry` (default: 0)", group=_RIG)] = 0.0
     nail_height_mm: Annotated[float | None, Limits(0.5, 500), Help(
         "where it is known (default: it is found)", "N", group=_NAIL)] = None
-    nail_seen: Annotated[Literal["tip", "base"], Help(
-        "what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)", group=_NAIL)] = "tip"
     method: Annotated[Literal["circle", "joint"] | None, Help(
         "circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail "
         "positions or more, and with `rig`)", group=_NAIL)] = None
@@ -129,9 +138,47 @@ class LightsJob(Job):
 
     def run(self, progress: Progress) -> CalibratedLights:
         """Find the LEDs, and write the rig file where one is named."""
-        from splitknit_rig.calibration.lights_job import lights_to_rig
+        from splitknit_rig.calibration import lights_job as lights
+        from splitknit_rig.calibration.lights_found import Rules
+        from splitknit_rig.calibration.nail import Nail
 
-        return lights_to_rig(self, progress)
+        source, out = self._source(), path(self.out)
+        lights.check_lights_file(out)
+        base = None
+        if self.rig is not None or self.px_per_cm is not None or source != "sphere":
+            base = lights.known_rig(path(self.rig), self.px_per_cm, self.image_size, self.led_height_cm)
+        if source == "sphere":
+            assert self.images is not None and self.sphere is not None
+            ball = lights.BallPhotographs(path(self.images), self.sphere, self.encoding, path(self.mask))
+            return lights.lights_of_ball(ball, base, out, led_height_cm=self.led_height_cm)
+        assert base is not None
+        circle = lights.led_circle(base, self.led_radius_cm, self.led_height_cm, self.led_centre_px)
+        if source == "geometry":
+            return lights.lights_as_drawn(base, circle, out, first_azimuth_deg=self.first_azimuth_deg)
+        joint_from = 2 if self.rig is not None else 3
+        rules = Rules(Nail(self.nail_height_mm), self.method, joint_from, self.limit_deg, self.keep)
+        if source == "table":
+            assert self.table is not None
+            return lights.lights_of_table(path(self.table), base, circle, rules, out)
+        assert self.images is not None
+        pictures: dict[str, Any] = {"encoding": self.encoding, "show": path(self.show), "tips_out": path(self.tips_out)}
+        return lights.lights_of_nail(path(self.images), base, circle, rules, out, **pictures, progress=progress)
+
+    def _source(self) -> str:
+        asked = {"table": self.table, "images": None if self.sphere else self.images, "sphere": self.sphere}
+        sources = [name for name, value in asked.items() if value is not None] + ["geometry"] * bool(self.geometry)
+        named = "none was" if not sources else " and ".join(f"`{name}`" for name in sources) + " were"
+        require(
+            len(sources) == 1,
+            f"calibrate lights needs one of `table`, `images`, `sphere` with `images`, and `geometry`, but "
+            f"{named} given.",
+        )
+        require(sources[0] != "sphere" or self.images is not None, "`sphere` needs `images`, photographs of the ball.")
+        require(sources[0] != "geometry" or self.out is not None, "`geometry` writes a rig file; name it by `out`.")
+        for name in ("px_per_cm", "image_size"):
+            alone = self.rig is None or getattr(self, name) is None
+            require(alone, f"`{name}` and `rig` set the same thing; give one of them.")
+        return sources[0]
 
 
 def _pair(text: str) -> tuple[float, float]:
@@ -146,7 +193,7 @@ def _pair(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class RadiometryJob(Job):
-    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response and noise.
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
 
     Returns
     -------
@@ -179,13 +226,22 @@ class RadiometryJob(Job):
         """Calibrate, and write the rig file."""
         from splitknit_rig.calibration.radiometry_folder import calibrate_to_file
 
-        return calibrate_to_file(self, progress)
+        return calibrate_to_file(
+            path(self.folder),
+            path(self.out),
+            rig_file=path(self.rig),
+            limit_percent=self.limit_percent,
+            card_height_mm=self.card_height_mm,
+            card_tilt_deg=self.card_tilt_deg,
+            residuals=path(self.residuals),
+            progress=progress,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class PolarisersJob(Job):
-    """Measure polarising films: extinction, angles, brightness and image shift, from a printed card and a
-    glossy black ball.
+    """Measure polarising films: brightness, image shift, and what they let pass, from a printed card and a glossy
+    black ball.
 
     Returns
     -------
@@ -195,8 +251,7 @@ class PolarisersJob(Job):
 
     # fmt: off
     folder: Annotated[AnyPath, Help(
-        "holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed), and ball_85, "
-        "ball_95 ...: the ball with the analyser at other angles", "FOLDER",
+        "holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed)", "FOLDER",
         positional=True)]
     out: Annotated[AnyPath, _RIG_OUT]
     _: KW_ONLY
@@ -208,7 +263,13 @@ class PolarisersJob(Job):
         """Measure the films, and write them into a rig file."""
         from splitknit_rig.calibration.polarisers import films_to_file
 
-        return films_to_file(self, progress)
+        return films_to_file(
+            path(self.folder),
+            path(self.out),
+            rig=path(self.rig),
+            residuals=path(self.residuals),
+            progress=progress,
+        )
 
 
 calibrate_camera = function_of(CameraJob, "calibrate_camera")

@@ -16,12 +16,12 @@ through the centre.
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit import BadInput, Camera
+from splitknit import Camera
 from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
@@ -60,32 +60,26 @@ def name_of_led(band: str, led: int) -> str:
 
 def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
     """Read the rows of a table in CSV, in the order white before NIR, LED, nail; ``#`` starts a comment. Raises
-    BadInput naming the line: a column is missing, something is not a number, a band or LED is not known, or a row comes
+    BadInput naming the row: a column is missing, something is not a number, a band or LED is not known, or a row comes
     twice.
     """
-    lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
-    lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]
+    lines = [line for line in text.lstrip("\ufeff").splitlines() if line.strip(" \t,") and line.lstrip()[0] != "#"]
     require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
-    header = [cell.lower() for cell in _cells(lines[0][1], name)]
-    missing = [column for column in COLUMNS if column not in header]
-    require(
-        not missing,
-        f"{name} lacks the column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; its first line must be "
-        f"{','.join(COLUMNS)}.",
-    )
-    require(len(set(header)) == len(header), f"{name} names a column twice in its first line.")
-    tips: dict[tuple[str, int, int], tuple[int, Tip]] = {}
-    for number, line in lines[1:]:
-        tip = _tip(line, header, f"{name}, line {number}")
+    with refusing(f"{name} is not a table in CSV."):  # such as a line of a hundred thousand characters without a comma
+        header, *rows = ([cell.strip() for cell in row] for row in csv.reader(lines))
+    header = [cell.lower() for cell in header]
+    missing = ", ".join(column for column in COLUMNS if column not in header)
+    require(not missing, f"{name} lacks {missing}; its first line must be {','.join(COLUMNS)}.")
+    tips: dict[tuple[str, int, int], Tip] = {}
+    for number, row in enumerate(rows, start=1):
+        where = f"{name}, row {number}"
+        require(len(row) == len(header), f"{where} has {len(row)} fields, but the first line names {len(header)}.")
+        tip = _tip(dict(zip(header, row, strict=True)), where)
         key = (tip.band, tip.led, tip.nail)
-        if key in tips:
-            raise BadInput(
-                f"{name}, lines {tips[key][0]} and {number} are both for {tip.name}; keep one of them, or correct its "
-                f"numbers."
-            )
-        tips[key] = (number, tip)
+        require(key not in tips, f"{where} is for {tip.name}, as an earlier row is; keep one of them.")
+        tips[key] = tip
     require(bool(tips), f"{name} has no rows below its first line; add one for every LED and nail position.")
-    return tuple(sorted((tip for _, tip in tips.values()), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
+    return tuple(sorted(tips.values(), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
 
 
 def write_tips(tips: Sequence[Tip]) -> str:
@@ -104,13 +98,7 @@ def pixels(tips: Sequence[Tip]) -> tuple[Array, Array]:
     return nails, ends
 
 
-def _tip(line: str, header: Sequence[str], where: str) -> Tip:
-    cells = _cells(line, where)
-    require(
-        len(cells) == len(header),
-        f"{where} has {len(cells)} fields, but the first line names {len(header)}; correct the line.",
-    )
-    row = dict(zip(header, cells, strict=True))
+def _tip(row: Mapping[str, str], where: str) -> Tip:
     band = row["band"].lower()
     require(band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}.")
     led = _whole(row["led"], where, "led")
@@ -120,13 +108,6 @@ def _tip(line: str, header: Sequence[str], where: str) -> Tip:
     )
     numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
     return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
-
-
-def _cells(line: str, where: str) -> list[str]:
-    with refusing(
-        f"{where} is not a line of a CSV table."
-    ):  # such as one of a hundred thousand characters without a comma
-        return [cell.strip() for cell in next(csv.reader([line]))]
 
 
 def _whole(text: str, where: str, column: str) -> int:
@@ -178,28 +159,28 @@ class LedEstimate:
     singles: Array  # (K, 3) positions, one for each of the nail's
 
 
-def nail_points(camera: Camera, nail_px: Array, height_mm: float, seen: str = "tip") -> Array:
+def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
     """Where the nail stands on the finger plane, (N, 2), by the pixel of its tip, which a perspective camera sees
-    further out by the nail's `height_mm`, or of its base.
+    further out by the nail's `height_mm`.
     """
     points = plane_points(camera, nail_px)
-    if camera.model == "perspective" and seen == "tip":
+    if camera.model == "perspective":
         points = points * (1.0 - height_mm / camera.height_mm)
     return points
 
 
 def by_circle(
-    tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
+    tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None
 ) -> tuple[tuple[LedEstimate, ...], float]:
     """Find every LED by the thesis's construction, in the order of the rows, and the nail's height in mm, by the
-    lengths of the shadows unless known. `seen`: ``tip`` or ``base``, what of the nail is given. Raises BadInput naming
-    LED and nail position without a shadow, or with the nail outside the circle.
+    lengths of the shadows unless known. Raises BadInput naming LED and nail position without a shadow, or with the nail
+    outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)
     height = known_height_mm or 0.0
     for _ in range(12):  # the height matters to where a perspective camera sees the nail, and follows from it
-        nails = nail_points(camera, nail_px, height, seen)
+        nails = nail_points(camera, nail_px, height)
         _check_shadows(tips, nails, ends, circle)
         along = nails - ends
         along = along / np.linalg.norm(along, axis=1, keepdims=True)

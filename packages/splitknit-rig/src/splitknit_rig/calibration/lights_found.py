@@ -13,7 +13,6 @@ from splitknit import BadInput, Camera, Led, Rig
 from splitknit.errors import require
 from splitknit.imaging.view import plane_points
 from splitknit.model import Array
-from splitknit_rig.calibration.jobs import LightsJob
 from splitknit_rig.calibration.lights import (
     BANDS,
     LEDS_PER_BAND,
@@ -75,18 +74,28 @@ class CalibratedLights:
     """What ``splitknit calibrate lights`` prints as JSON: also each step, plain."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """How LEDs are found from a nail's shadows, and which are kept."""
+
+    nail: Nail
+    method: str | None = None  # ``circle`` or ``joint``; None: joint from so many nail positions
+    joint_from: int = 3
+    limit_deg: float = 5.0  # directions further apart are refused
+    keep: bool = False  # keep LEDs that would be refused
+
+
 def find_leds(
-    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob, nail: Nail
+    tips: Sequence[Tip], camera: Camera, circle: Circle, rules: Rules, name: str
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
     """Find and judge every LED of a table: LEDs, facts, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, keep = str(job.table or job.images), job.keep
-    limit_deg = job.limit_deg
+    limit_deg, keep, nail = rules.limit_deg, rules.keep, rules.nail
     check_tips(tips, camera.image_size, name)
     try:
         check_nails(tips, camera)
-        plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm, seen=nail.seen)
+        plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm)
         copied = copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
@@ -94,9 +103,9 @@ def find_leds(
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(
-        job.method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least."
+        rules.method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least."
     )
-    method = job.method or ("joint" if positions > (1 if job.rig is not None else 2) else "circle")
+    method = rules.method or ("joint" if positions >= rules.joint_from else "circle")
     used = joint if method == "joint" else None
     first = {(one.band, one.led): one for one in plain}
     chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}

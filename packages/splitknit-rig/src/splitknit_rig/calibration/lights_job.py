@@ -22,11 +22,9 @@ from splitknit.io.plain import natural_order
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.targets import check_file, check_rig_file
 from splitknit.model import Array, FloatArray, camera_without_scale, no_progress, side_lights
-from splitknit.verbs import Progress, path
-from splitknit_rig.calibration.jobs import LightsJob
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Circle, Tip, combine, listed, read_tips
-from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, find_leds, rig_of
-from splitknit_rig.calibration.nail import Nail
+from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, Rules, find_leds, rig_of
 from splitknit_rig.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit_rig.calibration.radiometry import led_name
 from splitknit_rig.calibration.sphere import (
@@ -54,97 +52,74 @@ _NO_RIM = (
 )
 
 
-def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
-    """Find the LEDs, and write the rig file where one is named; see :class:`LightsJob`."""
-    nail = Nail(job.nail_height_mm, job.nail_seen or "tip")
-    source = _checked_source(job)
-    if source == "sphere":
-        return _of_sphere(job)
-    rig = _base_rig(job)
-    circle = _circle_of(job, rig)
-    if source == "geometry":
-        return _nominal(job, rig, circle)
-    read = _of_table if source == "table" else _of_images
-    return read(job, rig, circle, nail, progress)
+@dataclass(frozen=True, slots=True)
+class BallPhotographs:
+    """Photographs of a ball under one light each."""
+
+    folder: Path
+    kind: str  # ``chrome`` or ``grey``
+    encoding: str | None  # None: as the files state it, else linear, or sRGB by the ball's shading
+    mask: Path | None  # image that is white where the ball is
 
 
-def _checked_source(job: LightsJob) -> str:
-    asked = {"table": job.table, "images": None if job.sphere else job.images, "sphere": job.sphere}
-    sources = [name for name, given in asked.items() if given is not None] + ["geometry"] * bool(job.geometry)
-    require(
-        len(sources) == 1,
-        f"calibrate lights needs one of `table`, `images`, `sphere` with `images`, and `geometry`, but "
-        f"{'none was' if not sources else ' and '.join(f'`{name}`' for name in sources) + ' were'} given.",
-    )
-    require(sources[0] != "sphere" or job.images is not None, "`sphere` needs `images`, photographs of the ball.")
-    out = path(job.out)
-    if _is_list(out):
+def check_lights_file(out: Path | None) -> None:
+    """Refuse a file that holds something else than a rig, or a list of lights by its ending."""
+    if out is not None and _is_list(out):
         check_file(out, "a list of lights", lambda data: data.startswith(LIST_TITLE.encode()))
     else:
         check_rig_file(out)
-    require(sources[0] != "geometry" or job.out is not None, "`geometry` writes a rig file; name it by `out`.")
-    return sources[0]
 
 
-def _base_rig(job: LightsJob) -> Rig:
-    """Return the rig of `job.rig`, or an orthographic camera of `px_per_cm` and `image_size` without LEDs."""
-    if job.rig is not None:
-        for name in ("px_per_cm", "image_size"):
-            given = getattr(job, name) is None
-            require(given, f"`{name}` and `rig` set the same thing; give one of them.")
-        return read_rig(job.rig)
-    needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
-    require(
-        not needed, f"calibrate lights needs {' and '.join(f'`{name}`' for name in needed)}, or `rig` with a camera."
-    )
-    assert job.px_per_cm is not None and job.image_size is not None and job.led_height_cm is not None
-    rows, columns = _pair(job.image_size, "`image_size`", "rows,columns, such as 2200,3200")
+def known_rig(rig: Path | None, px_per_cm: float | None, image_size: str | None, led_height_cm: float | None) -> Rig:
+    """The rig of a file, or an orthographic camera of a scale and size without LEDs."""
+    if rig is not None:
+        return read_rig(rig)
+    values = {"px_per_cm": px_per_cm, "image_size": image_size, "led_height_cm": led_height_cm}
+    needed = " and ".join(f"`{name}`" for name, value in values.items() if value is None)
+    require(not needed, f"calibrate lights needs {needed}, or `rig` with a camera.")
+    assert px_per_cm is not None and image_size is not None and led_height_cm is not None
+    rows, columns = _pair(image_size, "`image_size`", "rows,columns, such as 2200,3200")
     whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
-    require(whole, f"`image_size` must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
-    height = job.led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
-    return Rig(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), ())
+    require(whole, f"`image_size` must be two positive whole numbers, rows,columns, but it is '{image_size}'.")
+    height = led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
+    return Rig(Camera(px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), ())
 
 
-def _circle_of(job: LightsJob, rig: Rig) -> Circle:
+def led_circle(rig: Rig, radius_cm: float | None, height_cm: float | None, centre_px: str | None) -> Circle:
+    """The circle of the LEDs as it is measured, or as the rig has it."""
     side = side_lights(rig.leds)  # they stand on no circle with the others
     places = [led.position_mm for k, led in enumerate(rig.leds) if led.position_mm is not None and k not in side]
-    radius, height = job.led_radius_cm, job.led_height_cm
-    missing = [
-        f"`led_{what}_cm`" for what, value in (("radius", radius), ("height", height)) if value is None and not places
-    ]
-    require(
-        not missing,
-        f"calibrate lights needs {' and '.join(missing)}"
-        + (", because the rig's LEDs have no positions." if job.rig is not None else "."),
-    )
+    sizes = {"led_radius_cm": radius_cm, "led_height_cm": height_cm}
+    missing = " and ".join(f"`{name}`" for name, value in sizes.items() if value is None and not places)
+    require(not missing, f"calibrate lights needs {missing}, because no LED's position is known.")
     centre = (0.0, 0.0)
-    if job.led_centre_px is not None:
-        x, y = _pair(job.led_centre_px, "`led_centre_px`", "x,y in pixels, such as 1575,1174")
+    if centre_px is not None:
+        x, y = _pair(centre_px, "`led_centre_px`", "x,y in pixels, such as 1575,1174")
         point = plane_points(rig.camera, np.array([[x, y]]))[0]
         centre = (float(point[0]), float(point[1]))
     array = np.array(places).reshape(-1, 3)
     return Circle(
-        radius_mm=float(np.hypot(array[:, 0], array[:, 1]).mean()) if radius is None else 10.0 * radius,
-        height_mm=float(array[:, 2].mean()) if height is None else 10.0 * height,
+        radius_mm=float(np.hypot(array[:, 0], array[:, 1]).mean()) if radius_cm is None else 10.0 * radius_cm,
+        height_mm=float(array[:, 2].mean()) if height_cm is None else 10.0 * height_cm,
         centre_mm=centre,
     )
 
 
-def _nominal(job: LightsJob, rig: Rig, circle: Circle) -> CalibratedLights:
+def lights_as_drawn(rig: Rig, circle: Circle, out: Path | None, *, first_azimuth_deg: float) -> CalibratedLights:
     """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
     found, facts = {}, []
     for nir, band in enumerate(BANDS):
         for led in range(LEDS_PER_BAND):
-            azimuth = math.radians(job.first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
+            azimuth = math.radians(first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
             x = circle.centre_mm[0] + circle.radius_mm * math.cos(azimuth)
             y = circle.centre_mm[1] + circle.radius_mm * math.sin(azimuth)
             place = [x, y, circle.height_mm]
             found[band, led] = combine(band, led, np.array([place]), (), circle)
             where = {"direction": found[band, led].direction.tolist(), "position_mm": place}
             facts.append({"band": band, "led": led, **where, **_UNCOMPARED, "verdict": "nominal"})
-    origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg}))
+    origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": first_azimuth_deg}))
     rig = rig_of(found, rig, {"method": "geometry", "provenance": origin})
-    return _written(rig, path(job.out), {"method": "geometry", "leds": facts})
+    return _written(rig, out, {"method": "geometry", "leds": facts})
 
 
 def _is_list(out: Path | None) -> bool:
@@ -181,98 +156,114 @@ def _pair(text: str, name: str, form: str) -> tuple[float, float]:
     return x, y
 
 
-def _of_table(job: LightsJob, rig: Rig, circle: Circle, nail: Nail, progress: Progress) -> CalibratedLights:
-    assert job.table is not None
-    table = path(job.table)
+def lights_of_table(table: Path, rig: Rig, circle: Circle, rules: Rules, out: Path | None) -> CalibratedLights:
+    """LEDs by a table of nail and shadow tips."""
     data = read_bytes(table, 16_000_000)
     with refusing(f"{table} is not a text file; export the table as CSV in UTF-8."):
         text = data.decode("utf-8-sig")
     tips = read_tips(text, str(table))
-    progress("fitting", 0.5)
     hashes = {table.name: hashlib.sha256(data).hexdigest()}
-    return _of_tips(job, rig, circle, nail, tips, hashes=hashes)
+    return _of_tips(tips, rig, circle, rules, out, name=str(table), hashes=hashes)
 
 
-def _of_images(job: LightsJob, rig: Rig, circle: Circle, nail: Nail, progress: Progress) -> CalibratedLights:
-    """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
-    folder, out = path(job.images), path(job.out)
-    assert folder is not None
-    require(nail.seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
-    nail = replace(nail, sd_mm=FOUND_SD_MM)  # what is found in photographs is better than what is clicked
-    show, table = _beside(path(job.show), out, "_tips.png"), _beside(path(job.tips_out), out, "_tips.csv")
+def lights_of_nail(
+    folder: Path,
+    rig: Rig,
+    circle: Circle,
+    rules: Rules,
+    out: Path | None,
+    *,
+    encoding: str | None,
+    show: Path | None,
+    tips_out: Path | None,
+    progress: Progress = no_progress,
+) -> CalibratedLights:
+    """LEDs by photographs of a nail; picture and table of the tips are written even if LEDs are refused."""
+    show, table = _beside(show, out, "_tips.png"), _beside(tips_out, out, "_tips.csv")
     tips, hashes, lost = tips_of_photos(
-        folder, rig.camera, encoding=job.encoding, show=show, table=table, progress=progress
+        folder, rig.camera, encoding=encoding, show=show, table=table, progress=progress
     )
-    shown: dict[str, Any] = {
+    pictures: dict[str, Any] = {
         "show": None if show is None else str(show),
         "tips_out": None if table is None else str(table),
         "shadows_out_of_the_picture": lost,
     }
+    # what is found in photographs is better than what is clicked
+    rules = replace(rules, nail=replace(rules.nail, sd_mm=FOUND_SD_MM))
     try:
-        found = _of_tips(job, rig, circle, nail, tips, hashes=hashes)
+        lights = _of_tips(tips, rig, circle, rules, out, name=str(folder), hashes=hashes)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
-        raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
-    return replace(found, facts={**found.facts, **shown})
+        raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **pictures}) from error
+    return replace(lights, facts={**lights.facts, **pictures})
 
 
-def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
-    return given if given is not None or out is None else out.with_name(out.stem + ending)
+def _beside(path: Path | None, out: Path | None, ending: str) -> Path | None:
+    return path if path is not None or out is None else out.with_name(out.stem + ending)
 
 
 def _of_tips(
-    job: LightsJob, rig: Rig, circle: Circle, nail: Nail, tips: Sequence[Tip], *, hashes: Mapping[str, str]
+    tips: Sequence[Tip],
+    rig: Rig,
+    circle: Circle,
+    rules: Rules,
+    out: Path | None,
+    *,
+    name: str,
+    hashes: Mapping[str, str],
 ) -> CalibratedLights:
-    chosen, found, sentence = find_leds(tips, rig.camera, circle, job, nail)
-    facts = {**found, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
+    """Judge the LEDs of tips, and write them; `hashes`: of the table or folder `name`, by file."""
+    chosen, facts, sentence = find_leds(tips, rig.camera, circle, rules, name)
+    facts["circle"] = {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}
     if sentence is not None:
         plain: Any = plain_json({**facts, "written": False, "out": None})
-        raise Refused(f"{job.table or job.images}: {sentence}", plain)
+        raise Refused(f"{name}: {sentence}", plain)
     origin = provenance(
-        {"method": found["method"], "circle": circle, "limit_deg": found["limit_deg"], "nail": nail}, hashes
+        {"method": facts["method"], "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail}, hashes
     )
     kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
-    words = [{key: one[key] for key in kept} for one in found["leds"]]
+    words = [{key: led[key] for key in kept} for led in facts["leds"]]
     rig = rig_of(chosen, rig, {"leds": plain_json(words), "provenance": plain_json(origin)})
     drawn = [led_name(rig.leds, k) for k in side_lights(rig.leds)]
     if drawn:
         note = f"the side lights {listed(drawn)} keep the places that the rig file had; a ball measures them"
         facts["warnings"] = [*facts["warnings"], note]
-    return _written(rig, path(job.out), facts)
+    return _written(rig, out, facts)
 
 
-def _of_sphere(job: LightsJob) -> CalibratedLights:
-    """Find the light's direction of every image in a folder. With `led_height_cm` LEDs are placed at that height, side
-    lights of `rig` as far away as drawn; with a scale the ball lies on the finger plane, camera and LEDs near.
+def lights_of_ball(
+    photos: BallPhotographs, base: Rig | None, out: Path | None, *, led_height_cm: float | None
+) -> CalibratedLights:
+    """Find the light's direction of every photograph. With `led_height_cm` LEDs are placed at that height, side lights
+    of the rig `base` as far away as drawn; with a `base` the ball lies on the finger plane, camera and LEDs near.
     """
-    folder = path(job.images)
-    assert folder is not None
-    photographs = _photographs(folder)
+    photographs = _photographs(photos.folder)
     paths = [file for _, _, file in photographs]
     rows, columns = read_photo(paths[0]).pixels.shape[:2]
     size = (rows, columns)
-    known, near = job.rig is not None or job.px_per_cm is not None, job.led_height_cm is not None
+    near = led_height_cm is not None
     require(
-        known or not near or job.out is None or _is_list(path(job.out)),
+        base is not None or not near or out is None or _is_list(out),
         "`led_height_cm` gives places in mm, and a rig file with places needs the scale: give `px_per_cm` and "
         "`image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
     )
-    dummy = Camera(1.0, size) if near else camera_without_scale(size)
-    base = _base_rig(job) if known else Rig(dummy, ())
+    known = base is not None
+    if base is None:
+        base = Rig(Camera(1.0, size) if near else camera_without_scale(size), ())
     camera_size = base.camera.image_size
-    stack, digests = read_stack(paths, camera_size, job.encoding or "linear", upright=True)
-    hashes = {file.relative_to(folder).as_posix(): digest for file, digest in digests.items()}
-    ball, notes = _ball(job, stack, size, hashes)
-    encoding: str | None = job.encoding
+    stack, digests = read_stack(paths, camera_size, photos.encoding or "linear", upright=True)
+    hashes = {file.relative_to(photos.folder).as_posix(): digest for file, digest in digests.items()}
+    ball, notes = _ball(photos, stack, size, hashes)
+    encoding = photos.encoding
     if encoding is None:
-        encoding, note = encoding_of(paths, lambda: job.sphere == "grey" and _ball_is_srgb(stack, ball))
+        encoding, note = encoding_of(paths, lambda: photos.kind == "grey" and _ball_is_srgb(stack, ball))
         notes += [note] if note else []
-    if encoding == "srgb" and job.encoding is None:
+    if encoding == "srgb" and photos.encoding is None:
         stack, _ = read_stack(paths, camera_size, encoding, upright=True)
     strengths: Array | None = None
-    height = None if job.led_height_cm is None else 10.0 * job.led_height_cm
+    height = None if led_height_cm is None else 10.0 * led_height_cm
     lying = _Lying.of(base, ball, [f"{band} {led}" for band, led, _ in photographs], lying=known and near)
-    if job.sphere == "chrome":
+    if photos.kind == "chrome":
         directions = chrome_directions(stack, ball, lying.eye, lying.away)
     else:
         directions, strengths = grey_directions(stack, ball, eye=lying.eye, away=lying.away)
@@ -294,12 +285,12 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
         where = {"direction": list(unit), "position_mm": place and list(place)}
         how = {"strength": None if strengths is None else strength, **_UNCOMPARED, "verdict": "unchecked"}
         facts.append({"band": band, "led": led, "image": file.name, **where, **how})
-    origin = provenance({"sphere": job.sphere, "ball": ball}, hashes)
-    said = {**base.provenance, "lights": {"method": job.sphere, "provenance": plain_json(origin)}}
+    origin = provenance({"sphere": photos.kind, "ball": ball}, hashes)
+    said = {**base.provenance, "lights": {"method": photos.kind, "provenance": plain_json(origin)}}
     rig = Rig(base.camera, tuple(leds), said, base.mirrors)
     outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
-    found = {"method": job.sphere, "ball": outline, "encoding": encoding, "leds": facts}
-    return _written(rig, path(job.out), {**found, "notes": notes})
+    found = {"method": photos.kind, "ball": outline, "encoding": encoding, "leds": facts}
+    return _written(rig, out, {**found, "notes": notes})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,9 +358,11 @@ def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
     return [("white", k, file) for k, file in enumerate(sorted(files, key=lambda file: natural_order(file.name)))]
 
 
-def _ball(job: LightsJob, stack: FloatArray, size: tuple[int, int], hashes: dict[str, str]) -> tuple[Ball, list[str]]:
+def _ball(
+    photos: BallPhotographs, stack: FloatArray, size: tuple[int, int], hashes: dict[str, str]
+) -> tuple[Ball, list[str]]:
     """The ball within the rim that the photographs (L, H, W) show, near `mask` where there is one, and notes."""
-    mask = path(job.mask)
+    mask = photos.mask
     if mask is None:
         return find_ball(stack), []
     pixels = read_photo(mask).pixels
@@ -381,7 +374,7 @@ def _ball(job: LightsJob, stack: FloatArray, size: tuple[int, int], hashes: dict
     hashes[mask.name] = file_hash(mask)
     ball = ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
     rim, agreed = rim_of(stack, ball)
-    per_radius = 2.0 if job.sphere == "chrome" else 1.0  # a mirror doubles what its normal turns by
+    per_radius = 2.0 if photos.kind == "chrome" else 1.0  # a mirror doubles what its normal turns by
     if agreed < _RIM_AGREED:
         small = f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
         return ball, [_NO_RIM.format(small, math.degrees(per_radius / ball.radius_px))]

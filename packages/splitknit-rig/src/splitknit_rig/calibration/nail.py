@@ -48,8 +48,6 @@ class Nail:
 
     height_mm: float | None = None
     """If known: the LED positions then follow from it, and the circle is only a check."""
-    seen: str = "tip"
-    """Which point was marked: the nail's ``tip``, which a perspective camera sees further out, or its ``base``."""
     sd_mm: float = 0.1
     """Standard deviation of its position on the finger plane, along each axis, shared by one position's rows."""
 
@@ -99,8 +97,7 @@ class _NailModel:
         circle = self.circle
         leds, places, height, offsets = self.parts(x)
         tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
-        seen = height if self.nail.seen == "tip" else 0.0  # height of what the nail's pixel is of
-        nail = (self._pixels(places, seen) - self.places_px) / self.nail_sd_px
+        nail = (self._pixels(places, height) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
         out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
@@ -137,7 +134,6 @@ class JointFit:
     interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
     interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
-    nail_height_interval_mm: float  # half width of its 95 % interval
     residual_px: Array  # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     outliers: tuple[int, ...]  # rows whose tip lies astray
     strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
@@ -154,9 +150,9 @@ def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail
 
 def _solve(model: _NailModel) -> OptimizeResult:
     nail = model.nail
-    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=nail.height_mm, seen=nail.seen)
+    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=nail.height_mm)
     height = float(np.clip(height, 0.6, model.top))
-    places = nail_points(model.camera, model.places_px, height, nail.seen)
+    places = nail_points(model.camera, model.places_px, height)
     x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
@@ -201,7 +197,6 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         interval_deg=np.array(degrees),
         interval_mm=np.array(sizes),
         nail_height_mm=height,
-        nail_height_interval_mm=1.96 * float(np.sqrt(covariance[model.at_height, model.at_height])),
         residual_px=found,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),
         strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),

@@ -7,7 +7,6 @@ lights: what is left of them in the crossed images has passed the films although
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,77 +25,60 @@ from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, BoolArray, Films, FloatArray, no_progress
-from splitknit.verbs import Progress, path
-from splitknit_rig.calibration.jobs import PolarisersJob
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
-from splitknit_rig.calibration.sensor import noise_model, noise_samples
 
 _CLIPPED = 0.985
 _LEVELS_PX = (8.0, 4.0, 2.0)
 """Standard deviations of the blur under which both images of the card are brought onto each other."""
 _MIN_LIKENESS = 0.5  # correlation of their details; a card without print has none
 _ACROSS = 60  # cells along the longer side of the card's picture
-_STEADY = 0.003  # relative deviation of an LED's light from one photograph to the next
+_STEADY = 0.004  # relative deviation of an LED's light from one photograph to the next, with its shot noise
 _NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
 _MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
+_LEAK_ERROR = 2.5e-4  # half of the largest error of what is left, on simulated rigs
 
 
-def films_to_file(job: PolarisersJob, progress: Progress = no_progress) -> dict[str, Any]:
-    """Measure the films and write them into a rig file; see :class:`PolarisersJob`."""
-    folder, out, residuals, rig = path(job.folder), path(job.out), path(job.residuals), path(job.rig)
+def films_to_file(
+    folder: Path,
+    out: Path,
+    *,
+    rig: Path | None = None,
+    residuals: Path | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Measure the films by the photographs in `folder`, and write them into the rig file `out`."""
     check_rig_file(out)
     check_picture(residuals, folder)
-    turned = {file: _angle(file) for file in sorted(folder.glob("ball_*"))}
     progress("card", 0.0)
-    card, ball = (_photographs(folder / name, rig, may_be_dark=name == "ball") for name in ("card", "ball"))
-    for capture, name in ((card, "card"), (ball, "ball")):
+    captures = {}
+    for name in ("card", "ball"):
+        capture = read_capture(folder / name, may_be_dark=name == "ball")
+        captures[name] = capture if rig is None else with_rig(capture, rig)
         require(
             "white_crossed" in capture.bands,
             f"{folder / name} holds no crossed series; photograph the {name} with the analyser parallel (white) and "
             "crossed (white_crossed).",
         )
-    films, facts, rest = naming(folder / "card", lambda: measure_card(card))
+    card, ball = captures["card"], captures["ball"]
+    require(
+        ball.bands["white"].leds == card.bands["white"].leds and ball.shape == card.shape,
+        f"{folder / 'ball'} has other LEDs or another size than {folder / 'card'}; use the same for both.",
+    )
+    films, facts, departures = naming(folder / "card", lambda: measure_card(card))
     progress("ball", 0.4)
-    electrons = _electrons(card)
-    spots, light = naming(folder / "ball", lambda: measure_ball(ball, films, electrons))
-    series, hashes = [light], dict[str, str]()
-    for at in (folder / "card", folder / "ball", *turned):
-        capture = _photographs(at, rig) if at in turned else card if at.name == "card" else ball
-        require(
-            capture.bands["white"].leds == card.bands["white"].leds and capture.shape == card.shape,
-            f"{at} has other LEDs or another size than {folder / 'card'}; photograph all under the same LEDs.",
-        )
-        hashes |= {f"{at.name}/{file}": digest for file, digest in capture.hashes.items()}
-        if at in turned:
-            progress(at.name, 0.7)
-            band, encoding = capture.bands["white"], capture.encoding
-            found = [naming(at, lambda k=k: _flux(band, k, encoding, spots[k], electrons)) for k in range(len(spots))]  # type: ignore[misc]  # noqa: B023
-            series.append(np.array(found)[:, None])
-    angles = np.array([0.0, 90.0, *turned.values()])
-    films, more = _of_ball(films, angles, np.concatenate(series, axis=1))
-    facts = {**facts, **more, "warnings": facts["warnings"] + more["warnings"]}
-    facts |= provenance({"angles_deg": angles.tolist()}, hashes)
+    light = naming(folder / "ball", lambda: measure_ball(ball, films))
+    films, leak_facts = _with_leak(films, light)
+    facts = {**facts, **leak_facts, "warnings": facts["warnings"] + leak_facts["warnings"]}
+    hashes = {f"{name}/{file}": digest for name, one in captures.items() for file, digest in one.hashes.items()}
+    facts |= provenance({}, hashes)
     if residuals is not None:
-        tiles = [residual_tile(100 * one, np.isnan(one), one.shape) for one in rest]
+        tiles = [residual_tile(100 * part, np.isnan(part), part.shape) for part in departures]
         write_image(residuals, np.concatenate(tiles, axis=1))
     write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
     progress("done", 1.0)
     files = [str(file) for file in (out, residuals) if file is not None]
     return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
-
-
-def _photographs(folder: Path, rig_file: Path | None, *, may_be_dark: bool = True) -> Capture:
-    capture = read_capture(folder, may_be_dark=may_be_dark)
-    return capture if rig_file is None else with_rig(capture, rig_file)
-
-
-def _angle(place: Path) -> float:
-    number = re.fullmatch(r"ball_(-?\d{1,3}(?:\.\d+)?)", place.name)
-    require(
-        number is not None,
-        f"{place} must be named by the analyser's angle in degrees from its parallel position, such as ball_85.",
-    )
-    return float(number[1]) if number else 0.0
 
 
 def _image(band: Band, k: int, encoding: str) -> FloatArray:
@@ -207,18 +189,6 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
     return replace(films, shift_px=(x, y), scale=round(films.scale, 7)), np.sqrt(variance[:3])
 
 
-def _electrons(card: Capture) -> float:
-    """At full scale of a green pixel, by the card's noise; infinite where it does not show them."""
-    band = card.bands["white"]
-    if card.encoding != "linear":
-        return np.inf
-    black = band.black_level / float(np.iinfo(band.pixels.dtype).max)
-    samples = [noise_samples(image, image.shape[2] // 2, b) for image, b in zip(band.pixels, black, strict=True)]
-    level, variance = (np.concatenate(parts) for parts in zip(*samples, strict=True))
-    model = noise_model(level, variance)
-    return np.inf if model is None else model.electrons
-
-
 # The ball: what is left of the lights that it mirrors.
 
 
@@ -236,16 +206,16 @@ class Spot:
         return np.asarray((rows - self.row) ** 2 + (columns - self.column) ** 2 <= (times * self.radius_px) ** 2)
 
 
-def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
-    """Where the L lights are mirrored in a glossy black ball, and (L, 2, 2) light of parallel and crossed highlights
-    and its deviation. `electrons`: at full scale. BadInput if a highlight is missing or clipped, or series are swapped.
+def measure_ball(ball: Capture, films: Films) -> Array:
+    """(L, 2, 2) light of the parallel and crossed highlights of L lights in a glossy black ball, and its deviation.
+    BadInput if a highlight is missing or clipped, or series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)
-    spots, light = [], []
+    light = []
     for k, (led, other) in enumerate(zip(near.leds, far.leds, strict=True)):
         grey = cv2.GaussianBlur(pick_channel(_image(near, k, ball.encoding), "grey"), (0, 0), 1.0)
-        spots.append(spot := _spot(grey, k))
+        spot = _spot(grey, k)
         column, row = matrix @ (spot.column, spot.row, 1.0)
         place = Spot(round(float(column)), round(float(row)), spot.radius_px)
         if led != other:  # films at right angles on LEDs beside each other
@@ -253,14 +223,14 @@ def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tupl
             around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(grey.shape)
             at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
             place = Spot(int(at[1]), int(at[0]), spot.radius_px)
-        crossed = _flux(far, k, ball.encoding, place, electrons) / (films.brightness[k] @ GREY_WEIGHTS)
-        light.append((_flux(near, k, ball.encoding, spot, electrons), crossed))
+        crossed = _flux(far, k, ball.encoding, place) / (films.brightness[k] @ GREY_WEIGHTS)
+        light.append((_flux(near, k, ball.encoding, spot), crossed))
     values = np.array(light)
     require(
         float(np.median(values[:, 1, 0] / values[:, 0, 0])) < 1.0,
         "the highlights are brighter in the crossed series than in the parallel one; exchange white and white_crossed.",
     )
-    return spots, values
+    return values
 
 
 def _spot(grey: NDArray[Any], k: int) -> Spot:
@@ -278,7 +248,7 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
     return Spot(int(column), int(row), 3.0 * float(np.sqrt(area / np.pi)) + 5.0)
 
 
-def _flux(band: Band, k: int, encoding: str, spot: Spot, electrons: float) -> Array:
+def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
     """(2,) grey light of a highlight above what surrounds it, and its deviation."""
     grey = pick_channel(_image(band, k, encoding), "grey").astype(np.float64)
     disc = spot.disc(grey.shape)
@@ -291,57 +261,17 @@ def _flux(band: Band, k: int, encoding: str, spot: Spot, electrons: float) -> Ar
     spread = 1.4826 * float(np.median(np.abs(ring - beside)))
     light = float((grey[disc] - beside).sum())
     pixels = disc.sum() * (1.0 + 1.57 * disc.sum() / max(ring.size, 1))
-    noise = spread**2 * pixels + abs(light) / (electrons * float(band.exposure[k]))
-    return np.array([light, np.sqrt(noise + (_STEADY * light) ** 2)])
+    return np.array([light, np.sqrt(spread**2 * pixels + (_STEADY * light) ** 2)])
 
 
-def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[str, Any]]:
-    """The films with leak; extinction and angles by Malus's law where the analyser stood at three angles. `light` (L,
-    J, 2): highlights at `degrees` (J,), the first two 0 and 90, and their deviations.
-    """
+def _with_leak(films: Films, light: Array) -> tuple[Films, dict[str, Any]]:
+    """The films with their leak, and its interval; `light` (L, 2, 2): parallel and crossed highlights, deviations."""
     both = light[:, 0, 0] + light[:, 1, 0]
     leak = light[:, 1, 0] / both
-    error = np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both
+    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
     words = "light {}: {:.1f} % of the specular light is left in the crossed image; turn its film or the analyser."
-    facts: dict[str, Any] = {
+    facts = {
         "leak_interval": [[rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)],
-        "warnings": [words.format(k, 100 * one) for k, one in enumerate(leak) if one > _MAX_LEAK],
+        "warnings": [words.format(k, 100 * part) for k, part in enumerate(leak) if part > _MAX_LEAK],
     }
-    films = replace(films, leak=tuple(rounded(float(one)) for one in np.clip(leak, 0.0, 0.499)))
-    if len(degrees) == 2:
-        return films, facts
-    require(
-        len(np.unique(degrees % 180.0)) >= 3,
-        "the angles of the analyser repeat 0 and 90 degrees; photograph the ball at others, such as ball_85, ball_95.",
-    )
-    angle = np.deg2rad(degrees)
-    # I = a + b cos 2t + c sin 2t: the least over the most is that of the films together
-    design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
-    grey = np.array(films.brightness) @ GREY_WEIGHTS
-    fits = []
-    for k, values in enumerate(light):
-        tint = np.cos(angle) ** 2 + grey[k] * np.sin(angle) ** 2  # of a camera that sees polarisation
-        tint[:2] = 1.0
-        seen, sigma = values.T / tint
-        weighted = design / sigma[:, None]
-        covariance = np.linalg.pinv(weighted.T @ weighted)
-        a, b, c = covariance @ weighted.T @ (seen / sigma)
-        swing = float(np.hypot(b, c))
-        of_least = np.array([2 * swing, -2 * a * b / swing, -2 * a * c / swing]) / (a + swing) ** 2
-        of_turn = np.array([0.0, -c, b]) / (2 * swing**2)
-        errors = [np.sqrt(slope @ covariance @ slope) for slope in (of_least, of_turn)]
-        rest = (seen - design @ (a, b, c)) / (a + swing)
-        fits.append(((a - swing) / (a + swing), 0.5 * np.arctan2(c, b), *errors, np.sqrt(np.mean(rest**2))))
-    least, turn, least_error, turn_error, rms = np.array(fits).T
-    weight = 1.0 / least_error**2
-    mean = float((weight * least).sum() / weight.sum())
-    excess = float((weight * (least - mean) ** 2).sum()) / max(len(least) - 1, 1)
-    deviation = float(np.sqrt(max(1.0, excess) / weight.sum()))
-    low, high = mean - 2 * deviation, max(mean + 2 * deviation, 1e-9)
-    facts |= {
-        "extinction_interval": [rounded(1.0 / high), None if low <= 0 else rounded(1.0 / low)],
-        "angle_interval_deg": [rounded(2.0 * float(np.rad2deg(one))) for one in turn_error],
-        "malus_rms_percent": [rounded(100 * float(one)) for one in rms],
-    }
-    ratio, angles = rounded(1.0 / max(mean, deviation, 1e-9)), tuple(rounded(float(one)) for one in np.rad2deg(turn))
-    return replace(films, extinction_ratio=ratio, angle_deg=angles), facts
+    return replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499))), facts

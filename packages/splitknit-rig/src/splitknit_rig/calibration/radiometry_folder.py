@@ -19,9 +19,8 @@ from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, FloatArray, PixelArray, no_progress
-from splitknit.verbs import Progress, path
+from splitknit.verbs import Progress
 from splitknit_rig.calibration.card_model import CardPlane
-from splitknit_rig.calibration.jobs import RadiometryJob
 from splitknit_rig.calibration.radiometry import (
     DRIFT_PERCENT,
     LIMIT_PERCENT,
@@ -41,20 +40,29 @@ _SCALE_PERCENT = 2.0  # ends of the colours in the picture of residuals
 _TILE_PX = 240
 
 
-def calibrate_to_file(job: RadiometryJob, progress: Progress = no_progress) -> RadiometricCalibration:
+def calibrate_to_file(
+    folder: Path,
+    out: Path,
+    *,
+    rig_file: Path | None = None,
+    limit_percent: float | None = None,
+    card_height_mm: float = 0.0,
+    card_tilt_deg: tuple[float, float] | None = None,
+    residuals: Path | None = None,
+    progress: Progress = no_progress,
+) -> RadiometricCalibration:
     """Calibrate a rig with a card, and write it; BadInput names the folder or file at fault, and nothing is written."""
-    folder, out, residuals = path(job.folder), path(job.out), path(job.residuals)
     check_rig_file(out)
     check_picture(residuals, folder)
     progress("reading", 0.0)
-    plan = _read_radiometry_plan(folder)
+    plan = read_radiometry_plan(folder)
     capture = read_capture(folder)
-    rig = capture.rig if job.rig is None else read_rig(job.rig)
-    plane = CardPlane(job.card_height_mm, job.card_tilt_deg or _base_tilt_deg(rig))
+    rig = capture.rig if rig_file is None else read_rig(rig_file)
+    plane = CardPlane(card_height_mm, card_tilt_deg or _base_tilt_deg(rig))
     progress("camera", 0.3)
     hashes = dict(capture.hashes)
     response = _measured_response(plan, capture, hashes)
-    limit = job.limit_percent or LIMIT_PERCENT
+    limit = limit_percent or LIMIT_PERCENT
     progress("flat field", 0.6)
     found = naming(folder, lambda: fit_radiometry(capture, rig, plane, limit))
     facts = {
@@ -206,7 +214,7 @@ class _RadiometryPlan:
     document: Path | None = None
 
 
-def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
+def read_radiometry_plan(folder: Path) -> _RadiometryPlan:
     """Read ``radiometry.json``; an empty plan where there is none. Raises BadInput naming the file and the field."""
     file = folder / DOCUMENT
     if not file.is_file():

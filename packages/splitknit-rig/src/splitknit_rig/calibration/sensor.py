@@ -1,4 +1,4 @@
-"""The sensor: whether its values are linear in the light, and its noise.
+"""The sensor: whether its values are linear in the light.
 
 With exposure times t_j, light L_i and stored values v_ij the inverse response f obeys f(v_ij) = t_j L_i. A polynomial f
 is linear in its coefficients, and so is the best L_i in f: what is left is one small linear system (Mitsunaga and Nayar
@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import Array, PixelArray
+from splitknit.model import Array
 
 _DEGREE = 5  # degree of the polynomial
 _LIMIT_PERCENT = 1.0  # values are linear if they depart from a line by no more than this many per cent of full scale
@@ -161,56 +160,3 @@ def _polynomial(
     coefficients = solved / float(ones @ solved) * span[1]
     rms = float(np.sqrt(((left @ coefficients) ** 2 * used).sum() / used.sum()))
     return np.polynomial.Chebyshev(coefficients, domain=list(span)), rms
-
-
-_CURVATURE = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)
-"""Zero on planes, and of variance 36 on white noise of variance one (Immerkaer 1996)."""
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseModel:
-    """variance = read_noise^2 + light / electrons, light and deviations as parts of full scale."""
-
-    electrons: float  # that fill a pixel to full scale, from the noise: with white balance, of this channel after it
-    read_noise: float
-    span: tuple[float, float]  # least and greatest light that was seen
-
-
-def noise_samples(frame: PixelArray, channel: int, black_level: float = 0.0, side: int = 24) -> tuple[Array, Array]:
-    """Mean and variance (n,) of the fine noise in squares of `side` pixels of a channel of (H, W, C), of full scale."""
-    full = float(np.iinfo(frame.dtype).max)
-    values = np.ascontiguousarray(frame[..., channel], dtype=np.float32) / np.float32(full)
-    rough = cv2.filter2D(values, cv2.CV_32F, _CURVATURE)
-    rows, columns = (n // side for n in values.shape)
-
-    def squares(image: Any) -> Any:
-        cut = image[: rows * side, : columns * side].reshape(rows, side, columns, side)
-        return cut.transpose(0, 2, 1, 3).reshape(rows * columns, -1)
-
-    own = squares(values)
-    unclipped = own.max(axis=1) < 0.98
-    variance = (squares(rough) ** 2).mean(axis=1) / 36.0 - (1.0 / full) ** 2 / 12.0
-    return (own.mean(axis=1) - black_level)[unclipped].astype(np.float64), variance[unclipped].astype(np.float64)
-
-
-def noise_model(light: Any, variance: Any, bins: int = 12) -> NoiseModel | None:
-    """Line through variances over light (n,) of :func:`noise_samples`, by medians of bins; None without variation or
-    slope. Source: the photon transfer method, EMVA 1288 (2021), section 6.
-    """
-    x, y = np.asarray(light, dtype=np.float64), np.asarray(variance, dtype=np.float64)
-    if len(x) < 4 * bins:
-        return None
-    groups = np.array_split(np.argsort(x, kind="stable"), bins)
-    middle = np.array([np.median(x[group]) for group in groups])
-    typical = np.array([np.median(y[group]) for group in groups])
-    if middle[-1] < 1.5 * max(middle[0], 0.02):
-        return None
-    weight = 1.0 / np.maximum(typical, 0.05 * float(np.median(typical)) + 1e-12)
-    slope, offset = np.polyfit(middle, typical, 1, w=weight)
-    if slope <= 0:
-        return None
-    return NoiseModel(
-        electrons=float(1.0 / slope),
-        read_noise=float(np.sqrt(max(offset, 0.0))),
-        span=(float(middle[0]), float(middle[-1])),
-    )

@@ -93,26 +93,8 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array 
             if grid is None:
                 continue
             refined = _refined(image, (grid + 0.5) / factor - 0.5)
-            if _is_board(image, refined) and _grown(image, refined, steps=1).shape == refined.shape:
+            if _is_board(image, refined) and not _goes_on(image, refined):
                 return np.asarray(refined.reshape(-1, 2), dtype=np.float64)
-    return None
-
-
-def size_in_view(pixels: Any) -> tuple[int, int] | None:
-    """Inner corners (more, fewer) of the checkerboard in an image, whatever its size, or None where there is none."""
-    image = _grey(pixels)
-    for small, factor in _reduced(image, _SEARCH_PX):
-        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
-        found, corners, size = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags=flags)
-        seeds = [_grid(corners, *size.shape) if found else None]
-        seeds += [_by_quads(small, Board(columns, rows, 1.0)) for columns, rows in ((6, 5), (5, 4), (4, 3))]
-        for seed in seeds:
-            if seed is None:
-                continue
-            grid = _refined(image, (seed + 0.5) / factor - 0.5)
-            if _is_board(image, grid):
-                rows, columns = _grown(image, grid, steps=200).shape[:2]
-                return max(rows, columns), min(rows, columns)
     return None
 
 
@@ -158,19 +140,16 @@ def _is_board(image: FloatArray, grid: Array) -> bool:
     return bool(contrast.min() > 0.2 * np.median(contrast) > 0)
 
 
-def _grown(image: FloatArray, grid: Array, steps: int) -> Array:
-    """The grid with all rows and columns that lie beyond it and are corners too, `steps` at most on each side."""
+def _goes_on(image: FloatArray, grid: Array) -> bool:
+    """Whether the board has a further row or column of corners beyond the grid."""
     least = _CONTRAST * float(np.median(_contrast(image, grid)))
-    for _ in range(4):
-        grid = np.rot90(grid, axes=(0, 1))
-        for _ in range(steps):
-            line = (2 * grid[-1] - grid[-2])[None]
-            further = np.concatenate([grid[-1:], line])
-            inside = np.all((line >= 2) & (line <= np.array(image.shape[::-1]) - 3))
-            if not inside or np.median(_contrast(image, further)[1]) < least:
-                break
-            grid = np.concatenate([grid, _refined(image, further)[1:]])
-    return grid
+    for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid[:, ::-1].swapaxes(0, 1)):
+        line = (2 * side[-1] - side[-2])[None]
+        further = np.concatenate([side[-1:], line])
+        inside = np.all((line >= 2) & (line <= np.array(image.shape[::-1]) - 3))
+        if inside and np.median(_contrast(image, further)[1]) >= least:
+            return True
+    return False
 
 
 def _contrast(image: FloatArray, grid: Array) -> Array:

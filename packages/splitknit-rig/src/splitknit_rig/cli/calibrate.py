@@ -176,23 +176,13 @@ def _led_lines(facts: Mapping[str, Any]) -> list[str]:
 
 def _film_lines(facts: Mapping[str, Any]) -> list[str]:
     films = facts["films"]
-    lines = ["LED   specular light left  angle            crossed / parallel: red, green, blue  residuals rms"]
+    lines = ["LED   specular light left  crossed / parallel: red, green, blue  residuals rms"]
     for k, led in enumerate(films["leds"]):
         low, high = facts["leak_interval"][k]
-        angle = "not measured"
-        if films["angle_deg"]:
-            angle = f"{films['angle_deg'][k]:+.2f} +- {facts['angle_interval_deg'][k]:.2f} deg"
         tint = ", ".join(f"{value:.4f}" for value in films["brightness"][k])
         lines.append(
-            f"{led:3d}   {100 * low:.3f} to {100 * high:.3f} %      {angle:16s} {tint:37s} "
-            f"{facts['residual_rms_percent'][k]:.2f} %"
+            f"{led:3d}   {100 * low:.3f} to {100 * high:.3f} %      {tint:37s} {facts['residual_rms_percent'][k]:.2f} %"
         )
-    if films["extinction_ratio"] is None:
-        lines.append("Extinction and angles: photograph the ball at other angles of the analyser (ball_85, ball_95).")
-    else:
-        low, high = facts["extinction_interval"]
-        span = f"at least {low:.0f}" if high is None else f"{low:.0f} to {high:.0f}"
-        lines.append(f"Extinction ratio: {films['extinction_ratio']:.0f} ({span}).")
     x, y = films["shift_px"]
     lines.append(
         f"The crossed image lies {x:+.3f} px right of and {y:+.3f} px below the parallel one (+- "

@@ -48,7 +48,7 @@ class CaptureJob(Job):
     out: Annotated[AnyPath | None, Help("capture folder to write", "DIR")] = None
     rig: Annotated[AnyPath | None, Help("rig file (default: the nominal rig)", "FILE")] = None
     target: Annotated[str | None, Help(
-        "photograph a calibration target: no finger is looked for; the twin puts a card (default), disc, nail, board "
+        "photograph a calibration target: no finger is looked for; the twin puts a card (default), nail, board "
         "or sphere there", "WHAT", alone="card")] = None
     keep: Annotated[bool, Help("write a capture even if it must be taken again")] = False
     overwrite: Overwrite = False

@@ -129,9 +129,7 @@ class BenchSettings(Checked):
     led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
     aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
-    """Diameter of the camera's pupil; 0 is a pinhole, sharp at every depth."""
-    focus_mm: Annotated[float, Limits(-50.0, 50.0)] = 0.0
-    """z of the plane in focus."""
+    """Diameter of the camera's pupil, in focus on the finger plane; 0 is a pinhole, sharp at every depth."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -216,9 +214,8 @@ class GroundScene(ABC):
 
     @cached_property
     def _blur(self) -> FloatArray:
-        camera, bench = self.camera, self.bench
-        pitch = px_per_mm_at(camera, bench.focus_mm)
-        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
+        camera, depth = self.camera, self._depth.astype(np.float32)
+        return blur_sigma_px(depth, 0.0, camera.height_mm, self.bench.aperture_mm, px_per_mm_at(camera, 0.0))
 
     @property
     def _depth(self) -> Array:

@@ -1,16 +1,15 @@
-"""Flat things under the rig: a white card, a printed checkerboard held by hand, the calibration disc with its dots."""
+"""Flat things under the rig: a white card, and a printed checkerboard held by hand."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
 from splitknit import BadInput, Camera
 from splitknit.errors import require
-from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     GroundScene,
@@ -44,20 +43,20 @@ class CardScene(BaseScene):
 
 
 @dataclass(frozen=True, slots=True)
-class PrintedBoard(Checked):
+class PrintedBoard:
     """A printed checkerboard."""
 
-    rows: Annotated[int, Limits(2)] = 7
+    rows: int = 7
     """Inner corners, down."""
-    columns: Annotated[int, Limits(2)] = 10
+    columns: int = 10
     """Inner corners, across."""
-    square_mm: Annotated[float, Limits(0.1, 100.0)] = 3.0
-    margin_mm: Annotated[float, Limits(0.0, 100.0)] = 3.0
+    square_mm: float = 3.0
+    margin_mm: float = 3.0
     """White paper around the outer squares."""
-    paper: Annotated[float, Limits(0.0, 1.0)] = 0.85
+    paper: float = 0.85
     """Reflectances."""
-    ink: Annotated[float, Limits(0.0, 1.0)] = 0.05
-    print_blur_mm: Annotated[float, Limits(0.0, 1.0)] = 0.02
+    ink: float = 0.05
+    print_blur_mm: float = 0.02
     """Standard deviation of the print's edges: a 600 dpi laser printer's dots are 0.042 mm wide."""
 
     @property
@@ -126,52 +125,6 @@ class BoardScene(GroundScene):
         black = inside(0.0, blur) * 0.5 * (1.0 + waves)  # the square at the top left is black
         paper = inside(board.margin_mm)
         return np.asarray(self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper)))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DiscScene(BaseScene):
-    """The calibration disc in place of the finger's groove: a white plate with a black dot at every centimetre."""
-
-    rotation_deg: float = 0.0
-    """Turned about z, counter-clockwise in the picture."""
-    shift_mm: tuple[float, float] = (0.0, 0.0)
-    """Where the dot in the disc's middle lies."""
-    spacing_mm: float = 10.0
-    dot_mm: float = 1.5
-    """Diameter of a dot."""
-    radius_mm: float = 50.0
-    """Radius of the disc."""
-    white: float = 0.85
-    """Reflectances."""
-    black: float = 0.05
-
-    @property
-    def plane(self) -> PlaneFrame:
-        """Where the disc lies: its own u and v follow the rows of dots."""
-        base, angle = super().plane, np.deg2rad(self.rotation_deg)
-        c, s = float(np.cos(angle)), float(np.sin(angle))
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return PlaneFrame(base.points(*self.shift_mm), base.axes @ turn)
-
-    def dots_mm(self) -> Array:
-        """(N, 2) centres of the dots on the disc, multiples of the spacing."""
-        most = int(self.radius_mm // self.spacing_mm)
-        steps = self.spacing_mm * np.arange(-most, most + 1)
-        u, v = (axis.ravel() for axis in np.meshgrid(steps, -steps))
-        whole = np.hypot(u, v) + self.dot_mm / 2 < self.radius_mm
-        return np.stack([u[whole], v[whole]], axis=1)
-
-    def truth_dots(self) -> Array:
-        """(N, 2) column and row of the dots' centres, in the picture or outside it, in the order of :meth:`dots_mm`."""
-        return seen_at(self.camera, self.plane.points(*self.dots_mm().T))
-
-    def albedo(self, u: Array, v: Array) -> Array:
-        """Reflectance (h, w): black dots on white; cloth beside the disc."""
-        near_u, near_v = (a - self.spacing_mm * np.round(a / self.spacing_mm) for a in (u, v))
-        whole = np.hypot(u - near_u, v - near_v) + self.dot_mm / 2 < self.radius_mm
-        dot = edge_coverage(0.5 * self.dot_mm - np.hypot(near_u, near_v)) * whole
-        disc = edge_coverage(self.radius_mm - np.hypot(u, v))
-        return np.asarray(disc * (self.white + dot * (self.black - self.white)))
 
 
 _TRIES = 200

@@ -8,8 +8,8 @@ reports from the simulator are those of the design, without the computer's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Protocol
+from dataclasses import replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -18,7 +18,6 @@ from splitknit import Camera, Led
 from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 
@@ -59,33 +58,23 @@ _FRAME_S = 0.0477  # shortest time from frame to frame
 _TRANSFER_S = 0.07  # from the end of the readout until the program has the picture
 _LAG_FRAMES = 3  # frames until a new exposure takes effect
 _PREVIEW_COLUMNS = 800  # width of a preview in pixels, about: it is reduced by a whole number
-
-
-@dataclass(frozen=True, slots=True)
-class TwinDeviceSettings(Checked):
-    """Timing and sensitivity of the twin's devices."""
-
-    _group = "device"
-
-    sensitivity_per_s: Annotated[float, Limits(0.0, above=True)] = 500.0
-    """Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
-    settle_s: Annotated[float, Limits(0.0, 10.0)] = 0.02
-    """Time until an LED reaches full brightness."""
+SENSITIVITY_PER_S = 500.0
+"""Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
+SETTLE_S = 0.02  # time until an LED reaches full brightness
 
 
 class TwinLightBank(GuardedLights):
     """LEDs of a scene."""
 
-    def __init__(self, scene: LitScene, clock: Clock, settings: TwinDeviceSettings | None = None) -> None:
+    def __init__(self, scene: LitScene, clock: Clock) -> None:
         """Take the LEDs, all off."""
-        settings = settings or TwinDeviceSettings()
         self._clock = clock
         self._since: dict[int, float] = {}
-        super().__init__(len(scene.leds), settings.settle_s)
+        super().__init__(len(scene.leds), SETTLE_S)
 
     def brightness(self, at_s: float) -> float:
         """Fraction of its full light that the last LED that was switched on gives at a time: it rises evenly."""
-        if not self._since or self.settle_s == 0:
+        if not self._since:
             return 1.0
         return float(np.clip((at_s - max(self._since.values())) / self.settle_s, 0.0, 1.0))
 
@@ -110,7 +99,6 @@ class TwinCamera(Closing):
         scene: LitScene,
         lights: TwinLightBank,
         clock: Clock,
-        settings: TwinDeviceSettings | None = None,
         *,
         sensor: SensorSettings | None = None,
         sensor_scale: float | None = None,
@@ -118,7 +106,7 @@ class TwinCamera(Closing):
     ) -> None:
         """Start the camera that looks at the scene of `lights`; what was locked replaces `sensor.exposure`."""
         self._scene, self._lights, self._clock = scene, lights, clock
-        self._settings, self._sensor = settings or TwinDeviceSettings(), sensor or SensorSettings()
+        self._sensor = sensor or SensorSettings()
         require(self._sensor.encoding == "linear", "the twin's camera gives linear images; leave sensor.encoding so.")
         require(lights.count == len(scene.leds), "scene and bank of LEDs differ in their number of LEDs.")
         require(seed >= 0, "seed must not be negative.")
@@ -154,7 +142,6 @@ class TwinCamera(Closing):
 
     def _expose(self, reduction: int) -> Frame:
         require(not self._closed, "the camera is closed; open it again.")
-        settings = self._settings
         frame_s = max(self._exposure_s + 0.001, _FRAME_S)
         begins_s = np.ceil(self._clock.now_s / frame_s - 1e-9) * frame_s + self._fresh * frame_s
         discarded, self._fresh = 1 + self._fresh, 0  # the one that was being exposed when we were called
@@ -162,7 +149,7 @@ class TwinCamera(Closing):
         if reduction > 1:
             size = (light.shape[1] // reduction, light.shape[0] // reduction)
             light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        fraction = np.float32(self._exposure_s * self._gain * settings.sensitivity_per_s)
+        fraction = np.float32(self._exposure_s * self._gain * SENSITIVITY_PER_S)
         sensor = replace(self._sensor, full_well_e=max(self._sensor.full_well_e / self._gain, 100.0))
         seed = np.random.SeedSequence([self._seed, 0xCA, self._exposed])
         pixels = record(light * fraction, self._band, seed, sensor, self._scale / reduction)

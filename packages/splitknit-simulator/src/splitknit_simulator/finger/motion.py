@@ -25,7 +25,8 @@ from splitknit_simulator.surface import Array, SimulatedSurface
 _SHOT_S = 0.5  # time from shot to shot; the thesis takes 14 in 7 s
 EXPOSURE_S = 0.02  # time that a shot takes; tremor blurs it
 _TREMOR_HZ = (8.0, 12.0)  # physiological tremor (Elble and Koller 1990)
-_ROLL_DEG_PER_MM = 1.5  # largest difference of roll about the finger's axis between two shots, for each mm of amplitude
+_TREMOR_SHARE = 0.05  # standard deviation of the tremor relative to the drift's amplitude
+_TURN_DEG_PER_MM = 1.5  # largest difference of yaw, and of roll, between two shots, for each mm of amplitude
 _SLIP = 0.1  # largest slip of the skin between two shots, over the amplitude
 _SLIP_SMOOTH_MM = 5.0  # length over which the slip is smooth
 
@@ -38,10 +39,6 @@ class HandMotion(Checked):
 
     amplitude_mm: Annotated[float, Limits(0.0, 3.0)] = 0.0
     """Largest distance between the finger's positions in any two shots; 0 = it lies still."""
-    tremor_share: Annotated[float, Limits(0.0, 0.5)] = 0.05
-    """Standard deviation of the tremor relative to the drift's amplitude."""
-    yaw_deg_per_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
-    """Largest difference of yaw between two shots, for each mm of amplitude."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +61,8 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
     frequency = rng.uniform(*_TREMOR_HZ, (3, 2))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
     angle = 2.0 * np.pi * frequency * time[:, None, None] + phase
-    tremor = np.sin(angle).sum(axis=1) * (settings.tremor_share * np.sqrt(2.0 / 3.0))
-    speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (settings.tremor_share * np.sqrt(2.0 / 3.0))
+    tremor = np.sin(angle).sum(axis=1) * (_TREMOR_SHARE * np.sqrt(2.0 / 3.0))
+    speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (_TREMOR_SHARE * np.sqrt(2.0 / 3.0))
     path = drift / _spread(drift) + tremor
     scale = settings.amplitude_mm / _spread(path)
     yaw, roll = (walk[:, 0] / _spread(walk) for walk in (_walk(rng, shots, 1), _walk(rng, shots, 1)))
@@ -79,8 +76,8 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
-        yaw_rad=against(yaw * turned * settings.yaw_deg_per_mm),
-        roll_rad=against(roll * turned * _ROLL_DEG_PER_MM),
+        yaw_rad=against(yaw * turned * _TURN_DEG_PER_MM),
+        roll_rad=against(roll * turned * _TURN_DEG_PER_MM),
         slip=against(slip / _spread(slip) * settings.amplitude_mm * _SLIP),
         reference=reference,
     )

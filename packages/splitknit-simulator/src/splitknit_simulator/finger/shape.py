@@ -7,7 +7,7 @@ the right as a camera above the pad sees it. The body is where its implicit func
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,47 +15,44 @@ from scipy.ndimage import gaussian_filter1d
 
 from splitknit.errors import require
 from splitknit.model import BoolArray
-from splitknit.settings import Checked, Limits
 from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)
-class FingerShape(Checked):
+class FingerShape:
     """Size and form of a distal phalanx and the middle phalanx below it (one finger, without pose or ridges).
 
     The cross-section is a superellipse-like curve ``h(X^2) + h(Z^2) = 1`` with ``h(q) = (1 - k) q + k q^2``; towards
     the tip the same curve is revolved about the pad's top, so the cap is smooth.
     """
 
-    _group = "finger"
-
-    length_mm: Annotated[float, Limits(15.0, 40.0)] = 25.0
+    length_mm: float = 25.0
     """Tip to first crease; people: 22-28."""
-    width_mm: Annotated[float, Limits(8.0, 30.0)] = 16.8
+    width_mm: float = 16.8
     """Breadth of the pad; people: 14-20."""
-    thickness_mm: Annotated[float, Limits(6.0, 30.0)] = 13.5
+    thickness_mm: float = 13.5
     """Twice the height of the pad over the widest line of the section."""
-    squareness: Annotated[float, Limits(0.0, 0.6)] = 0.2
+    squareness: float = 0.2
     """k of the cross-section: 0 an ellipse, towards 0.45 a flatter pad with rounder shoulders."""
-    tip_length_mm: Annotated[float, Limits(4.0, 14.0)] = 8.5
+    tip_length_mm: float = 8.5
     """Length of the rounded cap; short is blunt."""
-    tip_squareness: Annotated[float, Limits(0.0, 0.6)] = 0.15
+    tip_squareness: float = 0.15
     """0 an elliptic outline of the tip, towards 0.5 a squarer one."""
-    taper: Annotated[float, Limits(-0.2, 0.2)] = 0.06
+    taper: float = 0.06
     """Relative growth of the breadth from the crease to 20 mm further proximal."""
-    pad_bulge: Annotated[float, Limits(-0.2, 0.2)] = 0.05
+    pad_bulge: float = 0.05
     """Relative rise of the pad over its neck, in thickness; half of it in breadth."""
-    pad_center: Annotated[float, Limits(0.2, 0.8)] = 0.5
+    pad_center: float = 0.5
     """Where the bulge is highest, as a fraction of the length."""
-    neck: Annotated[float, Limits(-0.2, 0.2)] = 0.03
+    neck: float = 0.03
     """Relative dip of the palmar side at the first crease."""
-    arching_per_mm: Annotated[float, Limits(-0.2, 0.2)] = 0.0015
+    arching_per_mm: float = 0.0015
     """Curvature of the finger's axis in the vertical plane."""
     sideways_mm: float = 0.0
     """How far the axis bends to the side over 25 mm."""
-    skew: Annotated[float, Limits(-0.2, 0.2)] = 0.0
+    skew: float = 0.0
     """Shear of the sections: the pad's top lies off the middle by this fraction of the height."""
-    tip_drop_mm: Annotated[float, Limits(0.0, 4.0)] = 0.0
+    tip_drop_mm: float = 0.0
     """How far the rounded cap bends away from the camera, towards the nail: the outline's tip lies that much lower
     than its sides, so that a roll moves it sideways."""
 

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from scipy import ndimage
 
 from splitknit.model import FloatArray
-from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)
-class FlexionCrease(Checked):
+class FlexionCrease:
     """A flexion crease: parallel grooves across the finger."""
 
     v_mm: float = 0.0
     """Where it crosses the middle line: arc length from the first crease, towards the tip."""
-    depth_mm: Annotated[float, Limits(0.0, 1.0)] = 0.35
+    depth_mm: float = 0.35
     """Depth of its main groove."""
-    width_mm: Annotated[float, Limits(0.1, 1.0)] = 0.3
+    width_mm: float = 0.3
     """Standard deviation of the groove's profile."""
     tilt: float = 0.0
     """Rise over the breadth: dv / du."""
@@ -33,23 +31,23 @@ class FlexionCrease(Checked):
     """Arc length from the middle line at which the groove has half its depth."""
     side_lines: int = 2
     """Fainter lines beside the main groove."""
-    darkening: Annotated[float, Limits(0.0, 0.8)] = 0.25
+    darkening: float = 0.25
     """Loss of diffuse reflectance at the bottom."""
 
 
 @dataclass(frozen=True, slots=True)
-class SkinRelief(Checked):
+class SkinRelief:
     """Depths on one finger's skin."""
 
-    ridge_depth_um: Annotated[float, Limits(0.0, 200.0)] = 65.0
+    ridge_depth_um: float = 65.0
     """Mean height of ridges over valleys; people: 40-100."""
     depth_variation: float = 0.12
     """Relative standard deviation of the depth over distances of about 5 mm."""
-    pore_depth_um: Annotated[float, Limits(0.0, 100.0)] = 25.0
+    pore_depth_um: float = 25.0
     """Mean depth of the deepest pores."""
     pore_darkening: float = 0.06
     """Loss of diffuse reflectance at a pore."""
-    undulation_mm: Annotated[float, Limits(0.0, 0.5)] = 0.0
+    undulation_mm: float = 0.0
     """Standard deviation of bumps and dents below the ridges, some 5 mm wide: no finger is as even as its model."""
     creases: tuple[FlexionCrease, ...] = (FlexionCrease(), FlexionCrease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
     """From the first crease towards the palm."""

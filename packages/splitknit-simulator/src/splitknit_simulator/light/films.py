@@ -26,6 +26,7 @@ Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 
 SERIES = ("parallel", "crossed")
+_NEIGHBOUR_MM = 6.0  # distance of the LEDs of the crossed series from the first ones, where they have their own
 
 
 def turned_film_rad(place: Sequence[float], analyser_rad: float = 0.0) -> float:
@@ -61,8 +62,6 @@ class FilmSettings(Checked):
     """Fraction of the light scattered once in the skin that keeps its polarisation."""
     shift_px: Annotated[float, Limits(0.0, 2.0)] = 0.0
     """Shift of the image, in a drawn direction, when the camera's film is turned."""
-    neighbour_mm: Annotated[float, Limits(1.0, 30.0)] = 6.0
-    """Distance of the LEDs of the crossed series from the first ones, where `kind` is ``leds``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +146,7 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
     return Films(settings, polariser, analyser, shift, aside)
 
 
-def with_crossed_leds(rig: Rig, distance_mm: float) -> Rig:
+def with_crossed_leds(rig: Rig) -> Rig:
     """The rig with as many further white LEDs, each beside one of its own, farther around the camera's axis."""
     added = []
     for led in rig.leds:
@@ -155,7 +154,7 @@ def with_crossed_leds(rig: Rig, distance_mm: float) -> Rig:
             if led.position_mm is None:
                 raise BadInput("films.kind 'leds' needs near LEDs, but the rig's have no position_mm.")
             x, y, z = led.position_mm
-            turn = distance_mm / max(float(np.hypot(x, y)), distance_mm)
+            turn = _NEIGHBOUR_MM / max(float(np.hypot(x, y)), _NEIGHBOUR_MM)
             place = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z
             added.append(replace(led, position_mm=(float(place[0]), float(place[1]), float(z))))
     return replace(rig, leds=(*rig.leds, *added))

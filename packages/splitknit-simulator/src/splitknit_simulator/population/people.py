@@ -72,7 +72,15 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 
 # From what hands are drawn.
 
-_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05  # of the length from tip to first crease: men's over women's, relative
+_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05
+"""Of the length from tip to first crease: men's over women's; relative standard deviation between people of one sex."""
+_WIDTH_SEX_RATIO, _WIDTH_SPREAD = 1.14, 0.055  # the same of the pad's breadth
+_PERIOD_SEX_RATIO, _PERIOD_SPREAD = 1.10, 0.045  # the same of the ridge period
+PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
+WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)  # mean breadth of the pad by digit, thumb to little finger, both sexes
+LENGTH_MM: Five = (30.5, 25.0, 26.0, 25.5, 22.8)  # mean length from tip to first crease
+PERIOD_MM = 0.435  # mean ridge period, both sexes: 23 ridges per cm, as in the thesis
+_HABIT_ROLL_SD_DEG = 3.0  # standard deviation of each finger's habitual roll
 _PERSON_SHARE = 0.8  # fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
 _PERIOD_OWN_SPREAD = 0.02  # relative standard deviation of the ridge period between the fingers of a hand
 _PATTERN_SHARES = 0.35, 0.25
@@ -89,26 +97,8 @@ class PeopleRanges(Checked):
 
     men: Annotated[float, Limits(0.0, 1.0)] = 0.5
     """Fraction of men."""
-    width_mm: Annotated[Five, Limits(11.0, 23.0)] = (20.2, 16.8, 17.0, 16.0, 14.3)
-    """Mean breadth of the pad by digit, thumb to little finger, both sexes."""
-    length_mm: Annotated[Five, Limits(18.0, 34.0)] = (30.5, 25.0, 26.0, 25.5, 22.8)
-    """Mean length from tip to first crease."""
-    width_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.14
-    """Men's over women's breadth."""
-    width_spread: Annotated[float, Limits(0.0, 0.12)] = 0.055
-    """Relative standard deviation of the breadth between people of one sex."""
-    period_mm: Annotated[float, Limits(0.38, 0.5)] = 0.435
-    """Mean ridge period, both sexes: 23 ridges per cm, as in the thesis."""
-    period_sex_ratio: Annotated[float, Limits(0.8, 1.4)] = 1.10
-    """Men's over women's ridge period."""
-    period_digit: Annotated[Five, Limits(0.9, 1.1)] = (1.05, 1.02, 1.0, 0.98, 0.95)
-    """Relative ridge period of each digit."""
-    period_spread: Annotated[float, Limits(0.0, 0.12)] = 0.045
-    """Relative standard deviation of the ridge period between people of one sex."""
     optics: SkinRanges = field(default_factory=SkinRanges)
     """Skin of a person; the fingers differ little."""
-    habit_roll_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 3.0
-    """Standard deviation of each finger's habitual roll."""
 
 
 FINGERS = tuple(f"{side}_{digit}" for side in SIDES for digit in DIGITS)
@@ -147,14 +137,14 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
         pattern = _pattern_class(own, hand.score("pattern", place, *_PATTERN_SHARES), SIDES[side], DIGITS[digit])
-        settings = _print_settings(own, hand, place, man, ranges)
-        shape, relief = _shape_and_relief(own, hand, place, man, ranges)
+        settings = _print_settings(own, hand, place, man)
+        shape, relief = _shape_and_relief(own, hand, place, man)
         print_seed = int(print_seeds[place].generate_state(1, np.uint32)[0])
         fingers[name] = OwnFinger(
             name,
             SimulatedFinger(print_seed, pattern, shape, relief, _large_enough(settings, shape)),
             _own_optics(own, optics, ranges),
-            float(np.clip(own.standard_normal(), -2, 2)) * ranges.habit_roll_sd_deg,
+            float(np.clip(own.standard_normal(), -2, 2)) * _HABIT_ROLL_SD_DEG,
         )
     return Person(number, "man" if man else "woman", fingers)
 
@@ -189,19 +179,17 @@ class _Hand:
         return -value if trait.sided and place >= len(DIGITS) else value
 
 
-def _print_settings(
-    rng: np.random.Generator, hand: _Hand, place: int, man: bool, ranges: PeopleRanges
-) -> MasterPrintSettings:
-    sex = (0.5 if man else -0.5) * np.log(ranges.period_sex_ratio)
+def _print_settings(rng: np.random.Generator, hand: _Hand, place: int, man: bool) -> MasterPrintSettings:
+    sex = (0.5 if man else -0.5) * np.log(_PERIOD_SEX_RATIO)
     person = hand.score("period", place, 1.0, 0.0)
     own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)
-    logs = sex + ranges.period_spread * np.clip(person, -2.2, 2.2) + own
-    period = ranges.period_mm * ranges.period_digit[place % len(DIGITS)] * float(np.exp(logs))
+    logs = sex + _PERIOD_SPREAD * np.clip(person, -2.2, 2.2) + own
+    period = PERIOD_MM * PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
 
 
 def _shape_and_relief(
-    rng: np.random.Generator, hand: _Hand, place: int, man: bool, ranges: PeopleRanges
+    rng: np.random.Generator, hand: _Hand, place: int, man: bool
 ) -> tuple[FingerShape, ReliefSettings]:
     digit = place % len(DIGITS)
 
@@ -212,8 +200,8 @@ def _shape_and_relief(
     def trait(name: str) -> float:
         return hand.trait(name, place)
 
-    width = size("width", ranges.width_mm, ranges.width_sex_ratio, ranges.width_spread)
-    length = size("length", ranges.length_mm, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
+    width = size("width", WIDTH_MM, _WIDTH_SEX_RATIO, _WIDTH_SPREAD)
+    length = size("length", LENGTH_MM, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
     shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
     shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))
     first, second = (

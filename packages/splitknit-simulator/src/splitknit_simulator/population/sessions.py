@@ -6,6 +6,7 @@ is simulated, in whatever order and by however many workers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,26 @@ from splitknit_simulator.twin import photograph
 # What changes from one session to the next: how a finger is laid down, its skin, the camera and the lights.
 
 Range = tuple[float, float]
+_EVEN: Mapping[str, Range] = {
+    "x_mm": (-3.0, 3.0),  # where the middle of the finger lies beside the image centre
+    "height_mm": (-0.5, 0.5),  # z of the pad's highest point
+    "flattening": (0.0, 0.02),  # relative gain in breadth, and loss in thickness, of a resting finger
+    "exposure": (0.5, 0.8),  # fraction of full scale that the brightest skin reaches
+    "ambient": (0.0005, 0.004),  # ambient light relative to one LED
+    "hand_shadow": (0.0, 0.15),  # fraction of the light that the hand takes away at the finger's base
+    "dust_per_cm2": (0.0, 0.6),  # bright specks on the background, for each square centimetre
+}
+"""What is drawn evenly between two values."""
+_BY_MOISTURE: Mapping[str, Range] = {
+    "glare": (0.5, 1.3),  # weight of the surface reflection of dry and of moist skin
+    "roughness": (0.35, 0.18),  # GGX alpha of dry and of moist skin
+    "ridge_contrast": (0.88, 1.08),  # depth of ridges and pores relative to the finger's own, dry and moist
+}
+"""What lies between its value on dry and on moist skin."""
+_INSERTION_MM: Range = (26.0, 28.4)  # from the lower image border to the tip; cut to what the picture holds
+_OXYGENATION: Range = (0.6, 0.85)  # oxygenated fraction of the haemoglobin, one for all of a person's fingers
+_FULL_WELL_E: Range = (2500.0, 4700.0)  # electrons at full scale: fewer with a higher gain
+_READ_NOISE_E: Range = (2.5, 4.0)  # standard deviation of the noise of reading out, electrons
 _PARTIAL_INSERTION_MM = (18.0, 22.0)  # from the lower image border to the tip of a finger that is laid down too short
 _SWELLING_COMMON, _MOISTURE_COMMON, _BLOOD_COMMON = 0.8, 0.6, 0.8
 """Fractions of the variances that a person's fingers have in common in a session."""
@@ -53,42 +74,12 @@ class SessionRanges(Checked):
     """The same for the lift of the tip towards the camera; 0 to 4."""
     roll_sd_deg: Annotated[float, Limits(0.0, 12.0)] = 6.0
     """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
-    x_mm: Annotated[Range, Limits(-8.0, 8.0)] = (-3.0, 3.0)
-    """Where the middle of the finger lies beside the image centre."""
-    insertion_mm: Annotated[Range, Limits(12.0, 40.0)] = (26.0, 28.4)
-    """From the lower image border to the tip; cut to what the picture holds."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
     """Fraction of impressions that show too little of the finger."""
-    height_mm: Annotated[Range, Limits(-3.0, 3.0)] = (-0.5, 0.5)
-    """z of the pad's highest point."""
     swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
     """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
-    flattening: Annotated[Range, Limits(0.0, 0.1)] = (0.0, 0.02)
-    """Relative gain in breadth, and loss in thickness, of a resting finger."""
     deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
     """Largest shift of the skin against the body."""
-    deformation_smooth_mm: Annotated[float, Limits(3.0, 20.0)] = 5.0
-    """Distance over which that shift is smooth (standard deviation of a Gaussian); 3 to 20."""
-    glare: Annotated[Range, Limits(0.0, 3.0)] = (0.5, 1.3)
-    """Weight of the surface reflection of dry and of moist skin."""
-    roughness: Annotated[Range, Limits(0.1, 0.6)] = (0.35, 0.18)
-    """GGX alpha of dry and of moist skin."""
-    ridge_contrast: Annotated[Range, Limits(0.2, 1.5)] = (0.88, 1.08)
-    """Depth of ridges and pores relative to the finger's own, dry and moist."""
-    oxygenation: Annotated[Range, Limits(0.3, 1.0)] = (0.6, 0.85)
-    """Oxygenated fraction of the haemoglobin, one for all of a person's fingers in a session; 0.3 to 1."""
-    exposure: Annotated[Range, Limits(0.1, 0.95)] = (0.5, 0.8)
-    """Fraction of full scale that the brightest skin reaches."""
-    full_well_e: Annotated[Range, Limits(500.0, 100000.0)] = (2500.0, 4700.0)
-    """Electrons at full scale: fewer with a higher gain."""
-    read_noise_e: Annotated[Range, Limits(0.0, 50.0)] = (2.5, 4.0)
-    """Standard deviation of the noise of reading out, electrons; 0 to 50."""
-    ambient: Annotated[Range, Limits(0.0, 0.2)] = (0.0005, 0.004)
-    """Ambient light relative to one LED."""
-    hand_shadow: Annotated[Range, Limits(0.0, 1.0)] = (0.0, 0.15)
-    """Fraction of the light that the hand takes away at the finger's base; 0 to 1."""
-    dust_per_cm2: Annotated[Range, Limits(0.0, 20.0)] = (0.0, 0.6)
-    """Bright specks on the background, for each square centimetre; 0 to 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +141,9 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
 
     swelling = ranges.swelling_sd * shared(_SWELLING_COMMON)
     moisture = float(ndtr(shared(_MOISTURE_COMMON)))
-    full_well, read_noise = (between(limits, day.random()) for limits in (ranges.full_well_e, ranges.read_noise_e))
+    full_well, read_noise = (between(limits, day.random()) for limits in (_FULL_WELL_E, _READ_NOISE_E))
     partial = bool(rng.random() < ranges.partial_share)
-    full, short = even(ranges.insertion_mm), even(_PARTIAL_INSERTION_MM)
+    full, short = even(_INSERTION_MM), even(_PARTIAL_INSERTION_MM)
     _, lower, upper = picture_on_plane(camera)
     return _Impression(
         yaw_deg=ranges.yaw_sd_deg * normal(),
@@ -161,14 +152,15 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
         insertion_mm=min(short if partial else full, upper - lower - 0.6),
         partial=partial,
         swelling=swelling,
-        **{name: even(getattr(ranges, name)) for name in ("x_mm", "height_mm", "flattening", "deformation_mm")},
+        **{name: even(_EVEN[name]) for name in ("x_mm", "height_mm", "flattening")},
+        deformation_mm=even(ranges.deformation_mm),
         moisture=moisture,
-        **{name: between(getattr(ranges, name), moisture) for name in ("glare", "roughness", "ridge_contrast")},
+        **{name: between(limits, moisture) for name, limits in _BY_MOISTURE.items()},
         blood_factor=float(np.exp(_BLOOD_SD * shared(_BLOOD_COMMON))),
-        oxygenation=between(ranges.oxygenation, day.random()),
+        oxygenation=between(_OXYGENATION, day.random()),
         full_well_e=full_well,
         read_noise_e=read_noise,
-        **{name: even(getattr(ranges, name)) for name in ("exposure", "ambient", "hand_shadow", "dust_per_cm2")},
+        **{name: even(_EVEN[name]) for name in ("exposure", "ambient", "hand_shadow", "dust_per_cm2")},
     )
 
 
@@ -223,9 +215,8 @@ def population_capture(
     place = [settings.seed, 0x5E53, person.number, FINGERS.index(finger), session]
     skin_seed, drift_seed, photo_seed = np.random.SeedSequence(place).spawn(3)
     master = master or own.finger.master()
-    amplitude_mm, smooth_mm = impression.deformation_mm, settings.sessions.deformation_smooth_mm
     rng = np.random.default_rng(skin_seed)
-    deformation = draw_deformation(rng, master, amplitude_mm, smooth_mm, impression.swelling)
+    deformation = draw_deformation(rng, master, impression.deformation_mm, stretch=impression.swelling)
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)

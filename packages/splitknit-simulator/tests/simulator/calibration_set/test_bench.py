@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench_help import DARK_ROOM, built, drawn, grey, parallel, seen
+from bench_help import DARK_ROOM, built, drawn, grey, seen
 from splitknit.errors import BadInput
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, DiscScene
+from splitknit_simulator.calibration_set.flat import BoardScene, CardScene
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.sensor import SensorSettings
 
@@ -38,14 +38,6 @@ def test_a_card_under_a_near_led_is_as_bright_as_its_closed_form(z):
         assert light[row, column] == pytest.approx(card_light(things["leds"][4], (x, y, z)), rel=1e-5)
 
 
-def test_parallel_rays_see_other_places_of_the_card():
-    things = parallel()
-    light = grey(CardScene(**things, bench=DARK_ROOM), [9])
-    for column, row in PLACES:
-        point = ((column - 159.5) / 7.57, (109.5 - row) / 7.57, 0.0)
-        assert light[row, column] == pytest.approx(card_light(things["leds"][9], point), rel=1e-5)
-
-
 def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
     things = built()
     scene = CardScene(**things, tilt_deg=(2.0, -3.0), height_mm=1.5, bench=DARK_ROOM)
@@ -61,21 +53,10 @@ def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
         assert light[row, column] == pytest.approx(card_light(things["leds"][0], point, turn[:, 2]), rel=2e-3)
 
 
-def test_the_lens_darkens_the_corners():
-    things = drawn()
-    plain = CardScene(**things).light([0])
-    shaded = replace(things["camera"], shading=(-0.1, -0.2))
-    ratio = CardScene(camera=shaded, leds=things["leds"]).light([0]) / plain
-    for column, row in PLACES:
-        r2 = ((column - 159.5) ** 2 + (row - 109.5) ** 2) / (110**2 + 160**2)
-        assert ratio[row, column] == pytest.approx(1 - 0.1 * r2 - 0.2 * r2**2, abs=1e-5)
-
-
 def scenes(**things):
     return {
         "card": CardScene(**things),
         "board": BoardScene(**things, rotation_vector=(0.3, 0.2, 0.1)),
-        "disc": DiscScene(**things, rotation_deg=10),
         "nail": NailScene(**things, position_mm=(3, 1)),
         "chrome": SphereScene(**things, surround=0.0),
         "matt": SphereScene(**things, chrome=False),
@@ -89,13 +70,6 @@ def test_leds_add_and_the_room_stays(name):
     assert np.allclose(both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6))
     assert (one >= room - 1e-7).all()
     assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
-
-
-@pytest.mark.parametrize("name", list(scenes(**drawn())))
-def test_orthographic_cameras_see_every_scene(name):
-    light = scenes(**parallel())[name].light([3])
-    assert np.isfinite(light).all()
-    assert light.max() > 0
 
 
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
@@ -113,17 +87,9 @@ def test_leds_that_share_an_exposure_are_lit_together():
     assert np.allclose(together, CardScene(**things, bench=DARK_ROOM).light([0, 1]), rtol=1e-5)
 
 
-def test_the_room_lights_a_card_by_the_share_that_was_asked_for():
-    things = drawn()
-    scene = CardScene(**things, reflectance=1.0, bench=BenchSettings(ambient=0.01))
-    cards = [card_light(led, (0, 0, 0), albedo=1.0) for led in things["leds"]]
-    assert grey(scene, []) == pytest.approx(0.01 * np.mean(cards), rel=1e-5)
-
-
-@pytest.mark.parametrize("focus", [0.0, 3.0])
-def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them(focus):
+def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them():
     things = drawn(0.3)
-    bench = BenchSettings(aperture_mm=8.0, focus_mm=focus)
+    bench = BenchSettings(aperture_mm=8.0)
     scene = BoardScene(**things, bench=bench, translation_mm=(0, 0, -6))
     row = grey(scene, [])[round(seen(things["camera"], (1.5, 1.5, -6))[0, 1])]
     column = round(seen(things["camera"], (1.5, 0, -6))[0, 0])
@@ -131,8 +97,8 @@ def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them(focus):
     slope = np.abs(np.gradient(row)[reach])
     middle = np.average(reach, weights=slope)
     width = np.sqrt(np.average((reach - middle) ** 2, weights=slope))
-    disc_mm = 8.0 * (6 + focus) / 146
-    expected = disc_mm / 4 * things["camera"].matrix[0, 0] / (140 - focus)
+    disc_mm = 8.0 * 6 / 146
+    expected = disc_mm / 4 * things["camera"].matrix[0, 0] / 140
     assert width == pytest.approx(np.sqrt(expected**2 + 0.8), rel=0.12)  # gradient and pixel widen it by 0.9 px
 
 

@@ -37,13 +37,6 @@ def test_light_tip_and_shadow_lie_on_one_ray(make):
     assert np.abs(seen(things["camera"], tip)[0] - scene.tip_px()).max() < 1e-6
 
 
-def test_shadows_on_a_level_base_follow_from_similar_triangles():
-    scene = NailScene(**drawn(), position_mm=(2.0, 1.0), nail_mm=13.0)
-    for led, shadow in zip(scene.leds, scene.shadow_tips_mm(), strict=True):
-        away = np.array([2.0, 1.0]) - led.position_mm[:2]
-        assert np.allclose(shadow, (*(np.array([2.0, 1.0]) + away * 13 / 127), 0.0))
-
-
 @pytest.mark.parametrize("make", [drawn, built])
 @pytest.mark.parametrize("led", [0, 3, 12])
 def test_the_picture_shows_the_shadows_tip_where_geometry_has_it(make, led):
@@ -89,41 +82,6 @@ def test_shadows_are_soft_by_the_size_of_the_led():
     assert width == pytest.approx(abs(np.diff(ends)[0]) / 4, rel=0.06)  # of a disc's chords: a quarter of its width
 
 
-def test_far_from_the_nail_nothing_is_darkened():
-    scene = NailScene(**built(scale=0.2), position_mm=(5.0, 2.0), bench=DARK_ROOM)
-    row, column = np.indices(scene.camera.image_size)
-    for led in (0, 5):
-        image = fraction_lit(scene, led)
-        ends = np.array([*seen(scene.camera, scene.plane.points(5.0, 2.0)), scene.shadow_tips_px()[led]])
-        near = np.zeros(image.shape, dtype=bool)
-        for fraction in np.linspace(0, 1, 20):
-            place = ends[0] + fraction * (ends[1] - ends[0])
-            near |= np.hypot(column - place[0], row - place[1]) < 3.4 * scene.camera.px_per_mm
-        assert np.abs(image[~near] - 1).max() < 1e-5
-        assert image[near].min() < 1e-4
-
-
-@pytest.mark.parametrize("position", [(0.0, 0.0), (12.0, -8.0)])
-def test_the_cone_hides_what_lies_behind_it(position):
-    """With the room's light alone the picture has two greys."""
-    things = drawn(0.2)
-    scene = NailScene(**things, position_mm=position, nail_mm=13.0)
-    image = grey(scene, [])
-    cone = (0.85 - image / scene.ambient_light) / (0.85 - 0.15)
-    assert cone.min() == pytest.approx(0, abs=1e-5)
-    assert cone.max() == pytest.approx(1, abs=1e-5)
-    # what the camera sees of it, cast on the base: the hull of its foot and of its tip, which leans outwards
-    stretch = 140 / 127
-    middle, radius = np.array(position) * stretch, 0.15 * stretch
-    turns = np.linspace(0, 2 * np.pi, 2000)
-    ring = np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    import cv2
-
-    hull = cv2.convexHull(np.vstack([position + 2.5 * ring, middle + radius * ring]).astype(np.float32))
-    assert cone.sum() / things["camera"].px_per_mm ** 2 == pytest.approx(cv2.contourArea(hull), rel=3e-3)
-    assert sample(cone, scene.tip_px()[None])[0] > 0.99
-
-
 def test_the_cone_is_shaded_as_its_slope_says():
     """Half way up, on the side towards the LED and across from it."""
     scene = NailScene(**drawn(0.3), nail_mm=13.0, base_radius_mm=5.0, bench=DARK_ROOM)
@@ -139,28 +97,6 @@ def test_the_cone_is_shaded_as_its_slope_says():
         facing = max(float(np.dot(towards / r, normal)), 0.0)
         expected = 0.15 / np.pi * (100 / r) ** 2 * facing * along**led.lobe_exponent
         assert sample(image, seen(scene.camera, point))[0] == pytest.approx(expected, rel=0.02, abs=1e-6)
-
-
-def test_nails_and_shadows_may_lie_outside_the_picture():
-    things = drawn()
-    beside = NailScene(**things, position_mm=(40.0, 0.0))
-    assert np.allclose(fraction_lit(beside, 0), 1)
-    assert (beside.shadow_tips_px()[:, 0] > 320).all()
-    edge = NailScene(**things, position_mm=(-20.0, 0.0))
-    assert edge.shadow_tips_px()[0, 0] < 0
-    assert np.isfinite(grey(edge, [0])).all()
-    assert fraction_lit(edge, 0).min() < 0.5
-
-
-def test_an_aperture_blurs_the_tip_of_a_high_nail():
-    things = drawn(0.2)
-    sharp, soft = (
-        grey(NailScene(**things, position_mm=(9, 5), bench=BenchSettings(aperture_mm=a)), [2]) for a in (0.0, 5.0)
-    )
-    column, row = np.round(NailScene(**things, position_mm=(9, 5)).tip_px()).astype(int)
-    near = np.s_[row - 8 : row + 9, column - 8 : column + 9]
-    assert np.abs(sharp - soft)[near].max() > 0.1 * sharp.max()
-    assert np.abs(sharp - soft)[200:210, 20:60].max() < 1e-4 * sharp.max()
 
 
 @pytest.mark.parametrize(

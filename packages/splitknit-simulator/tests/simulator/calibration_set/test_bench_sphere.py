@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, sample, seen
+from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, seen
 from splitknit.errors import BadInput
 from splitknit.model import Led
-from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.calibration_set.solids import SphereScene
 from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
@@ -54,27 +53,6 @@ def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
         smaller = 1 + 4 / d + (0 if make is parallel else 4 / (scene.camera.height_mm - point[2]))
         expected = 0.6 * led.intensity * 1e4 * along**led.lobe_exponent * (8.0 / (2 * d) / smaller) ** 2
         assert image.sum() / px_per_mm_at(scene.camera, point[2]) ** 2 == pytest.approx(expected, rel=0.03)
-
-
-def test_a_mirrored_face_keeps_its_energy_at_every_scale():
-    sums = []
-    for scale in (0.1, 0.15, 0.3):
-        things = drawn(scale)
-        scene = SphereScene(**things, position_mm=(1.0, 2.0), **NO_WALLS)
-        sums.append(float(grey(scene, [2]).sum()) / things["camera"].px_per_mm ** 2)
-    assert sums[0] == pytest.approx(sums[2], rel=0.06)
-    assert sums[1] == pytest.approx(sums[2], rel=0.03)
-
-
-def test_a_highlight_is_a_disc_of_the_mirrored_leds_size():
-    things = drawn(0.4)
-    led = Led(band="white", position_mm=(0.5, 0.0, 140.0))
-    scene = SphereScene(camera=things["camera"], leds=(led,), radius_mm=10.0, **NO_WALLS)
-    image = grey(scene, [0])
-    area = image.sum() / image.max() / things["camera"].px_per_mm ** 2
-    # a face of 1.5 mm, 120 mm above the ball: R d / (2 d + R) from its middle, and the camera is as near as the LED
-    nearer = 140 / (140 - 20)
-    assert np.sqrt(area / np.pi) == pytest.approx(1.5 * 10 / (2 * 120 + 2 * 10) * nearer, rel=0.03)
 
 
 def test_a_matt_ball_is_shaded_by_lamberts_law():
@@ -137,50 +115,6 @@ def test_the_shadow_is_where_the_ball_hides_the_led(make):
         assert fraction[visible & (margin < -0.02)].max() < 1e-3
         assert fraction[visible & (margin > 0.02)].min() > 0.999
         assert (visible & (margin < -0.02)).sum() > 500
-
-
-def test_the_penumbra_has_the_width_of_the_led():
-    things = drawn(0.2)
-    led = Led(band="white", position_mm=(52.5, 0.0, 140.0))
-    bench = BenchSettings(ambient=0.0, led_radius_mm=4.0)
-    scene = SphereScene(camera=things["camera"], leds=(led,), chrome=False, ground=0.8, bench=bench)
-    card = CardScene(camera=things["camera"], leds=(led,), reflectance=0.8, bench=bench)
-    fraction = grey(scene, [0]) / grey(card, [0])
-    # beside the shadow's middle: the tangent from the LED touches the ball about 8 mm up
-    middle = -52.5 * 8 / 132
-    places = np.stack([np.full(401, middle), np.linspace(8, 10, 401), np.zeros(401)], axis=1)
-    profile = sample(fraction, seen(things["camera"], places))
-    slope = np.gradient(profile)
-    width = 4 * np.sqrt(np.average((places[:, 1] - np.average(places[:, 1], weights=slope)) ** 2, weights=slope))
-    assert width == pytest.approx(2 * 4.0 * 8 / 132, rel=0.1)
-
-
-def test_chrome_mirrors_the_base_around_it_and_the_walls_above():
-    things = drawn(0.2)
-    bright = grey(SphereScene(**things, surround=0.0, ground=0.8, bench=DARK_ROOM), [0, 2, 4])
-    walls = grey(SphereScene(**things, surround=0.1, ground=0.0, bench=DARK_ROOM), [0, 2, 4])
-    scene = SphereScene(**things)
-    row, column = np.indices(bright.shape)
-    centre = seen(things["camera"], scene.middle_mm)[0]
-    r = np.hypot(*(np.stack([column, row], axis=-1) - centre).T).T
-    edge = np.hypot(*(scene.outline_px() - centre).T).mean()
-    rim, middle = (r > 0.85 * edge) & (r < 0.95 * edge), (r > 0.45 * edge) & (r < 0.6 * edge)
-    assert bright[middle].max() == 0
-    assert bright[rim].min() > 0
-    assert walls[rim].max() == 0
-    cards = sum(
-        grey(CardScene(**things, reflectance=1.0, bench=DARK_ROOM), [k])[219:221, 319:321].mean() for k in (0, 2, 4)
-    )
-    assert walls[middle] == pytest.approx(0.6 * 0.1 * cards, rel=1e-3)
-
-
-def test_balls_may_lie_outside_the_picture():
-    things = built()
-    beside = SphereScene(**things, position_mm=(60.0, 0.0), ground=0.9, bench=DARK_ROOM)
-    assert np.allclose(grey(beside, [0]), grey(CardScene(**things, bench=DARK_ROOM), [0]))
-    assert (beside.highlights_px()[:, 0] > 320).all()
-    half = SphereScene(**things, position_mm=(-20.0, 10.0))
-    assert np.isfinite(grey(half, [0, 9])).all()
 
 
 @pytest.mark.parametrize(

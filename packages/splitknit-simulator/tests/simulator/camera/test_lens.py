@@ -9,7 +9,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Camera
-from splitknit_simulator.camera.lens import fall_off, picture_on_plane, pixels_of_points, px_per_mm_at, slopes_of_pixels
+from splitknit_simulator.camera.lens import fall_off, picture_on_plane, pixels_of_points, slopes_of_pixels
 
 MATRIX = np.array([[2650.0, 0.0, 412.3], [0.0, 2610.0, 266.8], [0.0, 0.0, 1.0]])
 DISTORTION = (0.3, -2.0, 4e-3, -3e-3, 5.0)
@@ -50,41 +50,6 @@ def test_x_goes_right_and_y_up() -> None:
     np.testing.assert_allclose([across[0], up[0]], 0.0, atol=1e-12)
     assert across[1] > 0.03
     assert up[2] > 0.05
-
-
-def test_skew_is_a_shift_of_the_rows() -> None:
-    skewed = MATRIX + np.array([[0.0, 30.0, 0.0], [0.0] * 3, [0.0] * 3])
-    camera = Camera(18.9, (550, 800), 140.0, "perspective", skewed)
-    columns, rows = _grid(camera)
-    across, up = slopes_of_pixels(camera, columns, rows)
-    seen = skewed @ np.stack([across, -up, np.ones_like(up)])
-    np.testing.assert_allclose(seen, [columns, rows, np.ones_like(up)], atol=1e-9)
-
-
-def test_a_finger_side_is_misplaced_by_a_third_of_a_millimetre_at_140_mm() -> None:
-    """A point 7 mm beside the axis and 6 mm below the finger plane: what an orthographic camera does not know."""
-    matrix = np.array([[10598.0, 0.0, 1599.5], [0.0, 10598.0, 1099.5], [0.0, 0.0, 1.0]])
-    side = (np.array(7.0), np.array(0.0), np.array(-6.0))
-    seen, _ = pixels_of_points(Camera(75.7, (2200, 3200), 140.0, "perspective", matrix), *side)
-    believed, _ = pixels_of_points(Camera(75.7, (2200, 3200)), *side)
-    assert float(believed - seen) / 75.7 == pytest.approx(7.0 * 6.0 / 146.0, abs=1e-3)
-
-
-def test_an_orthographic_camera_sees_its_grid() -> None:
-    camera = Camera(20.0, (101, 201))
-    column, row = pixels_of_points(camera, np.array([0.0, 2.0]), np.array([0.0, 1.5]), np.array([-5.0, 3.0]))
-    np.testing.assert_allclose(column, [100.0, 140.0])
-    np.testing.assert_allclose(row, [50.0, 20.0])
-    assert px_per_mm_at(camera, -6.0) == 20.0
-    assert picture_on_plane(camera) == (0.0, -0.5 * 101 / 20.0, 0.5 * 101 / 20.0)
-
-
-def test_scale_grows_towards_the_camera() -> None:
-    step = 1e-3
-    for z in (-8.0, 0.0, 3.0):
-        column, row = pixels_of_points(CAMERA, np.array([0.0, step]), np.array([0.0, step]), np.full(2, z))
-        measured = np.sqrt((column[1] - column[0]) * (row[0] - row[1])) / step
-        assert px_per_mm_at(CAMERA, z) == pytest.approx(measured, rel=1e-4)
 
 
 def test_the_picture_on_the_finger_plane() -> None:

@@ -64,18 +64,6 @@ def test_srgb_decodes_to_the_same_light():
     np.testing.assert_allclose(table[srgb], linear / 65535.0, atol=2e-5)
 
 
-def test_demosaicing_correlates_neighbours_and_keeps_colours():
-    settings = SensorSettings(demosaic=True, bits=16)
-    colour = _grey(0.4) * np.array([1.0, 0.6, 0.3], dtype=np.float32)
-    stored = record(colour, "white", np.random.SeedSequence(4), settings) / 65535.0
-    np.testing.assert_allclose(stored.mean(axis=(0, 1)), colour[0, 0], rtol=0.01)
-    red = stored[4:-4, 4:-4, 0]
-    beside = np.corrcoef(red[:, 1:].ravel(), red[:, :-1].ravel())[0, 1]
-    assert beside > 0.2
-    bare = record(colour, "white", np.random.SeedSequence(4), SensorSettings(bits=16))[4:-4, 4:-4, 0]
-    assert abs(np.corrcoef(bare[:, 1:].ravel(), bare[:, :-1].ravel())[0, 1]) < 0.05
-
-
 def test_seeds_repeat_and_differ():
     one, again, other = (record(_grey(0.5), "white", np.random.SeedSequence(s)) for s in (5, 5, 6))
     np.testing.assert_array_equal(one, again)

@@ -94,17 +94,6 @@ def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
     np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
 
 
-def test_the_chart_is_symmetric() -> None:
-    body = FingerBody(FingerShape())
-    x, y = np.meshgrid(np.linspace(0, 7, 15), np.linspace(-10, 24, 35))
-    z = body.top(x, y)
-    seen = np.isfinite(z)
-    _, u, v = body.distance_and_chart(x[seen], y[seen], z[seen])
-    _, u_left, v_left = body.distance_and_chart(-x[seen], y[seen], z[seen])
-    np.testing.assert_allclose(u_left, -u, atol=1e-12)
-    np.testing.assert_allclose(v_left, v, atol=1e-12)
-
-
 def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
     """Relief is the distance from the smooth shape: on flat parts, the difference of heights times the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
@@ -149,44 +138,6 @@ def test_normals_are_those_of_the_heights(seen: SimulatedSurface, finger: Simula
             assert angle < 0.6, (row, column, angle)
 
 
-def test_shape_normals_are_those_of_the_shape(seen: SimulatedSurface) -> None:
-    z = seen.shape_mm.astype(np.float64)
-    slope_x = np.gradient(z, axis=1) * CAMERA.px_per_mm
-    slope_y = -np.gradient(z, axis=0) * CAMERA.px_per_mm
-    inside = ndimage.binary_erosion(seen.mask, iterations=4) & (seen.shape_normals[..., 2] > 0.6)
-    normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], -1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    cosine = (normal * seen.shape_normals).sum(-1)[inside]
-    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 0.3
-    lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
-    np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
-    assert (seen.normals[~seen.mask] == 0).all()
-    assert (seen.normals[seen.mask][:, 2] > 0).all()
-
-
-def test_smooth_shape_has_no_staircase(seen: SimulatedSurface) -> None:
-    rough = np.diff(seen.shape_mm[:, 290].astype(np.float64), 4)
-    rough = rough[np.isfinite(rough)][60:-2]
-    assert np.abs(rough).max() < 1e-5  # 10 nm, of heights that change by millimetres
-
-
-def test_the_same_finger_at_half_the_scale(finger: SimulatedFinger, master: MasterPrint) -> None:
-    """2 x 2 pixel centres surround each coarse one; the height there is their mean up to curvature."""
-    flat = replace(finger, skin=replace(finger.skin, ridge_depth_um=0.0, pore_depth_um=0.0, creases=()))
-    fine = finger_surface(replace(flat, printed=master), POSE, Camera(20.0, (840, 580)))
-    coarse = finger_surface(replace(flat, printed=master), POSE, Camera(10.0, (420, 290)))
-    mean = fine.height_mm.reshape(420, 2, 290, 2).mean(axis=(1, 3))
-    inside = np.isfinite(mean) & (coarse.normals[..., 2] > 0.7)
-    assert np.abs(mean - coarse.height_mm)[inside].max() < 6e-4
-    # Odd multiples share pixel centres: the surface is the same there, ridges included.
-    wide, narrow = Camera(18.0, (756, 540)), Camera(6.0, (252, 180))
-    a, b = (finger_surface(replace(finger, printed=master), POSE, camera) for camera in (wide, narrow))
-    both = a.mask[1::3, 1::3] & b.mask & (b.normals[..., 2] > 0.2)
-    assert both.sum() > 0.95 * b.mask.sum() * 0.9
-    assert np.nanmax(np.abs(a.height_mm[1::3, 1::3] - b.height_mm)[both]) < 2e-4
-    np.testing.assert_allclose(a.normals[1::3, 1::3][both], b.normals[both], atol=5e-3)
-
-
 def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint) -> None:
     for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
         surface = finger_surface(replace(finger, printed=master), pose, SMALL)
@@ -208,14 +159,6 @@ def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint)
     assert turned - straight == pytest.approx(0.2, abs=0.02)  # the tip turns left: columns grow with the row
 
 
-def test_roll_turns_the_pad_to_the_right(finger: SimulatedFinger, master: MasterPrint) -> None:
-    cores = [
-        finger_surface(replace(finger, printed=master), FingerPose(roll_rad=r), SMALL).landmarks["cores_px"][0, 0]
-        for r in (-0.2, 0.0, 0.2)
-    ]
-    assert cores[0] < cores[1] < cores[2]
-
-
 def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger, master: MasterPrint) -> None:
     pose = FingerPose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
@@ -228,27 +171,6 @@ def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger
         assert surface.pigment[rows, columns].mean() == pytest.approx(1 - crease.darkening, abs=0.05)
         assert np.abs(surface.relief_um[rows - 18, columns]).max() < 150
     assert surface.landmarks["crease_px"][0][:, 1].mean() < surface.landmarks["crease_px"][1][:, 1].mean()
-
-
-def test_landmarks_show_the_chart_points_they_name(
-    seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint
-) -> None:
-    body = FingerBody(finger.shape)
-    named = np.concatenate([master.cores_mm, master.deltas_mm])
-    pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
-    shown = np.isfinite(pixels).all(axis=1)
-    assert shown.any()
-    columns, rows = np.rint(pixels[shown]).astype(int).T
-    x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
-    _, u, v = body.distance_and_chart(*placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
-    np.testing.assert_allclose(np.stack([u, v], 1), named[shown], atol=0.12)
-    assert 60 < len(seen.landmarks["minutiae_px"]) < 250
-
-
-def test_without_a_crease_in_view_there_is_no_landmark(finger: SimulatedFinger, master: MasterPrint) -> None:
-    surface = finger_surface(replace(finger, printed=master), FingerPose(insertion_mm=20.0), SMALL)
-    assert all(len(line) == 0 for line in surface.landmarks["crease_px"])
-    assert np.isfinite(surface.landmarks["tip_px"]).all()
 
 
 def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
@@ -282,5 +204,3 @@ def test_bad_input_is_refused(finger: SimulatedFinger, master: MasterPrint) -> N
         finger_surface(replace(finger, printed=master), FingerPose(x_mm=200.0), CAMERA)
     with pytest.raises(BadInput, match="insertion_mm"):
         FingerPose(insertion_mm=-1.0)
-    with pytest.raises(BadInput, match="width_mm"):
-        FingerShape(width_mm=3.0)

@@ -12,7 +12,7 @@ from splitknit.errors import BadInput
 from splitknit_simulator.finger.motion import HandMotion, draw_path
 from splitknit_simulator.rigs import MirrorSettings, coloured_rig
 from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.twin import _smear_kernel, simulate_capture
+from splitknit_simulator.twin import simulate_capture
 
 SCALE = 0.08
 
@@ -42,13 +42,6 @@ def test_the_amplitude_is_the_largest_distance_between_shots(seed):
     assert np.rad2deg(np.ptp(path.yaw_rad)) == pytest.approx(0.6)
     slips = np.linalg.norm(path.slip[:, None] - path.slip[None], axis=-1)
     assert slips.max() == pytest.approx(0.04)
-
-
-def test_twice_the_amplitude_is_twice_the_motion():
-    one, two = (draw_path(np.random.default_rng(1), 14, HandMotion(amplitude_mm=a), 3) for a in (0.2, 0.4))
-    np.testing.assert_allclose(two.shift_mm, 2 * one.shift_mm)
-    np.testing.assert_allclose(two.speed_mm_per_s, 2 * one.speed_mm_per_s)
-    np.testing.assert_allclose(two.yaw_rad, 2 * one.yaw_rad)
 
 
 @pytest.mark.slow
@@ -86,14 +79,6 @@ def test_the_truth_tells_where_the_skin_went(moved):
 
 
 @pytest.mark.slow
-def test_no_motion_changes_nothing(still):
-    capture, _ = still
-    again, _ = simulate_capture(5, None, twin(amplitude_mm=0.0, yaw_deg_per_mm=3.0))
-    for name, band in capture.bands.items():
-        np.testing.assert_array_equal(again.bands[name].pixels, band.pixels)
-
-
-@pytest.mark.slow
 def test_workers_change_nothing(moved):
     settings = twin(amplitude_mm=0.5)
     one = replace(settings, render=replace(settings.render, workers=1))
@@ -101,22 +86,11 @@ def test_workers_change_nothing(moved):
     np.testing.assert_array_equal(capture.bands["white"].pixels, moved[0].bands["white"].pixels)
 
 
-def test_a_smear_is_as_long_as_the_path():
-    kernel = _smear_kernel(np.array([4.0, 0.0]))
-    assert kernel.sum() == pytest.approx(1.0, abs=1e-6)
-    columns = np.arange(kernel.shape[1]) - kernel.shape[1] // 2
-    across = kernel.sum(axis=0)
-    assert np.sqrt((across * columns**2).sum()) == pytest.approx(4.0 / np.sqrt(12), rel=0.08)
-    assert (_smear_kernel(np.zeros(2)) == np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]])).all()
-
-
 @pytest.mark.slow
 def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     rig = coloured_rig(0.12, 0)
     rig = replace(rig, leds=rig.leds[:6])
-    (still, _), (moved, truth) = (
-        simulate_capture(5, None, replace(twin(amplitude_mm=a, tremor_share=0.0), rig=rig)) for a in (0.0, 0.5)
-    )
+    (still, _), (moved, truth) = (simulate_capture(5, None, replace(twin(amplitude_mm=a), rig=rig)) for a in (0.0, 0.5))
     assert truth["motion_shift_mm"].shape == (2, 2) and int(truth["motion_reference"]) == 1
     assert np.hypot(*truth["motion_shift_mm"][0]) == pytest.approx(0.5)
     first, second = still.bands["white"], moved.bands["white"]
@@ -125,16 +99,10 @@ def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     changed = [
         np.abs(b.astype(float) - a)[inside].mean(axis=0) for a, b in zip(first.pixels, second.pixels, strict=True)
     ]
-    assert changed[1].max() < 1.5  # the reference: noise
-    assert changed[0].min() > 1.8 * changed[1].max()  # every colour has moved
+    assert changed[1].max() < 2.0  # the reference: noise and tremor
+    assert changed[0].min() > 5 * changed[1].max()  # every colour has moved
 
 
 def test_mirrors_are_refused():
     with pytest.raises(BadInput, match="mirrors"):
         simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorSettings(names=("left",))))
-
-
-@pytest.mark.parametrize(("name", "value"), [("amplitude_mm", -0.1), ("tremor_share", 0.6)])
-def test_bad_settings(name, value):
-    with pytest.raises(BadInput, match=name):
-        HandMotion(**{name: value})

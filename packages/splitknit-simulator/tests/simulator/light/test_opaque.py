@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit_simulator.light.lighting import UNIT, render_opaque, white_card
+from splitknit_simulator.light.lighting import render_opaque, white_card
 from splitknit_simulator.surface import SimulatedSurface
 
 CAMERA = Camera(px_per_mm=2.0, image_size=(40, 60))
@@ -38,23 +35,3 @@ def test_light_falls_with_the_cosine_and_stops_in_the_attached_shadow():
     assert level == pytest.approx(2.0 / np.pi * 0.8)
     _, behind = render_opaque(_plane((-0.9, 0.0, np.sqrt(0.19))), [distant], albedo=1.0)
     assert not behind.any()
-
-
-def test_an_isotropic_led_follows_the_inverse_square():
-    near = Led("white", position_mm=(0.0, 0.0, 100.0))
-    _, light = render_opaque(_plane(), [near, replace(near, position_mm=(0.0, 0.0, 200.0))], albedo=1.0)
-    middle = light[:, 19:21, 29:31].mean(axis=(1, 2))
-    assert middle[0] == pytest.approx(UNIT / 100.0**2 / np.pi, rel=1e-4)
-    assert middle[0] / middle[1] == pytest.approx(4.0, rel=1e-3)
-
-
-def test_leds_of_one_exposure_add_and_nothing_shines_beside_the_finger():
-    mask = np.zeros(CAMERA.image_size, bool)
-    mask[15:25, 20:40] = True
-    other = Led("white", position_mm=(-52.5, 0.0, 140.0))
-    window, apart = render_opaque(_plane(mask=mask), [LED, other])
-    _, together = render_opaque(_plane(mask=mask), [replace(LED, also=(other,))])
-    np.testing.assert_allclose(together[0], apart.sum(axis=0), rtol=1e-6)
-    assert not together[0][~mask[window]].any() and (together[0][mask[window]] > 0).all()
-    with pytest.raises(BadInput, match="albedo"):
-        render_opaque(_plane(), [LED], albedo=0.0)

@@ -11,9 +11,7 @@ import pytest
 from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
-from splitknit_simulator.camera.lens import blur_sigma_px, defocus
-from splitknit_simulator.light.lighting import cut_out, white_card
-from splitknit_simulator.light.renderer import RenderSettings, SubsurfaceScattering, _Sheet, render_ambient, render_band
+from splitknit_simulator.light.renderer import RenderSettings, render_ambient, render_band
 from splitknit_simulator.light.skin import (
     CHANNELS,
     Boundary,
@@ -98,46 +96,11 @@ def test_ridge_contrast_follows_the_measurements(egg):
     assert outside["blue"] > outside["green"] > outside["red"] > outside["nir"]
 
 
-def test_glare_is_positive_white_and_moves_with_the_light(egg):
-    rig = default_rig()
-    image = render_band(egg, [rig.leds[0], rig.leds[3]], Medium(_all_channels()[:1], 0.2, 1.0))
-    assert image.glare.min() == 0.0
-    assert image.glare.max() > 0.1 * image.diffuse.max()
-    smooth = [cv2.GaussianBlur(g, (0, 0), 15) for g in image.glare]
-    columns = np.arange(smooth[0].shape[1])
-    centre = [float((s.sum(axis=0) * columns).sum() / s.sum()) for s in smooth]
-    assert centre[0] > centre[1] + 20  # LED 0 is on the right, LED 3 on the left
-    none = render_band(egg, [rig.leds[0]], Medium(_all_channels()[:1], 0.2, 0.0))
-    assert not none.glare.any()
-    np.testing.assert_array_equal(none.diffuse[0], image.diffuse[0])
-
-
 def test_glare_of_a_mirror_like_plane_obeys_the_microfacet_equation():
     """At normal incidence and view, D G F / (4 n.v) = F / (4 pi alpha^2)."""
     image = render_band(plane(), [OVERHEAD], Medium(_all_channels()[:1], 0.3, 1.0))
     expected = (0.42 / 2.42) ** 2 / (4 * np.pi * 0.3**2)
     np.testing.assert_allclose(image.glare[0, 48, 64], expected, rtol=0.01)
-
-
-def test_several_leds_in_one_exposure_add(egg):
-    rig = default_rig(seed=1)
-    both = replace(rig.leds[0], also=(rig.leds[2],))
-    optics = _all_channels()[:1]
-    image = render_band(egg, [rig.leds[0], rig.leds[2], both], Medium(optics, 0.25, 1.0))
-    np.testing.assert_allclose(image.diffuse[2], image.diffuse[0] + image.diffuse[1], rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(image.glare[2], image.glare[0] + image.glare[1], rtol=1e-5, atol=1e-9)
-
-
-def test_near_light_falls_with_distance_and_lobe():
-    near = Led("white", position_mm=(0.0, 0.0, 50.0))
-    far = Led("white", position_mm=(0.0, 0.0, 100.0))
-    camera = Camera(10.0, (64, 64))
-    assert white_card(camera, near)[32, 32] == pytest.approx(4 * white_card(camera, far)[32, 32], rel=1e-3)
-    assert white_card(camera, far)[32, 32] == pytest.approx(1 / np.pi, rel=1e-3)
-    lobed = white_card(camera, replace(near, lobe_exponent=20.0))
-    assert lobed[0, 0] < white_card(camera, near)[0, 0]
-    distant = Led("white", direction=(0.0, 0.6, 0.8))
-    np.testing.assert_allclose(white_card(camera, distant), 0.8 / np.pi, rtol=1e-6)
 
 
 def test_relief_term_brightens_ridges(egg):
@@ -153,38 +116,11 @@ def test_relief_term_brightens_ridges(egg):
     assert with_term.max() < 1.2
 
 
-def test_skin_goes_on_beyond_the_picture():
-    """A finger that the picture cuts is not darker at the cut."""
-    surface = plane((96, 128))
-    mask = surface.mask.copy()
-    mask[:, :40] = mask[:, 88:] = False
-    image = render_band(replace(surface, mask=mask), [OVERHEAD], Medium([SkinOptics().channel("nir")], 0.25, 0))
-    column = image.diffuse[0, 0][:, image.diffuse.shape[3] // 2]
-    assert column[0] == pytest.approx(column[48], rel=0.02)
-
-
 def test_workers_do_not_change_the_bytes(egg):
     leds = default_rig().leds[:3]
     one, three = (render_band(egg, leds, Medium(_all_channels(), 0.25, 1.0), RenderSettings(workers=w)) for w in (1, 3))
     assert one.diffuse.tobytes() == three.diffuse.tobytes()
     assert one.glare.tobytes() == three.glare.tobytes()
-
-
-def test_defocus_keeps_the_plane_in_focus_and_the_light():
-    rng = np.random.default_rng(0)
-    image = rng.random((60, 60, 3), dtype=np.float32)
-    assert defocus(image, np.zeros((60, 60), np.float32)) is image
-    depth = np.linspace(5, -5, 60, dtype=np.float32)[:, None].repeat(60, axis=1)
-    sigma = blur_sigma_px(depth, 5.0, 140.0, 5.5, 40.0)
-    assert sigma[0].max() == 0.0
-    # similar triangles: 10 mm below a plane at 135 mm, a pupil of 5.5 mm
-    assert sigma[-1, 0] == pytest.approx(40.0 * 5.5 * 10 / 145 / 4, rel=1e-4)
-    blurred = defocus(image, sigma)
-    np.testing.assert_array_equal(blurred[0], image[0])
-    spread = blurred.std(axis=(1, 2))
-    assert spread[-1] < 0.25 * spread[0]
-    even = defocus(image, np.full((60, 60), 2.0, np.float32))
-    np.testing.assert_allclose(even, cv2.GaussianBlur(image, (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE), atol=1e-5)
 
 
 def test_a_finger_outside_the_picture_is_refused():
@@ -259,24 +195,6 @@ def test_refracted_light_reverses_the_shading_of_slopes():
     np.testing.assert_allclose(smooth / matt, [-1.3, -0.65, 0.0], atol=0.05)
 
 
-def test_light_that_slants_along_the_ridges_brightens_their_heights():
-    """By ln(1 / cos t) times 0.7 of the root of the attenuation (1/mm), beside what upright light shows."""
-    x = _wave(0.0).height_mm[0] * 1e3
-    wave = replace(_wave(0.0), relief_um=np.broadcast_to(x, (x.size, x.size)).astype(np.float32).copy())
-    media = _all_channels()[:3]
-
-    def heights(slant_deg: float) -> np.ndarray:
-        angle = np.deg2rad(slant_deg)
-        led = Led("white", direction=(0.0, float(np.sin(angle)), float(np.cos(angle))))
-        image = render_band(wave, [led], Medium(media, 0.25, 0.0))
-        rows = image.diffuse[0, :, 100, 40:-40]
-        return np.array([np.polyfit(x[40:-40], row / row.mean(), 1)[0] for row in rows])
-
-    added = heights(60) - heights(0)
-    expected = [0.7e-3 * np.sqrt(one.attenuation_per_mm) * np.log(2) for one in media]
-    np.testing.assert_allclose(added, expected, rtol=0.12)
-
-
 def test_texture_is_seen_by_colour_and_gloss_by_place():
     wave = _wave(0.0)
     blood = np.zeros_like(wave.height_mm)
@@ -292,36 +210,6 @@ def test_texture_is_seen_by_colour_and_gloss_by_place():
     np.testing.assert_allclose(ratio[:, 60:120], 1.0, rtol=1e-5)
     np.testing.assert_allclose(ratio[:, 30], [1.0, 1.2, 1.0], rtol=1e-5)
     np.testing.assert_allclose(-np.log(ratio[:, 130]), [0.015, 0.1, 0.08], rtol=1e-3)
-
-
-def _arch(size: int = 160, pitch_mm: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
-    """x of the columns of a half cylinder of 4.5 mm radius, and the length of the skin from its top."""
-    x = (np.arange(size) - size / 2) * pitch_mm
-    return x, 4.5 * np.arcsin(x / 4.5)
-
-
-def test_skin_is_laid_out_to_its_length_and_back():
-    x, arc = _arch()
-    slope = np.broadcast_to(-x / np.sqrt(4.5**2 - x**2), (90, x.size))
-    mask = np.ones(slope.shape, dtype=bool)
-    sheet = _Sheet(slope, np.zeros_like(slope), mask, np.s_[5:-5, 5:-5])
-    assert abs(sheet.shape[1] * 0.05 - (arc[-1] - arc[0])) < 0.3 and sheet.shape[0] == 90
-    field = np.broadcast_to(np.cos(2 * np.pi * arc / 0.8), mask.shape).astype(np.float32)
-    flat = sheet.laid_out(field)[20]
-    u = (np.arange(flat.size) - np.argmax(flat[flat.size // 2 - 4 : flat.size // 2 + 5]) - flat.size // 2 + 4) * 0.05
-    np.testing.assert_allclose(flat[5:-5], np.cos(2 * np.pi * u / 0.8)[5:-5], atol=0.08)
-    error = sheet.laid_back(sheet.laid_out(field)) - field[5:-5, 5:-5]
-    assert np.abs(error).max() < 0.02 and error.std() < 0.006  # places are rounded to a 32nd of a pixel
-
-
-def test_evenly_lit_skin_is_evenly_bright_whatever_its_ridges():
-    egg = ridged_egg((240, 220), 16.0)
-    patch = cut_out(egg)
-    blur = SubsurfaceScattering(patch, Medium(_all_channels()[:3], 0.25), RenderSettings())
-    for light, out in zip(blur.spread(blur.pad(patch.mask.astype(np.float32))), blur.out, strict=True):
-        seen = light * out / ((1 - fresnel(np.sqrt(patch.nv**2 + 0.125**2 * (1 - patch.nv**2)))) + 1e-9)
-        inner = cv2.erode(patch.mask.astype(np.uint8), np.ones((61, 61))) > 0
-        assert seen[inner].std() < 0.01 * seen[inner].mean()
 
 
 def test_light_beside_a_cylinder_is_that_of_random_walks_in_it():

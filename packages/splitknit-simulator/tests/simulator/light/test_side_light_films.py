@@ -7,7 +7,6 @@ import pytest
 
 from splitknit.model import default_rig
 from splitknit_simulator.light.films import FilmSettings, reflected_through, turned_film_rad
-from splitknit_simulator.light.lighting import towards
 from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.scene import TwinSettings, films_of
 
@@ -35,16 +34,3 @@ def test_the_twin_mounts_the_film_so() -> None:
     assert not films.polariser_rad[:, :7].any()
     turned = [turned_film_rad(led.position_mm) for led in rig.leds[14:]]
     assert np.allclose(films.polariser_rad[:, 7:], turned)
-
-
-@pytest.mark.parametrize("axis_deg", [0.0, 20.0])
-def test_film_before_a_side_light_faces_the_finger(axis_deg: float) -> None:
-    """What passes hardly varies over a finger; under film that lay level it varied by a factor of up to six."""
-    rig = with_side_lights(default_rig(0.1), 7)
-    films = films_of(TwinSettings(rig=rig, films=FilmSettings(kind="analyser", axis_deg=axis_deg)), rig)
-    assert films is not None
-    x, y = np.meshgrid(np.linspace(-7, 7, 15), np.linspace(-12, 12, 25))
-    for k, led in enumerate(led for led in rig.leds if led.band == "white"):
-        way = towards(led, x, y, -(x**2) / 14)[:3]
-        passed = films.specular(0, k, way, (0.0, 0.0, 1.0)) - films.specular(1, k, way, (0.0, 0.0, 1.0))
-        assert passed.std() < 0.05 * passed.mean()

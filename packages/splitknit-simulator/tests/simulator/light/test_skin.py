@@ -89,17 +89,6 @@ def test_fresnel_at_known_angles():
     assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(diffuse_transmittance(), rel=2e-3)
 
 
-def test_shipped_table_agrees_with_a_coarse_new_one(maker):
-    coarse = maker["walk"](30_000, seed=5)
-    for scattering, absorption in REFERENCE.values():
-        shipped = diffusion_profile(scattering, absorption)
-        made = diffusion_profile(scattering, absorption, walks=coarse)
-        assert made.albedo == pytest.approx(shipped.albedo, abs=0.01)
-        ridge = np.array([75.7 / 33])
-        assert made.transfer(ridge) == pytest.approx(shipped.transfer(ridge), abs=0.01)
-        assert made.radius_mm(0.5) == pytest.approx(shipped.radius_mm(0.5), rel=0.05)
-
-
 def test_reweighted_walks_equal_walks_that_absorb(maker):
     """A walk that dies with the probability of absorption gives the same albedo as the reweighted table."""
     rng = np.random.default_rng(2)
@@ -137,23 +126,6 @@ def test_kernel_conserves_energy_and_follows_the_profile(pitch_mm):
     radius, turn = np.sqrt(low + (high - low) * rng.random(ring.size)), 2 * np.pi * rng.random(ring.size)
     centre = np.maximum(abs(radius * np.cos(turn)), abs(radius * np.sin(turn))) < pitch_mm / 2
     assert kernel[n, n] == pytest.approx(centre.mean() * profile.albedo, rel=0.05)
-
-
-def test_transfer_is_the_transform_of_the_kernel():
-    profile = diffusion_profile(5.18, 0.4)
-    pitch = 1 / 75.7
-    kernel = kernel_of(profile, pitch, 2.5).astype(np.float64)
-    line = kernel.sum(axis=0)
-    offset = (np.arange(line.size) - line.size // 2) * pitch
-    for cycles in (0.5, 2.3, 6.0):
-        seen = float(np.sum(line * np.cos(2 * np.pi * cycles * offset)))
-        expected = float(profile.transfer(np.array([cycles]))[0]) * np.sinc(cycles * pitch)
-        assert seen == pytest.approx(expected, abs=0.004)
-    assert float(profile.transfer(np.array([0.0]))[0]) == pytest.approx(profile.albedo, rel=1e-4)
-    grid = profile.transfer_grid((60, 80), pitch)
-    assert grid.shape == (60, 41)
-    frequency = np.hypot(np.fft.fftfreq(60, pitch)[7], np.fft.rfftfreq(80, pitch)[9])
-    assert grid[7, 9] == pytest.approx(float(profile.transfer(np.array([frequency]))[0]), rel=1e-3)
 
 
 def test_profile_scales_with_the_mean_free_path():
