@@ -107,7 +107,7 @@ def sphere(folder: Path) -> Object:
     lights_file = folder / "lights.txt"
     lights = read_light_list(lights_file if lights_file.is_file() else folder.parent / "lights.txt").lights
     stem = masks[0].name.removesuffix(".mask.png")
-    options = PhotographOptions(masks[0], encoding="linear")
+    options = PhotographOptions(mask=masks[0], encoding="linear")
     capture = capture_from_photographs(folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, options).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)

@@ -39,7 +39,7 @@ def points_of(file: Path, up: str = "z", unit_mm: float = 1.0) -> FloatArray:
     else:
         import trimesh
 
-        read = np.asarray(trimesh.load(file, process=False).vertices)
+        read = np.asarray(trimesh.load(file, process=False).vertices)  # type: ignore[union-attr]
     axis, sign = VIEWS[up]
     z = sign * np.eye(3)[axis]
     y = np.eye(3)[1] if axis != 1 else -sign * np.eye(3)[2]
