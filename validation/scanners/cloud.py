@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,7 +40,8 @@ def points_of(file: Path, up: str = "z", unit_mm: float = 1.0) -> FloatArray:
     else:
         import trimesh
 
-        read = np.asarray(trimesh.load(file, process=False).vertices)  # type: ignore[union-attr]
+        loaded: Any = trimesh.load(file, process=False)
+        read = np.asarray(loaded.vertices)
     axis, sign = VIEWS[up]
     z = sign * np.eye(3)[axis]
     y = np.eye(3)[1] if axis != 1 else -sign * np.eye(3)[2]
