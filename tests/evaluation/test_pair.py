@@ -128,7 +128,12 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert facts["own_error"]["B, repeated"]["relief"]["rms_um"] < 0.1
     for name in facts["files"]:
         assert stat.S_IMODE((out / name).stat().st_mode) == 0o600
-    assert "A - B" in (out / "report.html").read_text()
+    page = (out / "report.html").read_text()
+    assert "A - B" in page
+    surfaces = json.loads(page.split('id="surfaces">')[1].split("</script>")[0])
+    assert [surface["title"] for surface in surfaces] == ["A", "B"]
+    frames = [[surface[key] for key in ("rows", "columns", "left", "top", "pitch")] for surface in surfaces]
+    assert frames[0] == frames[1]
     assert main(["compare", a, str(tmp_path / "nothing"), "--out", str(out)]) == 2
     assert (out / "report.json").is_file()
     assert capsys.readouterr().err.count("\n") == 1

@@ -50,7 +50,7 @@ from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
-from splitknit.report.surface import scene
+from splitknit.report.surface import scene_of
 from splitknit.separation.folder import read_light
 from splitknit.settings import override
 from splitknit_match.batch.cases import Case
@@ -699,7 +699,7 @@ def _result() -> list[Files]:
 
 
 def _drawn(folder: Path, files: Files) -> object:
-    return scene([read_result(folder)], [folder.name])
+    return scene_of(read_result(folder), folder.name)
 
 
 # --- all of them -------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,9 @@ import pytest
 from perfect_results import write_perfect
 from splitknit.cli.main import main
 from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.pictures import upright_turn
 from splitknit.io.prints import read_print_png
+from splitknit.io.results import read_result
 from splitknit.model import default_rig
 from splitknit_match import match
 from splitknit_match.records.minutiae_files import read_minutiae_record
@@ -51,7 +54,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str, surface: str) -> None:
     out = tmp_path / "out"
     facts = facts_of(capsys, result, "--method", method, "--out", out)
-    wanted = {"print.png", "enhanced.png", "map.npz", "report.json", "minutiae.iso"}
+    wanted = {"print.png", "enhanced.png", "map.npz", "report.html", "report.json", "minutiae.iso"}
     assert set(facts["files"]) == wanted == {path.name for path in out.iterdir()} - {".splitknit"}
     assert facts["surface"] == surface
     assert facts == {**json.loads((out / "report.json").read_text()), "out": str(out)}
@@ -88,6 +91,26 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     assert (cKDTree(true).query(found)[0] < 5).mean() > 0.7
     mirrored = [made.image.shape[1] - 1, 0] + true * [-1, 1]
     assert (cKDTree(found).query(mirrored)[0] < 5).mean() < 0.4
+
+
+def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, capsys) -> None:
+    """Their places are those of the mesh, x right and y to the tip, and they lie on the true minutiae."""
+    from scipy.spatial import cKDTree
+
+    facts_of(capsys, result, "--out", tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    (surface,) = json.loads(re.search(r'id="surfaces">(.*?)</script>', page, re.DOTALL)[1])
+    places = np.array(surface["minutiae"])[:, :2]
+    found = read_result(result)
+    columns, rows = read_npz(result / "height.npz")["minutiae_px"].T
+    at = np.rint(rows).astype(int), np.rint(columns).astype(int)
+    known = found.mask[at]
+    turn = upright_turn(found.input_from_upright)
+    height, width = found.mask.shape
+    x = (columns - (width - 1) / 2) * found.pitch_mm if found.x_mm is None else found.x_mm[at]
+    y = ((height - 1) / 2 - rows) * found.pitch_mm if found.y_mm is None else found.y_mm[at]
+    true = (turn @ np.stack([x, y])).T[known]
+    assert (cKDTree(true).query(places)[0] < 0.3).mean() > 0.6
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from handmade import finger
 from splitknit.errors import BadInput
 from splitknit.model import Reconstruction
 from splitknit.report import surface as surface_module
-from splitknit.report.surface import ResultSurface, scene, section, surface_in
+from splitknit.report.surface import ResultSurface, scene_of, section, surface_in
 
 
 def perspective(result: Reconstruction) -> Reconstruction:
@@ -105,7 +105,7 @@ def decoded(field: dict[str, Any]) -> NDArray[np.float64]:
 def test_a_page_holds_the_surface(which: str) -> None:
     result, _ = finger()
     result = perspective(result) if which == "perspective" else result
-    (facts,) = json.loads(scene([result], ["metric"]).data)
+    (facts,) = json.loads(scene_of(result, "metric").data)
     height = decoded(facts["shape"]) + decoded(facts["ridge"])
     rows, columns = np.nonzero(np.isfinite(height))
     x, y = facts["left"] + facts["pitch"] * columns, facts["top"] - facts["pitch"] * rows
@@ -121,13 +121,13 @@ def test_a_page_holds_the_surface(which: str) -> None:
 def test_a_large_surface_is_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(surface_module, "_MOST_POINTS", 10_000)
     result, _ = finger()
-    (facts,) = json.loads(scene([result], ["metric"]).data)
+    (facts,) = json.loads(scene_of(result, "metric").data)
     assert 8000 < np.isfinite(decoded(facts["shape"])).sum() <= 10_500
 
 
 def test_a_title_cannot_end_the_data() -> None:
     result, _ = finger()
-    drawn = scene([result], ["</script><script>alert(1)</script>"])
+    drawn = scene_of(result, "</script><script>alert(1)</script>")
     assert "<" not in drawn.data
     assert json.loads(drawn.data)[0]["title"].startswith("</script>")
 

@@ -84,6 +84,7 @@ class PairComparison:
     too few blocks), ``std_um`` of B, ``area_mm2``."""
     difference_um: FloatArray  # (H, W) A minus B in the band ``relief``, NaN where nothing is compared
     relief_um: FloatArray  # (2, H, W) that band of A and of B
+    height_mm: FloatArray  # (2, H, W) of both in A's frame; where the fit is elastic, without their shape
     pitch_mm: float
     notes: tuple[str, ...] = ()
 
@@ -148,8 +149,9 @@ def compare_results(
         notes.append(f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both.")
     if fit == "rigid" and left > 0.012:
         notes.append(f"Patches of skin have shifted by {1e3 * left:.0f} um; compare with the elastic fit as well.")
-    relief = shown[0] - shown[1], shown
-    return PairComparison(fit, similarity, scale, rotation, shift, left, figures, *relief, one.step, tuple(notes))
+    heights = np.where(fields.valid, np.stack(fields.heights), np.nan).astype(np.float32)
+    fields_on_a = shown[0] - shown[1], shown, heights
+    return PairComparison(fit, similarity, scale, rotation, shift, left, figures, *fields_on_a, one.step, tuple(notes))
 
 
 class _Side:

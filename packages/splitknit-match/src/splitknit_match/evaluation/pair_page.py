@@ -17,6 +17,7 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.results import write_picture
 from splitknit.report import template
 from splitknit.report.photos import Picture, captioned, colour_bar
+from splitknit.report.surface import PageSurface, ResultSurface, scene
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, PairComparison
 
 FORMAT = "splitknit-comparison"
@@ -47,14 +48,33 @@ def write_comparison(
     }  # fmt: skip
     pictures = _pictures(pair)
     page = template(Path(__file__).with_name("pair.html")).render(
-        facts=facts, headline=headline(facts), pictures=pictures, bands=list(pair.figures), slants=list(SLANTS_DEG),
-        main=_MAIN, cell=_cell,
-    )  # fmt: skip
+        scene=scene([_side(pair, k) for k in range(2)]),
+        facts=facts,
+        headline=headline(facts),
+        pictures=pictures,
+        bands=list(pair.figures),
+        slants=list(SLANTS_DEG),
+        main=_MAIN,
+        cell=_cell,
+    )
     with atomic_folder(out) as folder:
         write_picture(folder / "difference.png", _coloured(pair.difference_um, True), provenance())
         (folder / "report.html").write_text(str(page), encoding="utf-8")
         (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
     return facts
+
+
+def _side(pair: PairComparison, number: int) -> PageSurface:
+    """A or B in A's frame, so that one section cuts both in one place."""
+    height_mm, ridge_mm = pair.height_mm[number], pair.relief_um[number] / 1000
+    rows, columns = np.indices(height_mm.shape, dtype=np.float32)
+    x_mm, y_mm = pair.pitch_mm * columns, -pair.pitch_mm * rows
+    known = np.isfinite(height_mm)
+    box = bounding_box(known)
+    x_mm, y_mm = (np.where(known, part, np.nan)[box] for part in (x_mm, y_mm))
+    corner = pair.pitch_mm * np.array([box[1].start, -box[0].start])
+    surface = ResultSurface(x_mm, y_mm, height_mm[box], ridge_mm[box], pair.pitch_mm, np.eye(2), corner)
+    return PageSurface("AB"[number], surface)
 
 
 def _own_error(pair: PairComparison, protocol: str | None, repeat: PairComparison | None) -> dict[str, Any]:

@@ -14,9 +14,10 @@ def template(page: str | Path) -> Any:
     """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an error."""
     import jinja2  # pictures need none of it
 
-    file = Path(__file__).parent / "templates" / page
+    shared = Path(__file__).parent / "templates"
+    file = shared / page
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(file.parent),
+        loader=jinja2.FileSystemLoader([file.parent, shared]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         finalize=lambda value: printable(value) if type(value) is str else value,  # texts of files, as on a terminal

@@ -33,7 +33,7 @@ from splitknit.report import figures, template
 from splitknit.report.curves import curve_picture
 from splitknit.report.figures import Truth
 from splitknit.report.photos import LONGEST_PX, Picture, captioned, capture_pictures, is_finger
-from splitknit.report.surface import scene
+from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
@@ -93,7 +93,7 @@ def make_report(
         frame = upright_frame(result, LONGEST_PX)
         small = figures.small_fields(result, frame)
         drawn = pool.submit(figures.view_from_above, result, small)
-        surfaces = pool.submit(scene, [result], [f"{result.preset}: drag to turn, wheel to zoom"])
+        surfaces = pool.submit(scene_of, result, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
         sections, summary = pool.submit(_sections, result, truth), pool.submit(_summary, result)

@@ -9,7 +9,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.pictures import upright_turn
-from splitknit.model import FloatArray, Reconstruction
-from splitknit.units import LengthUnit
+from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.units import MILLIMETRES, LengthUnit
 
 _FARTHEST = 40_000.0  # mm or pixels: no place of a surface is as far from the origin
 _RIDGE_SIGMA_MM = 0.32
@@ -47,7 +47,14 @@ class ResultSurface:
     """(2, 2): from (x, y) of the rig's frame to the upright one."""
     corner_mm: _Values
     """(2,) x and y of the first pixel if the camera's rays were parallel."""
-    unit: LengthUnit
+    unit: LengthUnit = MILLIMETRES
+    origin_px: tuple[int, int] = (0, 0)
+    """Column and row of the first pixel in the input."""
+
+    def places_mm(self, input_px: _Values) -> _Values:
+        """(2, N) x and y of places (N, 2), columns and rows of the input; NaN beside the surface."""
+        place = np.asarray(input_px, dtype=np.float64).T - np.array(self.origin_px)[:, None]
+        return np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
 
     def locate(self, x_mm: _Values, y_mm: _Values) -> _Values:
         """Column and row (2, ...) where the surface has these x and y; iterated where the rays spread."""
@@ -80,20 +87,35 @@ def surface_in(result: Reconstruction) -> ResultSurface:
     """The surface of a result; BadInput if it holds no height."""
     known = result.mask & np.isfinite(result.height_mm)
     require(bool(known.any()), "the result holds no heights; reconstruct the capture again.")
-    box, (height, width), pitch = bounding_box(known), known.shape, result.pitch_mm
-    turn = upright_turn(result.input_from_upright)
+    xy_mm = None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm)
+    heights = result.height_mm, result.ridge_mm
+    return upright_surface(heights, known, result.pitch_mm, result.input_from_upright, xy_mm=xy_mm, unit=result.unit)
+
+
+def upright_surface(
+    heights_mm: tuple[FloatArray, FloatArray],
+    known: BoolArray,
+    pitch_mm: float,
+    input_from_upright: _Values,
+    *,
+    xy_mm: tuple[FloatArray, FloatArray] | None,
+    unit: LengthUnit = MILLIMETRES,
+) -> ResultSurface:
+    """The surface of fields (H, W) on a camera's pixel grid: heights and relief; x and y of a perspective camera."""
+    box, (height, width) = bounding_box(known), known.shape
+    turn = upright_turn(input_from_upright)
     columns = np.arange(width)[None, box[1]] - (width - 1) / 2
     rows = (height - 1) / 2 - np.arange(height)[box[0], None]
-    right: NDArray[Any] = columns * pitch if result.x_mm is None else result.x_mm[box]
-    up: NDArray[Any] = rows * pitch if result.y_mm is None else result.y_mm[box]
+    right: NDArray[Any] = columns * pitch_mm if xy_mm is None else xy_mm[0][box]
+    up: NDArray[Any] = rows * pitch_mm if xy_mm is None else xy_mm[1][box]
     x, y = (across * right + along * up for across, along in turn)
-    nan = np.float32(np.nan)
     x, y, z, ridge = (
-        np.where(known[box], field, nan).astype(np.float32)
-        for field in (x, y, result.height_mm[box], np.nan_to_num(result.ridge_mm[box]))
+        np.where(known[box], field, np.nan).astype(np.float32)
+        for field in (x, y, heights_mm[0][box], np.nan_to_num(heights_mm[1][box]))
     )
-    corner = turn @ np.array([columns[0, 0], rows[0, 0]]) * pitch
-    return ResultSurface(x, y, z, ridge, pitch, turn, corner, result.unit)
+    corner = turn @ np.array([columns[0, 0], rows[0, 0]]) * pitch_mm
+    origin = (box[1].start, box[0].start)
+    return ResultSurface(x, y, z, ridge, pitch_mm, turn, corner, unit, origin)
 
 
 def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float]) -> Section:
@@ -159,6 +181,18 @@ def sample(field: FloatArray, place: _Values) -> _Values:
 # The surface inside a page: three fields on a regular grid, as pictures, drawn by `static/surface.js`.
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PageSurface:
+    """A surface as a page shows it."""
+
+    title: str
+    surface: ResultSurface
+    albedo: FloatArray | None = None
+    """(h, w) relative, on the surface's grid."""
+    minutiae: _Values = field(default_factory=lambda: np.empty((0, 3)))
+    """(N, 3): x and y in mm, and direction in rad, counter-clockwise from x."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """What a page needs to draw surfaces: texts of its scripts, and the source that its policy allows."""
@@ -170,29 +204,23 @@ class Scene:
     minutiae: bool
 
 
-def scene(
-    results: Sequence[Reconstruction], titles: Sequence[str], minutiae: Sequence[NDArray[np.floating]] = ()
-) -> Scene:
-    """Describe results for a page that shows them in three dimensions.
-
-    Parameters
-    ----------
-    results : one, or two to be compared
-        Of one unit.
-    titles : one for each
-        What stands below each surface.
-    minutiae : (N, 3) for each, optional
-        x and y in mm, and direction in rad, counter-clockwise from x, in the upright frame.
-    """
-    surfaces = []
-    for number, (result, title) in enumerate(zip(results, titles, strict=True)):
-        marks = minutiae[number] if len(minutiae) else np.empty((0, 3))
-        surfaces.append({"title": title, "minutiae": np.round(marks, 4).tolist(), **_gridded(result)})
+def scene(surfaces: Sequence[PageSurface]) -> Scene:
+    """Describe one surface, or two to be compared in one frame, for a page that shows them in three dimensions."""
+    described = [_encoded(surface) for surface in surfaces]
     scripts = _scripts()
     hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
     allowed = " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in hashes)
-    data = json.dumps(surfaces, allow_nan=False).replace("<", "\\u003c")  # ends no script element
-    return Scene(titles, Markup(data), scripts, allowed, minutiae=any(each["minutiae"] for each in surfaces))
+    data = json.dumps(described, allow_nan=False).replace("<", "\\u003c")  # ends no script element
+    titles = [surface.title for surface in surfaces]
+    minutiae = any(len(surface.minutiae) for surface in surfaces)
+    return Scene(titles, Markup(data), scripts, allowed, minutiae)
+
+
+def scene_of(result: Reconstruction, title: str) -> Scene:
+    """One result, with its own brightness."""
+    surface = surface_in(result)
+    known = result.mask & np.isfinite(result.height_mm)
+    return scene([PageSurface(title, surface, result.albedo[bounding_box(known)])])
 
 
 @cache
@@ -204,9 +232,9 @@ def _scripts() -> tuple[Markup, Markup]:
     return Markup(three), Markup(own)
 
 
-def _gridded(result: Reconstruction) -> dict[str, Any]:
-    """Shape, relief and brightness of a result on a regular grid of x and y, encoded."""
-    surface = surface_in(result)
+def _encoded(page: PageSurface) -> dict[str, Any]:
+    """Shape, relief and brightness on a regular grid of x and y."""
+    surface = page.surface
     unit, known = surface.unit, np.isfinite(surface.height_mm)
     thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
     pitch_mm = thinning * surface.pitch_mm
@@ -216,14 +244,14 @@ def _gridded(result: Reconstruction) -> dict[str, Any]:
     rows = int((top - bottom) / pitch_mm) + 1
     x, y = np.meshgrid(left + pitch_mm * np.arange(columns), top - pitch_mm * np.arange(rows))
     place = surface.locate(x, y)
-    brightness = np.where(known, result.albedo[bounding_box(result.mask & np.isfinite(result.height_mm))], np.nan)
-    shape_mm = surface.height_mm - surface.ridge_mm
-    fields = [shape_mm, surface.ridge_mm, brightness.astype(np.float32)]
-    shape, ridge, albedo = (sample(_averaged(field, known, thinning), place) for field in fields)
-    brightest = max(float(np.nanpercentile(albedo, 99.5)), 1e-6)
-    grey = np.round(255 * np.clip(np.nan_to_num(albedo) / brightest, 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8)
-    jpeg = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+
+    def gridded(field: FloatArray) -> _Values:
+        return sample(_averaged(field, known, thinning), place)
+
+    shape = gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm
+    ridge = gridded(surface.ridge_mm) * unit.per_mm
     return {
+        "title": page.title,
         "rows": rows,
         "columns": columns,
         "left": left * unit.per_mm,
@@ -232,10 +260,20 @@ def _gridded(result: Reconstruction) -> dict[str, Any]:
         "unit": unit.name,
         "small": unit.small,
         "small_per_unit": unit.small_per_mm / unit.per_mm,
-        "shape": _in_16_bits(shape * unit.per_mm, _SHAPE_STEP),
-        "ridge": _in_16_bits(ridge * unit.per_mm, _RIDGE_STEP),
-        "brightness": base64.b64encode(jpeg).decode("ascii"),
+        "shape": _in_16_bits(shape, _SHAPE_STEP),
+        "ridge": _in_16_bits(ridge, _RIDGE_STEP),
+        "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
+        "minutiae": np.round(page.minutiae, 4).tolist(),
     }
+
+
+def _jpeg(albedo: _Values) -> str:
+    """Brightness for people, black where it is not known."""
+    brightest = max(float(np.nanpercentile(albedo, 99.5)), 1e-6)
+    fraction = np.clip(np.nan_to_num(albedo) / brightest, 0.0, 1.0)
+    grey = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
+    data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    return base64.b64encode(data).decode("ascii")
 
 
 def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> FloatArray:

@@ -368,9 +368,10 @@ async function start() {
     const [shape, ridge, brightness] = await Promise.all([
       values(facts.shape),
       values(facts.ridge),
-      pixels(facts.brightness, "image/jpeg"),
+      facts.brightness && pixels(facts.brightness, "image/jpeg"),
     ]);
-    views.push(new View(new Surface(facts, shape, ridge, brightness.data), figures[n]));
+    if (!brightness) byId("paint").querySelector("[value=brightness]")?.remove();
+    views.push(new View(new Surface(facts, shape, ridge, brightness?.data), figures[n]));
   }
   for (const view of views) listen(view);
   byId("exaggeration").addEventListener("input", raise);
