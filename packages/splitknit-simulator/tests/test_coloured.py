@@ -82,7 +82,7 @@ def test_a_plain_rig_says_nothing_of_colours(tmp_path: Path) -> None:
     [
         ("rig.json", lambda d: d["leds"][0].update(colour="purple"), "red, green or blue"),
         ("rig.json", lambda d: d["leds"][-1].update(colour="red"), "only LEDs of the band 'white'"),
-        ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 0], [0, 1]]), "3 x 3 finite numbers"),
+        ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 0], [0, 1]]), "camera.crosstalk"),
         ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 1, 1]] * 3), "that separate the three colours"),
         ("rig.json", lambda d: d["leds"][0].pop("colour"), "coloured and white LEDs for one exposure"),
         ("capture.json", lambda d: d["bands"]["white"].update(leds=[[0], [3]]), "at least 3 lights"),

@@ -53,8 +53,8 @@ def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
     ("finger", "ppi", "words"),
     [
         (np.zeros((90, 90), np.uint8), None, "does not state its resolution; give it: `resolution_ppi`"),
-        (np.zeros((90, 90), np.uint8), 72.0, "between 200 and 5080"),
-        (np.zeros((90, 90), np.uint8), float("nan"), "between 200 and 5080"),
+        (np.zeros((90, 90), np.uint8), 72.0, "in 200 to 5080"),
+        (np.zeros((90, 90), np.uint8), float("nan"), "in 200 to 5080"),
         (np.zeros((90, 90)), PPI, r"must be \(H, W\) uint8"),
         (np.zeros((90, 90, 3), np.uint8), PPI, r"must be \(H, W\) uint8"),
         (b"no template", None, "contradicts itself|not a packed"),
