@@ -21,7 +21,6 @@ from splitknit.io.pictures import (
     normal_colours,
     on_paper,
     to_frame,
-    upright_frame,
     upright_turn,
 )
 from splitknit.model import BoolArray, FloatArray, Reconstruction
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 RELIEF_EXAGGERATION = 2.0  # factor on a finger's ridges in shaded views; an opaque thing is drawn to scale
 RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
-_CLOSE_UP_MM = 5.0
 
 Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
@@ -249,13 +247,10 @@ RIDGE_ERROR = (
 )
 
 
-def truth_pictures(
-    results: Sequence[Reconstruction], truth: Truth, comparisons: Sequence[Comparison], frame: PictureFrame
-) -> tuple[list[Picture], list[Picture]]:
-    """Close-ups of the relief, the true one first, and maps of the errors."""
-    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
-    close_ups = [_close_up(true_relief, results[0], "Truth")]
-    close_ups += [_close_up(each.ridge_mm, results[0], each.preset) for each in results]
+def error_pictures(
+    results: Sequence[Reconstruction], comparisons: Sequence[Comparison], frame: PictureFrame
+) -> list[Picture]:
+    """Maps of the errors."""
     signed, errors = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True), []
     for result, comparison in zip(results, comparisons, strict=True):
         surface = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
@@ -264,21 +259,7 @@ def truth_pictures(
             signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm", SURFACE_ERROR),
             signed(f"Ridge error, {result.preset}", ridge, (-50.0, 50.0), "µm", RIDGE_ERROR),
         ]
-    return close_ups, errors
-
-
-def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
-    """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    whole = upright_frame(result, 10**6)
-    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
-    shift = np.eye(3)
-    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
-    frame = PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
-    values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
-    mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
-    relief = np.asarray(1000.0 * (values - np.float32(mean)), dtype=np.float32)
-    caption = f"{_CLOSE_UP_MM:g} mm square in the middle of the finger."
-    return _field_picture(title, (relief, weight), (-60.0, 40.0), "µm", caption, frame.pitch_mm)
+    return errors
 
 
 _CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)

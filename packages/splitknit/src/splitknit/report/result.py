@@ -105,7 +105,6 @@ def make_report(
         maps += [picture for job in fields if (picture := job.result()) is not None]
         prints, above = None if printing is None else printing.result(), drawn.result()
     unshown = ("mirror_drawing",) if finger else _OF_FINGERS
-    close_ups, errors = ([], []) if truth is None else figures.truth_pictures(results, truth, comparisons, frame)
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
         """Pictures without scale bars where the scale is unknown."""
@@ -128,8 +127,7 @@ def make_report(
         capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
         compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
-        close_ups=close_ups,
-        errors=errors,
+        errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, above, prints)
