@@ -105,7 +105,7 @@ class Led:
         if self.aim is not None:
             return np.asarray(self.aim, dtype=np.float64) / float(np.linalg.norm(self.aim))
         vector = np.asarray(self.position_mm if self.position_mm is not None else self.direction, dtype=np.float64)
-        return np.asarray(-vector / np.linalg.norm(vector))
+        return -vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True, slots=True)

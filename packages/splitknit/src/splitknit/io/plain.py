@@ -653,7 +653,7 @@ class _Reading:
         if self.factor == 1:
             return photo.pixels
         if photo.pixels.dtype.kind == "f":
-            return np.asarray(block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1))
+            return block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1)
         light = linear_image(photo.pixels, self.encoding, binning=self.factor)
         return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * np.float32(65535.0)).astype(np.uint16))
 

@@ -218,7 +218,7 @@ def view_from_above(result: Reconstruction, small: _SmallFields) -> ColourArray:
     surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
     covered = surface.weight[..., None]
     picture = _shade(surface) * covered + np.float32(_BACKGROUND) * (1.0 - covered)
-    return np.asarray(np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8))
+    return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Picture:
