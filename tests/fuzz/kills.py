@@ -38,6 +38,7 @@ VERBS: dict[str, str] = {
     "simulate-bench": "simulate --bench --out {out} --seed 1 --scale 0.1 --overwrite",
     "simulate-population": "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1",
     "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
+    "separate": "separate polarised {base}/flat {base}/flat --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
     "calibrate-lights": "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}",
     "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
@@ -69,7 +70,6 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
-    "separate": "writes a folder as `reconstruct` does; its images under patterns are not among what is read",
     "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""

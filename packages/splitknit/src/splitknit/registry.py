@@ -89,7 +89,6 @@ GONE: dict[str, str] = {
     "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
     "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
     "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
-    "separate polarised": "import both series with '--crossed': the result of 'reconstruct' has their specular.png.",
     "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
     "evaluate --exclude": "leave the lines of those fingers out of the score file.",
     "batch --cluster": "use '--scheduler' (docs/guide/batch.md).",

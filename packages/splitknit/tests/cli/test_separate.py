@@ -156,3 +156,45 @@ def test_light_tiff(tmp_path: Path) -> None:
     for bad in (np.zeros((2, 2, 2)), np.zeros(3)):
         with pytest.raises(ValueError, match="must have the shape"):
             write_float_tiff(tmp_path / "b.tiff", bad, "lux")
+
+
+def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
+    """Photographs through parallel and crossed films: half of the diffuse light each, the specular light in one."""
+    specular = [0.05 + 0.04 * np.sin(COLUMNS / 2 + k) for k in range(count)]
+    parallel = {f"photo_{k}.png": 0.5 * GLOBAL + one for k, one in enumerate(specular)}
+    crossed = {f"through_{k}.png": 0.5 * GLOBAL for k in range(count)}
+    return write(root / "parallel", parallel), write(root / "crossed", crossed)
+
+
+def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path, capsys) -> None:
+    folders, out = polarised(tmp_path), tmp_path / "out"
+    assert run("polarised", *folders, "--out", out, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["specular_share"] == pytest.approx(0.05 / 0.25, abs=0.03)
+    assert sorted(path.name for path in out.iterdir() if path.suffix) == sorted(facts["files"])
+    assert set(facts["inputs"]) == {f"parallel/photo_{k}.png" for k in range(3)} | {
+        f"crossed/through_{k}.png" for k in range(3)
+    }
+    for k in range(3):
+        specular, diffuse = (read_image(out / f"{name}_{k}.png")[..., 0] for name in ("specular", "diffuse"))
+        assert specular.dtype == diffuse.dtype == np.uint16
+        np.testing.assert_allclose(specular * STEP, 0.05 + 0.04 * np.sin(COLUMNS / 2 + k), atol=2 * STEP)
+        np.testing.assert_allclose(diffuse * STEP, 0.5 * GLOBAL, atol=2 * STEP)
+    assert read_image(out / "specular.png").dtype == np.uint8
+    assert run("polarised", *folders, "--out", out) == 0  # again: an earlier separation is replaced
+    assert "3 pairs of photographs" in capsys.readouterr().out
+    assert run("polarised", *folders[::-1], "--out", tmp_path / "exchanged") == 0
+    assert "were their folders exchanged" in capsys.readouterr().out
+
+
+def test_series_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parallel, crossed = polarised(tmp_path)
+    out = tmp_path / "out"
+    assert "name one folder" in refusal(capsys, out, parallel, crossed)
+    assert "with --out and --encoding alone" in refusal(capsys, out, "polarised", parallel, crossed, "--alpha", 0.5)
+    assert "is not a folder" in refusal(capsys, out, "polarised", parallel, tmp_path / "none")
+    write(crossed, {"through_1.png": GLOBAL[:20]})
+    assert "through_1.png is not of the size" in refusal(capsys, out, "polarised", parallel, crossed)
+    (crossed / "through_1.png").unlink()
+    assert "3 photographs and" in refusal(capsys, out, "polarised", parallel, crossed)
+    assert "holds the input itself" in refusal(capsys, parallel, "polarised", parallel, crossed)

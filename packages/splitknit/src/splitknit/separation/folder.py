@@ -2,6 +2,9 @@
 
 Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full scale of the files, NaN
 outside the mask), 8-bit previews of both, and ``report.json``.
+
+Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png`` (16 bits, linear) of
+light K, ``specular.png`` of all lights, and ``report.json``.
 """
 
 from __future__ import annotations
@@ -17,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.band import decode_table, linear_image, srgb_code
+from splitknit.imaging.band import decode_table, linear_image, pick_channel, srgb_code
+from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_polarised, specular_picture
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
-from splitknit.io.plain import natural_order
+from splitknit.io.photos import encoding_of, read_photo
+from splitknit.io.plain import natural_order, photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
@@ -31,6 +36,8 @@ from splitknit.separation.stacks import Separation, estimate_patterns
 ESTIMATE = "estimate"
 _SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 MARKER = "direct.tiff"
+POLARISED_MARKER = "specular.png"
+_RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
 _LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
@@ -79,6 +86,61 @@ def separate_to_folder(
             low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
             facts["warnings"].append(f"global light was taken to be the same under all shifts; {low}")
         facts["total_s"] = time.perf_counter() - started
+        (target / "report.json").write_text(json_text(facts), encoding="utf-8")
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def separate_polarised_folders(
+    parallel: Path, crossed: Path, out: Path, *, encoding: str | None = None, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
+    Raises BadInput if the folders do not hold the same number of photographs of one kind, or are not to be read.
+    """
+    series = []
+    for folder in (parallel, crossed):
+        require(folder.is_dir(), f"{folder} is not a folder; name the folders of the parallel and crossed photographs.")
+        series.append(photographs_in(folder, folder / "lights.txt")[0])
+        check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
+    count = len(series[0])
+    cure = "both series need one photograph a light, in the same order."
+    require(0 < count == len(series[1]), f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; {cure}")
+    if encoding is None:
+        encoding, _ = encoding_of(series[0], lambda: False)
+    hashes, first = {}, None
+    sums: list[FloatArray] = [np.zeros(1, np.float32)] * 2
+    with atomic_folder(out) as target:
+        for k in range(count):
+            progress("separating", k / count)
+            light = []
+            for folder, files in zip((parallel, crossed), series, strict=True):
+                photo = read_photo(files[k])
+                kind = (photo.pixels.shape, photo.pixels.dtype)
+                first = first or kind
+                fits = kind == first and photo.pixels.dtype.kind == "u"
+                require(fits, f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in integers.")
+                light.append(linear_image(photo.pixels, encoding))
+                hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
+            parts = separate_polarised(*light)
+            sums = [total + pick_channel(part, "grey") for total, part in zip(sums, (parts[0], light[1]), strict=True)]
+            for name, part in zip(("specular", "diffuse"), parts, strict=True):
+                write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
+        specular, diffuse = (total / count for total in sums)
+        lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
+        require(lit.any(), "nothing is lit; the crossed images are black.")
+        picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)
+        write_image(target / POLARISED_MARKER, picture_bytes(picture))
+        share = float(np.median(specular[lit] / (specular + diffuse)[lit]))
+        names = [f"{name}_{k}.png" for name in ("specular", "diffuse") for k in range(count)]
+        facts = {
+            **provenance({"separate": {"method": "polarised", "encoding": encoding}}, hashes),
+            "method": "polarised",
+            "images": count,
+            "image_size": list(lit.shape),
+            "specular_share": share,
+            "warnings": [NOT_SPECULAR] if share <= 0 else [],
+            "files": [*names, POLARISED_MARKER, "report.json"],
+        }
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
