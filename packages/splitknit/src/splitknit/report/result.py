@@ -124,7 +124,7 @@ def make_report(
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name not in unshown}),
         settings=_tables(facts["settings"]),
-        capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
+        capture=[(_label(key), _shown(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
         compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
@@ -230,15 +230,8 @@ def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{_label(str(key))}: {_shown(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(_flat(item) for item in value) or "none"
+        return ", ".join(f"({_shown(item)})" if isinstance(item, list) else _shown(item) for item in value) or "none"
     return "-" if value is None else str(value)
-
-
-def _flat(value: Any) -> str:
-    """Show an entry of a list in one line."""
-    if isinstance(value, list):
-        return f"({', '.join(_flat(item) for item in value)})"
-    return _shown(value)
 
 
 # What the names in a report mean, for readers who do not know the code.
