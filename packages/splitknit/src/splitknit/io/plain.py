@@ -647,7 +647,7 @@ class _Reading:
         if photo.pixels.dtype.kind == "f":
             return block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1)
         light = linear_image(photo.pixels, self.encoding, binning=self.factor)
-        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * np.float32(65535.0)).astype(np.uint16))
+        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16))
 
     def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""

@@ -51,7 +51,7 @@ class _SmallFields:
         millimetre are seen on a finger; less so on steep flanks, where they would overhang.
         """
         facing = self.normals[..., 2]
-        extra = np.float32(factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+        extra = (factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
         return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
 
 
@@ -104,7 +104,7 @@ def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     )
     weight = small.weight
     if not is_finger(result):
-        inner = np.float32(_without_rim(weight > 0, small.frame.pitch_mm)) * weight
+        inner = _without_rim(weight > 0, small.frame.pitch_mm) * weight
         weight = inner if inner.any() else weight
     field, limits = (unit.small_per_mm * small.ridge_mm, weight), relief_limits(result)
     return _field_picture("Relief", field, limits, unit.small, caption, small.frame.pitch_mm)
@@ -142,7 +142,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     unit, values, weight = result.unit, result.unit.heights(small.shape_mm), small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
-    depth = values - np.float32(top)
+    depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
     step = 0.5 if low > -6 else 1.0
     if not (is_finger(result) and unit.known):
@@ -217,7 +217,7 @@ def view_from_above(result: Reconstruction, small: _SmallFields) -> ColourArray:
     """The shaded surface as the camera sees it, upright."""
     surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
     covered = surface.weight[..., None]
-    picture = _shade(surface) * covered + np.float32(_BACKGROUND) * (1.0 - covered)
+    picture = _shade(surface) * covered + _BACKGROUND * (1.0 - covered)
     return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
@@ -271,7 +271,7 @@ _BACKGROUND = 0.965
 def _shade(surface: _SmallFields) -> FloatArray:
     """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], for display; valleys are slightly darker."""
     inside = surface.weight > 0.5
-    known = np.where(inside, surface.height_mm, np.float32(np.nan))
+    known = np.where(inside, surface.height_mm, np.nan)
     normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
     key = np.clip(normals @ _unit(_KEY), 0.0, 1.0)
     fill = np.clip(normals @ _unit(_FILL), 0.0, 1.0)
@@ -279,9 +279,9 @@ def _shade(surface: _SmallFields) -> FloatArray:
     gloss = np.clip(normals @ _unit(halfway), 0.0, 1.0) ** 24
     deviation = float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
     depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
-    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + np.float32(0.14) * depth)
-    shaded = light[..., None] * _CLAY + np.float32(0.10) * gloss[..., None]
-    return np.asarray(np.clip(shaded, 0.0, 1.0) ** np.float32(0.8), dtype=np.float32)
+    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + 0.14 * depth)
+    shaded = light[..., None] * _CLAY + 0.10 * gloss[..., None]
+    return np.asarray(np.clip(shaded, 0.0, 1.0) ** 0.8, dtype=np.float32)
 
 
 def _unit(direction: FloatArray) -> FloatArray:

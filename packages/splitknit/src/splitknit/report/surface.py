@@ -87,9 +87,8 @@ def surface_in(result: Reconstruction) -> ResultSurface:
     right: NDArray[Any] = columns * pitch if result.x_mm is None else result.x_mm[box]
     up: NDArray[Any] = rows * pitch if result.y_mm is None else result.y_mm[box]
     x, y = (across * right + along * up for across, along in turn)
-    nan = np.float32(np.nan)
     x, y, z, ridge = (
-        np.where(known[box], field, nan).astype(np.float32)
+        np.where(known[box], field, np.nan).astype(np.float32)
         for field in (x, y, result.height_mm[box], np.nan_to_num(result.ridge_mm[box]))
     )
     corner = turn @ np.array([columns[0, 0], rows[0, 0]]) * pitch
@@ -243,9 +242,9 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
     if side < 1.5:
         return field
     size = (round(side), round(side))
-    total = cv2.blur(np.where(known, field, np.float32(0)), size, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.blur(np.where(known, field, 0.0), size, borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(known.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT)
-    return np.where(known, total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(np.float32)
+    return np.where(known, total / np.maximum(weight, 1e-6), np.nan).astype(np.float32)
 
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
