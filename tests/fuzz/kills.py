@@ -70,7 +70,6 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
-    "view": "writes nothing",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("simulate-population", "batch", "demo")
