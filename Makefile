@@ -18,7 +18,7 @@ EXTRAS ?= minutiae
 LOCK_ARGS ?=
 
 # the member of each extra
-$(foreach name,completion mesh photos,$(eval OF_$(name) := splitknit[$(name)]))
+$(foreach name,mesh photos,$(eval OF_$(name) := splitknit[$(name)]))
 $(eval OF_capture := splitknit-rig[capture])
 $(foreach name,cluster encrypt minutiae pad plot records,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
@@ -103,7 +103,7 @@ lock:
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
 		--python-version 3.11 $(foreach name,capture,) \
-		$(foreach name,completion mesh photos plot cluster encrypt minutiae pad records serve,--extra $(name)) \
+		$(foreach name,mesh photos plot cluster encrypt minutiae pad records serve,--extra $(name)) \
 		--group dev --group browser --group docs --group hardware --group install --group reference --group training \
 		$(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)

@@ -66,7 +66,6 @@ VERBS: dict[str, str] = {
 }
 NOT_STOPPED = {
     "calibrate polarisers": "writes a rig file as `calibrate radiometry` does; its photographs take a minute",
-    "completion": "prints",
     "gallery info": "reads",
     "gallery list": "reads",
     "identify": "reads",

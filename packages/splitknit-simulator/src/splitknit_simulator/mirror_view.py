@@ -44,11 +44,11 @@ class _Reflection:
 
     def points(self, points: Array) -> Array:
         """(..., 3) points, reflected."""
-        return np.asarray(points @ self.matrix.T + self.offset)
+        return points @ self.matrix.T + self.offset
 
     def vectors(self, vectors: Array) -> Array:
         """(..., 3) directions, reflected."""
-        return np.asarray(vectors @ self.matrix.T)
+        return vectors @ self.matrix.T
 
     def placement(self, placement: Placement) -> Placement:
         """Where the reflected finger lies: a left-handed frame."""
@@ -265,4 +265,4 @@ def _near(hits: CoarseHits, box: tuple[slice, slice]) -> BoolArray:
     """Pixels of the box near which the finger is seen: (h, w)."""
     wide = cv2.dilate(hits.seen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     fine = np.repeat(np.repeat(wide, hits.step, axis=0), hits.step, axis=1)
-    return np.asarray(fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start])
+    return fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start]

@@ -105,7 +105,7 @@ class Led:
         if self.aim is not None:
             return np.asarray(self.aim, dtype=np.float64) / float(np.linalg.norm(self.aim))
         vector = np.asarray(self.position_mm if self.position_mm is not None else self.direction, dtype=np.float64)
-        return np.asarray(-vector / np.linalg.norm(vector))
+        return -vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,10 +250,6 @@ class Films:
     """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""
     scale: float = 1.0
     """Size of the crossed image over that of the parallel one."""
-    extinction_ratio: float | None = None
-    """Polariser and analyser together: brightest over darkest light as the analyser turns; None where unknown."""
-    angle_deg: tuple[float, ...] = ()
-    """Turn of each light's specular reflection from the parallel position of the analyser; none where unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -100,7 +100,7 @@ def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
     fine = smoothed(image, inside, _FINE_MM / pitch)
     band = np.where(inside, fine - smoothed(image, inside, _SLOW_MM / pitch), 0)
     limit = 6.0 * float(np.median(np.abs(band[inside]))) + 1e-12
-    return np.asarray(np.clip(band, -limit, limit))
+    return np.clip(band, -limit, limit)
 
 
 def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
@@ -162,7 +162,7 @@ def deviations(model: Model, found: Mapping[str, float]) -> Array:
     away = np.array([found[name] for name in model["names"]]) - model["mean"]
     above, below = np.array(model["weights"]).T
     one_sided = np.where(away > 0, above > 0, below > 0) | ((above == 0) & (below == 0))
-    return np.asarray(np.where(one_sided, away / model["scale"], 0.0))
+    return np.where(one_sided, away / model["scale"], 0.0)
 
 
 def suspicious(away: Array) -> Array:

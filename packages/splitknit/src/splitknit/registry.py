@@ -43,13 +43,13 @@ VERBS = {
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
     "pad": (MATCH, "detect presentation attacks: was live skin photographed, or a copy, or is that unknown"),
-    "completion": (CORE, "print a script that completes verbs and options in your shell"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 _SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
     "enroll --set": "templates are made in one way; leave it out.",
     "identify --set": "templates are made in one way; leave it out.",
+    "completion": "the options of a verb are in its '--help', and a typo is answered by what was meant.",
     "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
     "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
     "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",

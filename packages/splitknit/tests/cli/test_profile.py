@@ -1,4 +1,4 @@
-"""``splitknit profile``: a cut through a surface, its table, its picture, its roughness."""
+"""``splitknit profile``: a cut through a surface, its table, its roughness."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -44,7 +43,6 @@ def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) 
     table = np.genfromtxt(out / "profile.csv", delimiter=",", names=True)
     assert np.ptp(table["height_um"]) == pytest.approx(800, rel=0.05)
     assert np.nanstd(table["roughness_um"]) == pytest.approx(facts["Rq_um"], rel=0.01)
-    assert cv2.imread(str(out / "profile.png")).std() > 5
     assert (waves / "surface.ply").is_file() and not (waves / "phalange.ply").exists()
 
 

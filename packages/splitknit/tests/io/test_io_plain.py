@@ -67,7 +67,7 @@ def test_plain_images_become_a_capture(plain: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"count": 2, "lights": LIGHTS[:2]}, "at least three"),
+        ({"count": 2, "lights": LIGHTS[:2]}, "at least 3"),
         ({"lights": LIGHTS[:3]}, "4 photographs .* has 3 lights"),
         ({"lights": LIGHTS * [1, 0, 1]}, "same direction"),
         ({"lights": LIGHTS * [0, 0, 1]}, "same direction"),
@@ -280,7 +280,6 @@ def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch
         write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
         for name in (
             "steps.IN_MEMORY",
-            "io.plain.IN_MEMORY",
             "methods.photometry.IN_MEMORY",
             "finger.locate.IN_MEMORY",
         ):

@@ -10,11 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.report.curves import curve_picture
 from splitknit.report.result import make_report, write_files
 
 Written = tuple[Path, dict[str, Any]]
@@ -147,18 +145,6 @@ def test_bare_result_has_a_report() -> None:
     assert "No warnings" in report.html
     assert report.facts["facts"] == {"odd": None}
     json.dumps(report.facts, allow_nan=False)
-
-
-def test_curves_are_drawn_to_scale() -> None:
-    x = np.linspace(0.0, 10.0, 11)
-    y = np.where(x == 5.0, np.nan, 2.0 * x)
-    picture = curve_picture([(x, y)], "mm", "um")
-    rows, columns = np.nonzero(picture[34:-34, 66:-24] < 120)
-    assert np.polyfit(columns, rows, 1)[0] == pytest.approx(-200 / 1.1 / 480, rel=0.02)  # up, with margins
-    gap = np.setdiff1d(np.arange(columns.min(), columns.max()), columns)
-    assert 0.15 < gap.size / np.ptp(columns) < 0.25  # NaN interrupts the line
-    both = curve_picture([(x, y), (x, 0 * x)], "mm", "um")
-    assert (both == 170).sum() > (picture == 170).sum()
 
 
 def test_a_page_turns_no_writing_and_holds_no_control_character(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
     places = np.asarray(pixels, dtype=np.float64)
     rows, columns = int(image_size[0]), int(image_size[1])
     x, y = places[:, 0] - 0.5 * (columns - 1), places[:, 1] - 0.5 * (rows - 1)
-    return np.asarray((x * x + y * y) / (0.25 * (rows**2 + columns**2)))
+    return (x * x + y * y) / (0.25 * (rows**2 + columns**2))
 
 
 def _lens_fall_off(camera: Camera, pixels: Any) -> Array:
@@ -95,7 +95,7 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     towards, distance = rays_to_led(led, points)
     along = np.maximum(-(towards @ led.axis), 1e-12)
     facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
-    return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
+    return facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi
 
 
 _MIN_EXPONENT = 0.02  # least exponent of a beam: below it an aim has no meaning
@@ -254,7 +254,7 @@ class CardModel:
     def _log_cosine(self, answer: Answer) -> Array:
         u, v = answer.tilt[:, :1], answer.tilt[:, 1:]
         along = self.seen[:, 0] + u * self.seen[:, 1] + v * self.seen[:, 2]
-        return np.asarray(np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + u * u + v * v))
+        return np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + u * u + v * v)
 
     def _fall_off(self, lens: Array) -> Array:
         return np.asarray(np.maximum(1 + lens[0] * self.squared + lens[1] * self.squared**2, 0.02))

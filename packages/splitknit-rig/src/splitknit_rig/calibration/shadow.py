@@ -43,7 +43,7 @@ class _Shape:
         for tip in self.tip + self.penumbra * _LIGHT:
             away = _hull_distance(places - self.base, tip - self.base, self.base_radius, self.tip_radius)
             total += ndtr(-away / _EDGE_PX)
-        return np.asarray(self.depth * total / len(_LIGHT))
+        return self.depth * total / len(_LIGHT)
 
 
 def _hull_distance(places: Array, other: Array, radius: float, other_radius: float) -> Array:
@@ -244,7 +244,7 @@ def _nail_among(dark: BoolArray, shadows: BoolArray, px_per_mm: float, names: Se
         f"upright, and wholly in the picture, and nothing else may move.",
     )
     filled = cv2.morphologyEx((labels == best).astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.3 * px_per_mm))
-    return np.asarray(filled > 0)
+    return filled > 0
 
 
 def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
@@ -252,7 +252,7 @@ def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
     opened = cv2.medianBlur(shadow.astype(np.uint8), 3)
     _, labels = cv2.connectedComponents((opened > 0).astype(np.uint8) | near.astype(np.uint8), connectivity=8)
     touching = np.unique(labels[near])
-    return np.asarray(np.isin(labels, touching[touching > 0]) & (opened > 0) & ~near)
+    return np.isin(labels, touching[touching > 0]) & (opened > 0) & ~near
 
 
 def _far_end(part: BoolArray, middle: Array) -> Array | None:

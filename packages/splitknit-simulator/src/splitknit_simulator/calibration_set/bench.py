@@ -60,11 +60,11 @@ class PlaneFrame:
     def points(self, u: Any, v: Any, w: Any = 0.0) -> Array:
         """Points (..., 3) of the rig's frame at u, v and w above the plane, all in mm."""
         own = np.stack(np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (u, v, w))), axis=-1)
-        return np.asarray(own @ self.axes.T + self.middle)
+        return own @ self.axes.T + self.middle
 
     def own(self, points: Any) -> Array:
         """Points (..., 3) of the rig's frame in the plane's own u, v and height above it: inverse of :meth:`points`."""
-        return np.asarray((np.asarray(points, dtype=np.float64) - self.middle) @ self.axes)
+        return (np.asarray(points, dtype=np.float64) - self.middle) @ self.axes
 
 
 def facing_plane(rotation_vector: Any, middle_mm: Any) -> PlaneFrame:
@@ -170,7 +170,7 @@ class GroundScene(ABC):
         received = np.zeros(self.camera.image_size)
         for led in leds:
             received += irradiance(led, self._points, self.plane.axes[:, 2]) * self.fraction_lit(led)
-        return np.asarray(self.albedo(*self._hit[:2]) * (received / np.pi + self.ambient_light))
+        return self.albedo(*self._hit[:2]) * (received / np.pi + self.ambient_light)
 
     @property
     def ambient_light(self) -> float:

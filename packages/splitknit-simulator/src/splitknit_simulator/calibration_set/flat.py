@@ -124,7 +124,7 @@ class BoardScene(GroundScene):
             waves = waves * np.where(line % 2 == 1, -flank, flank)  # between +1 in the first square and -1 in the next
         black = inside(0.0, blur) * 0.5 * (1.0 + waves)  # the square at the top left is black
         paper = inside(board.margin_mm)
-        return np.asarray(self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper)))
+        return self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper))
 
 
 _TRIES = 200

@@ -70,7 +70,7 @@ class _SolidScene(BaseScene):
         received = np.zeros(points.shape[:2])
         for led in leds:
             received += irradiance(led, np.moveaxis(points, -1, 0).astype(np.float32), np.moveaxis(normals, -1, 0))
-        return np.asarray(reflectance * (received / np.pi + self.ambient_light))
+        return reflectance * (received / np.pi + self.ambient_light)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -202,7 +202,7 @@ def _hull_distance(u: Array, v: Array, radius: float, other: Array, other_radius
     straight = beside * across + along * slope - radius
     near = np.hypot(u, v) - radius
     far = np.hypot(u - other[0], v - other[1]) - other_radius
-    return np.asarray(np.where(place < 0.0, near, np.where(place > across * length, far, straight)))
+    return np.where(place < 0.0, near, np.where(place > across * length, far, straight))
 
 
 # A ball on the rig's base: chrome, in which the LEDs are seen reflected, or grey and matt, which they shade.
@@ -248,7 +248,7 @@ class SphereScene(_SolidScene):
         for _ in range(60):  # the ball is small beside the distances: each turn shrinks the error by their ratio
             points = self.middle_mm + self.radius_mm * normals
             normals = unit(unit(places - points) + unit(self._towards_camera(points)))
-        return np.asarray(self.middle_mm + self.radius_mm * normals)
+        return self.middle_mm + self.radius_mm * normals
 
     def highlights_px(self) -> Array:
         """(L, 2) column and row of :meth:`highlights_mm`."""
@@ -297,7 +297,7 @@ class SphereScene(_SolidScene):
 
     def _towards_camera(self, points: Array) -> Array:
         if self.camera.model == "perspective":
-            return np.asarray((0.0, 0.0, self.camera.height_mm) - points)
+            return (0.0, 0.0, self.camera.height_mm) - points
         return np.broadcast_to(np.array([0.0, 0.0, self.camera.height_mm]), points.shape)
 
     @cached_property
@@ -346,7 +346,7 @@ class SphereScene(_SolidScene):
         scene = np.where(falls, ground, walls)
         for led in leds:
             scene = scene + self._led_in_mirror(led, lines, rays)
-        return np.asarray(reflectance * scene)
+        return reflectance * scene
 
     def _led_in_mirror(self, led: Led, lines: SightLines, rays: Lines) -> Array:
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
@@ -443,4 +443,4 @@ def _ring(axis: Array, count: int, turn: float = 0.0) -> Array:
     """(count, 3) unit vectors all around an axis (3,)."""
     across = unit(np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0)))
     angle = turn + 2.0 * np.pi * np.arange(count) / count
-    return np.asarray(np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(axis, across))
+    return np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(axis, across)

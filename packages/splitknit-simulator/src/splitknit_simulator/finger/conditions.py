@@ -44,7 +44,7 @@ def _scale_reflectance(plates: Array) -> Array:
     1862, On the intensity of the light reflected from or transmitted through a pile of plates.
     """
     one = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
-    return np.asarray(2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one))
+    return 2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one)
 
 
 def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
@@ -169,7 +169,7 @@ def _water_level(displacement: Array, pitch_mm: float, severity: float, rng: np.
     threshold = float(np.quantile(noise, 2.0 * severity))
     patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
     patch = patch * patch * (3.0 - 2.0 * patch)
-    return np.asarray(displacement + patch * (filled - displacement))
+    return displacement + patch * (filled - displacement)
 
 
 def _closed(values: Array, pitch_mm: float, radius_mm: float) -> Array:

@@ -271,7 +271,7 @@ def _find_landmarks(
 
     def visible(points: Any) -> Array:
         found = pixels(points)
-        return np.asarray(found[np.isfinite(found).all(axis=1)])
+        return found[np.isfinite(found).all(axis=1)]
 
     creases = [visible(line[::8]) for line in skin.crease_lines]
     minutiae = pixels(master.minutiae[:, :2]) if len(master.minutiae) else np.zeros((0, 2))

@@ -56,7 +56,7 @@ class _Rays:
         """(N,) change per mm of height along the rays, from the gradient (N, 3) in the camera's frame."""
         if self.slopes is None:
             return vectors[:, 2]
-        return np.asarray(vectors[:, 2] - self.slopes[0] * vectors[:, 0] - self.slopes[1] * vectors[:, 1])
+        return vectors[:, 2] - self.slopes[0] * vectors[:, 0] - self.slopes[1] * vectors[:, 1]
 
     def length(self) -> Array | float:
         """(N,) mm of the rays per mm of height."""

@@ -97,7 +97,7 @@ class FingerBody:
     def encloses(self, x: Array, y: Array, z: Array) -> NDArray[np.bool_]:
         """Whether points may belong to the finger: far beside a square tip the implicit function falls again."""
         s = self.shape
-        return np.asarray((np.abs(x) < 0.9 * s.width_mm) & (y < s.length_mm + 0.3 * s.tip_length_mm))
+        return (np.abs(x) < 0.9 * s.width_mm) & (y < s.length_mm + 0.3 * s.tip_length_mm)
 
     def top(self, x: Array, y: Array) -> Array:
         """Return z of the palmar skin over (x, y) of an unskewed section frame; NaN beside the finger."""
@@ -106,7 +106,7 @@ class FingerBody:
         k, radius2 = self.shape.squareness, self._radius2(side, reach)
         rest = 1.0 - radius2 * ((1.0 - k) + k * radius2)
         up2 = 2.0 * rest / ((1.0 - k) + np.sqrt((1.0 - k) ** 2 + 4.0 * k * np.maximum(rest, 0.0)))
-        return np.asarray(np.where(rest >= 0, form.drop + form.rise * np.sqrt(np.maximum(up2, 0.0)), np.nan))
+        return np.where(rest >= 0, form.drop + form.rise * np.sqrt(np.maximum(up2, 0.0)), np.nan)
 
     def axis_line(self, y: Array) -> tuple[Array, Array]:
         """Return x and z of the finger's axis over `y`."""

@@ -68,7 +68,7 @@ class SkinMap:
     def displacement(self, u: Array, v: Array) -> Array:
         """Displacement (mm, negative inwards) at chart points; the map continues by reflection."""
         places = (self.v0_mm - v) / self.pitch_mm, (u - self.u0_mm) / self.pitch_mm
-        return np.asarray(ndimage.map_coordinates(self.coefficients, places, order=3, prefilter=False, mode="mirror"))
+        return ndimage.map_coordinates(self.coefficients, places, order=3, prefilter=False, mode="mirror")
 
     def displacement_gradient(self, u: Array, v: Array, here: Array) -> tuple[Array, Array]:
         """Slopes along u and v, given the displacement `here`; one-sided over 0.1 um."""

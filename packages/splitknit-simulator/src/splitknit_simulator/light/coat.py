@@ -195,7 +195,7 @@ class CoatedPatch:
         bent = (x, y, z)
         on_skin = np.maximum(_dot(bent, self.normal), 0.0)
         within = strength * above * (1.0 - fresnel(above, WATER)) / below
-        return np.asarray(within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER)))
+        return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER))
 
     def _shadow(self, light: Vectors) -> FloatArray:
         """(h, w) fraction of the skin's light that grains take: a ball on the ground shades a disc beside its foot."""
@@ -222,7 +222,7 @@ Vectors = tuple[Values, Values, Values]
 
 def _dot(a: Vectors, b: Vectors) -> Values:
     """Inner products of vectors given as three arrays each."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _reflected(
@@ -261,8 +261,8 @@ def _reflected(
     distribution = 1.0 / (np.pi * first * across * below * below)
 
     def unshadowed(direction: Vectors, cosine: Values) -> Values:
-        return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine))))
+        return 2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine)))
 
     shadowing = unshadowed(light, nl) * unshadowed(view, nv)
     mirror = fresnel((lv + 1.0) * inverse, index)
-    return np.asarray(np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0))
+    return np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0)

@@ -84,7 +84,7 @@ class Films:
         leak = 1.0 / self.settings.extinction
         polariser = self.aside.get((series, k), float(self.polariser_rad[series, k]))
         passed = reflected_through(light, view, polariser, float(self.analyser_rad[series]), leak)
-        return np.asarray(0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view))))
+        return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view)))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What light scattered once adds, over itself, to what would pass had it lost its polarisation."""

@@ -65,7 +65,7 @@ class Checkerboard(Checked):
 def _wave(u: Array, check_mm: float, width: float) -> Array:
     """+1 over every second check from u = 0 on, else -1, linear over `width` at the edges."""
     middle = np.abs((u + 0.5 * check_mm) % (2.0 * check_mm) - check_mm)
-    return np.asarray(np.clip((0.5 * check_mm - middle) * (2.0 / width), -1.0, 1.0))
+    return np.clip((0.5 * check_mm - middle) * (2.0 / width), -1.0, 1.0)
 
 
 def _check_camera(surface: SimulatedSurface) -> None:
@@ -230,7 +230,7 @@ class _Scene:
         before, after = padding[1 - axis]
         step = self.pitch_mm if axis == 0 else -self.pitch_mm
         grid = float(here[0, 0]) + np.arange(-before, here.size + after) * step
-        return np.asarray(parallax + (grid[None, :] if axis == 0 else grid[:, None]))
+        return parallax + (grid[None, :] if axis == 0 else grid[:, None])
 
     def image(self, pattern: tuple[Checkerboard, NDArray[np.float64]] | None) -> FloatArray:
         """(C, h, w) radiance under one pattern, or under full light."""
@@ -275,4 +275,4 @@ class _Scene:
             _wave(offset + 0.5 * check_mm, check_mm, self.pitch_mm).astype(np.float32) for offset in offsets
         )
         kernel *= down[:, None] * across[None, :]
-        return np.asarray(scipy.fft.rfft2(kernel))
+        return scipy.fft.rfft2(kernel)

@@ -1,4 +1,4 @@
-"""``splitknit profile``: a surface cut between two points, as a table, a picture and parameters of roughness."""
+"""``splitknit profile``: a surface cut between two points, as a table and parameters of roughness."""
 
 from __future__ import annotations
 
@@ -33,19 +33,17 @@ class ProfileJob(Job):
     end: Annotated[tuple[float, float], Help("the other end", "X1,Y1", positional=True, read=_place)]
     _: KW_ONLY
     cutoff: Annotated[Positive, Help("wavelength that divides roughness from form (ISO 4288)", "MM")] = 0.8
-    out: Annotated[AnyPath, Help("folder for profile.csv and profile.png", "DIR")] = "profile"
+    out: Annotated[AnyPath, Help("folder for profile.csv", "DIR")] = "profile"
     # fmt: on
 
     def run(self, progress: Progress) -> dict[str, Any]:
-        """Cut it, and write the table and the picture."""
-        import cv2
+        """Cut it, and write the table."""
         import numpy as np
 
         from splitknit.imaging.roughness import profile_roughness
         from splitknit.io.atomic import atomic_folder, write_file
         from splitknit.io.csv_table import csv_text
         from splitknit.io.results import read_result
-        from splitknit.report.curves import curve_picture
         from splitknit.report.surface import section, surface_in
 
         surface = surface_in(read_result(path(self.result)))
@@ -57,13 +55,8 @@ class ProfileJob(Job):
         columns |= {"height_um": 1000.0 * cut.height_mm, "roughness_um": rough}
         rows = np.column_stack(list(columns.values())).tolist()
         cells = [["" if np.isnan(value) else f"{value:.4f}" for value in row] for row in rows]
-        labels = {"height_um": "height, um", "roughness_um": "roughness, um"}
-        curves = {name: (columns["along_mm"], columns[name]) for name in labels}
-        panels = [curve_picture([curves[name]], "mm from the first point", words) for name, words in labels.items()]
-        picture = np.vstack(panels)
         with atomic_folder(path(self.out)) as folder:
             write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
-            write_file(folder / "profile.png", bytes(cv2.imencode(".png", picture)[1]))
         return {"out": str(self.out), "cutoff_mm": self.cutoff, "step_mm": step_mm, **found, **cut.figures}
 
 
@@ -71,7 +64,7 @@ def _show(facts: dict[str, Any], job: ProfileJob) -> Outcome:
     few = f" ({facts['sampling_lengths']} sampling lengths, ISO 4288 wants 5)" if facts["sampling_lengths"] < 5 else ""
     ra, rz, rq = (f"{facts[name]:.3g} um" for name in ("Ra_um", "Rz_um", "Rq_um"))
     over = f"cut-off {facts['cutoff_mm']:g} mm{few}, over {facts['flat_mm']:.2f} mm"
-    written = f"Written to {Path(job.out)}: profile.csv, profile.png."
+    written = f"Written to {Path(job.out)}: profile.csv."
     return facts, [f"Ra {ra}, Rz {rz}, Rq {rq}, {over}.", written]
 
 

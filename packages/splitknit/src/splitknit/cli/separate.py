@@ -20,9 +20,6 @@ def _show(facts: dict[str, Any], job: SeparateJob) -> Outcome:
     direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
     lines = [f"{len(facts['images'])} images separated by {facts['method']}: {direct}."]
     lines.append(f"Written to {job.out}: {', '.join(facts['files'])}.")
-    if facts["against_white"] is not None:
-        error = facts["against_white"]["median_error"]
-        lines.append(f"Direct and global light add up to the white image within {100 * error:.1f} % in the median.")
     return facts, [*lines, *notes]
 
 

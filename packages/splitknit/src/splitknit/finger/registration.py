@@ -186,7 +186,7 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
     typical = 1.4826 * float(np.median(error)) + 1e-12
-    return np.asarray(level.weight / np.maximum(1.0, error / np.float32(1.5 * typical)))
+    return np.asarray(level.weight / np.maximum(1.0, error / (1.5 * typical)))
 
 
 def gram(columns: FloatArray) -> Array:

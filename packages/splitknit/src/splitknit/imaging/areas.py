@@ -37,7 +37,7 @@ def blanked(image: NDArray[Any], inside: BoolArray, px_per_mm: float) -> NDArray
         return image
     done = image.copy()
     ring = inside & ~shrunk(inside, max(2.0, 0.4 * px_per_mm))
-    done[~inside] = np.median(done[ring], axis=0) if ring.any() else np.float32(0.0)
+    done[~inside] = np.median(done[ring], axis=0) if ring.any() else 0.0
     return done
 
 

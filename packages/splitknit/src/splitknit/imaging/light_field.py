@@ -11,7 +11,7 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
-_UNIT_MM2 = np.float32(1e4)
+_UNIT_MM2 = 1e4
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
 SIDE_DEG, SIDE_RATIO, _AROUND = (30.0, 45.0), 1.5, 6
 """Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the light

@@ -83,7 +83,7 @@ def fields_to_frame(
     small_from_picture = np.linalg.inv(input_from_small) @ frame.input_from_picture
     inside = mask[window].view(np.uint8)
     weight = _warp_linear(_binned(inside, inside, factor), small_from_picture, frame.size)
-    divisor = np.maximum(weight, np.float32(1e-3))
+    divisor = np.maximum(weight, 1e-3)
     nowhere = weight <= 1e-3
     found = []
     for field in fields:
@@ -144,7 +144,7 @@ def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
 
 def normal_colours(normals: FloatArray) -> ColourArray:
     """Colour unit normals the usual way: red = x right, green = y up, blue = z towards the camera."""
-    return np.clip(np.round((normals + 1.0) * np.float32(127.5)), 0, 255).astype(np.uint8)
+    return np.clip(np.round((normals + 1.0) * 127.5), 0, 255).astype(np.uint8)
 
 
 def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -> str:

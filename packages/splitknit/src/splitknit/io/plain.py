@@ -45,14 +45,14 @@ from splitknit.model import (
     Rig,
     camera_without_scale,
 )
-from splitknit.steps import IN_MEMORY, large_array, let_go
+from splitknit.steps import large_array, let_go
 
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
 _LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0  # size of one photograph, and of all, above which a note is given
-_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
-"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
+_FIXED_GB, _GB_PER_MEGAPIXEL = 0.3, 0.115
+"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them."""
 _NEGATIVE = 0.02
 """Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
 _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
@@ -99,7 +99,7 @@ def capture_from_photographs(
     (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
     default ``lights.txt`` in the folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object,
     None where it is unknown (heights in pixels); `options`: mask, material, encoding and others; `announce`:
-    called with a sentence on memory and disk before many or large photographs are read.
+    called with a sentence on memory before many or large photographs are read.
 
     >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
     >>> found.skipped  # doctest: +SKIP
@@ -185,7 +185,7 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
     if isinstance(lights, str | os.PathLike) and os.fspath(lights) == UNKNOWN:
         return Path(UNKNOWN), _unknown_rig(1), (), None
     if lights is not None and not isinstance(lights, str | os.PathLike):
-        return Path("lights"), _distant_rig(np.asarray(lights, dtype=np.float64)), (), None
+        return Path("lights"), _distant_rig(check_lights(lights)), (), None
     root = _home(root)
     listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
     usual = next((root / one for one in _LISTS if (root / one).is_file()), root / "lights.txt")
@@ -195,7 +195,7 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
     if table.suffix.lower() == ".json":
         return table, _of_band(read_rig(table), os.fspath(table)), (), None
     found = read_light_list(table)
-    rig, bright = _distant_rig(found.lights, table if found.places else None), found.intensities
+    rig, bright = _distant_rig(check_lights(found.lights), table if found.places else None), found.intensities
     beside = next((one / _INTENSITIES for one in (table.parent, root) if (one / _INTENSITIES).is_file()), None)
     if bright is None and beside is not None:
         bright = read_intensities(beside, len(rig.leds))
@@ -219,11 +219,6 @@ def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
 
 def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
     """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
-    good = vectors.ndim == 2 and vectors.shape[1] == 3 and len(vectors) > 0
-    require(good, f"lights must have the shape (L, 3), but it has {vectors.shape}.")
-    lengths = np.linalg.norm(vectors, axis=1)
-    require(bool(np.isfinite(lengths).all()), "lights contains NaN or infinite values.")
-    require(bool((lengths > 0).all()), f"lights contains a zero vector (light {int(np.argmin(lengths))}).")
     lowest = int(np.argmin(vectors[:, 2]))
     behind = f"light {lowest} points away from the camera (z <= 0); lights point towards the light."
     require(bool(vectors[lowest, 2] > 0), behind)
@@ -231,7 +226,10 @@ def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Ri
     require(above, f"{places}: places of lights are in mm above the object (the third number at least 1).")
     kind = "distant" if places is None else "near"
     if places is None:
-        leds = [Led("white", direction=(x, y, z)) for x, y, z in (vectors / lengths[:, None]).tolist()]
+        leds = [
+            Led("white", direction=(x, y, z))
+            for x, y, z in (vectors / np.linalg.norm(vectors, axis=1)[:, None]).tolist()
+        ]
     else:
         leds = [Led("white", position_mm=(x, y, z)) for x, y, z in vectors.tolist()]
     return Rig(_NO_CAMERA, tuple(leds), {"source": f"plain images, {kind} lights", "intensities": "assumed equal"})
@@ -344,8 +342,7 @@ def capture_of_arrays(
         vectors = spread_lights(len(stack)) if lights is None else np.asarray(lights, dtype=np.float64)
         bright = None if intensities is None else np.asarray(intensities, dtype=np.float64).reshape(len(vectors), -1)
     require(scale is None or 1e-3 <= scale <= 1e5, f"`px_per_mm` must be a number from 0.001 to 100000, not {scale}.")
-    rig = _unknown_rig(len(stack)) if lights is None else _distant_rig(vectors)
-    check_lights(vectors, len(stack))
+    rig = _unknown_rig(len(stack)) if lights is None else _distant_rig(check_lights(vectors, len(stack)))
     stack = stack.reshape(*shape[:3], -1)
     if bright is not None:
         good = bright.shape[1] in {1, 3} and bool(np.isfinite(bright).all()) and float(bright.min()) > 0
@@ -618,17 +615,12 @@ class _Reading:
         return [replace(photo, pixels=half) for half in halves]
 
     def cost(self) -> str:
-        """A sentence on memory and disk, where they are much."""
+        """A sentence on memory, where it is much."""
         count, used = self.series * len(self.files), self.megapixels / self.factor**2
-        memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL
         if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
             return ""
-        disk = count * used * self.shape[2] * self.dtype.itemsize / 1e3
-        stored = f", {disk:.1f} GB of disk for the photographs while they are worked on"
-        needed = f"about {memory:.1f} GB of memory{stored if 1e9 * disk > IN_MEMORY else ''}"
-        smaller = "" if used < _LARGE_MEGAPIXELS else "; `max_megapixels` 10 reduces them to 10 megapixels"
-        mesh = f"a mesh of the whole picture takes {used * _MESH_MB:.0f} MB{smaller}."
-        return f"{count} photographs of {used:.1f} megapixels need {needed}, and {mesh}"
+        memory = f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
+        return f"{count} photographs of {used:.1f} megapixels need {memory}; `max_megapixels` 10 reduces them."
 
     def notes(self) -> list[str]:
         """That photographs were reduced, where they were."""
@@ -653,9 +645,9 @@ class _Reading:
         if self.factor == 1:
             return photo.pixels
         if photo.pixels.dtype.kind == "f":
-            return np.asarray(block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1))
+            return block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1)
         light = linear_image(photo.pixels, self.encoding, binning=self.factor)
-        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * np.float32(65535.0)).astype(np.uint16))
+        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16))
 
     def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""

@@ -110,7 +110,7 @@ def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8
     require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
     image = decoded(data, name)
     require(image.shape == (rows, columns, 1) and image.dtype == np.uint8, f"{name} is damaged; copy it again.")
-    return np.asarray(image[..., 0])
+    return image[..., 0]
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:

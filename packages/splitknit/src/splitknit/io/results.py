@@ -90,8 +90,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     if (folder / "albedo.png").is_file():
         grey = read_image(folder / "albedo.png")
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
-        level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / np.float32(255.0)
-        albedo = np.where(arrays["mask"], level, np.float32(np.nan))
+        level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
+        albedo = np.where(arrays["mask"], level, np.nan)
     return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **asdict(report))
 
 
@@ -266,7 +266,7 @@ def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
     known = result.mask[box] & np.isfinite(result.albedo[box])
     if not bool(known.any()):
         return picture
-    albedo = np.where(known, result.albedo[box], np.float32(0.0))
+    albedo = np.where(known, result.albedo[box], 0.0)
     white = max(float(np.percentile(albedo[known][::7], 99.9)), 1e-12)
     picture[box] = np.clip(np.round(albedo * np.float32(255.0 / white)), 0, 255).astype(np.uint8)
     return picture

@@ -162,8 +162,8 @@ def _check_films(films: Films, count: int, where: str) -> None:
     leds = len(films.leds)
     different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
     require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
-    each = len(films.leak) == len(films.brightness) == leds and len(films.angle_deg) in (0, leds)
-    require(each, f"{where} must have a leak, a brightness and an angle_deg for each of the {leds} LEDs.")
+    each = len(films.leak) == len(films.brightness) == leds
+    require(each, f"{where} must have a leak and a brightness for each of the {leds} LEDs.")
     require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
     bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
     require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")

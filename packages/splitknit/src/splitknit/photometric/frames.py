@@ -291,16 +291,11 @@ def _frame_words(frame: str, material: str) -> str:
 
 
 def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
-    """The lights' order, counted from 1, shortest first."""
-    count, moved = len(order), [k for k, light in enumerate(order) if light != k]
+    """The lights' order, counted from 1."""
+    moved = [k for k, light in enumerate(order) if light != k]
     if len(moved) == 2:
         return f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
-    numbers = "give the lights, counted from 1, in the order " + " ".join(str(light + 1) for light in order)
-    if list(order) == list(range(count))[::-1]:
-        return f"{numbers} (reversed)"
-    step = order[0]
-    shifted = all(light == (k + step) % count for k, light in enumerate(order))
-    return f"{numbers} (shifted by {min(step, count - step)})" if shifted else numbers
+    return "give the lights, counted from 1, in the order " + " ".join(str(light + 1) for light in order)
 
 
 def rig_of_frame(rig: Rig, frame: str) -> Rig:

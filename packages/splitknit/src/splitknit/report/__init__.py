@@ -1,4 +1,4 @@
-"""Pages for people: figures, curves and self-contained HTML, from templates."""
+"""Pages for people: figures and self-contained HTML, from templates."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ from splitknit.io.pictures import (
     normal_colours,
     on_paper,
     to_frame,
-    upright_frame,
     upright_turn,
 )
 from splitknit.model import BoolArray, FloatArray, Reconstruction
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 RELIEF_EXAGGERATION = 2.0  # factor on a finger's ridges in shaded views; an opaque thing is drawn to scale
 RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
-_CLOSE_UP_MM = 5.0
 
 Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
@@ -53,7 +51,7 @@ class _SmallFields:
         millimetre are seen on a finger; less so on steep flanks, where they would overhang.
         """
         facing = self.normals[..., 2]
-        extra = np.float32(factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+        extra = (factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
         return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
 
 
@@ -106,7 +104,7 @@ def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     )
     weight = small.weight
     if not is_finger(result):
-        inner = np.float32(_without_rim(weight > 0, small.frame.pitch_mm)) * weight
+        inner = _without_rim(weight > 0, small.frame.pitch_mm) * weight
         weight = inner if inner.any() else weight
     field, limits = (unit.small_per_mm * small.ridge_mm, weight), relief_limits(result)
     return _field_picture("Relief", field, limits, unit.small, caption, small.frame.pitch_mm)
@@ -144,7 +142,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     unit, values, weight = result.unit, result.unit.heights(small.shape_mm), small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
-    depth = values - np.float32(top)
+    depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
     step = 0.5 if low > -6 else 1.0
     if not (is_finger(result) and unit.known):
@@ -219,8 +217,8 @@ def view_from_above(result: Reconstruction, small: _SmallFields) -> ColourArray:
     """The shaded surface as the camera sees it, upright."""
     surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
     covered = surface.weight[..., None]
-    picture = _shade(surface) * covered + np.float32(_BACKGROUND) * (1.0 - covered)
-    return np.asarray(np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8))
+    picture = _shade(surface) * covered + _BACKGROUND * (1.0 - covered)
+    return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Picture:
@@ -249,13 +247,10 @@ RIDGE_ERROR = (
 )
 
 
-def truth_pictures(
-    results: Sequence[Reconstruction], truth: Truth, comparisons: Sequence[Comparison], frame: PictureFrame
-) -> tuple[list[Picture], list[Picture]]:
-    """Close-ups of the relief, the true one first, and maps of the errors."""
-    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
-    close_ups = [_close_up(true_relief, results[0], "Truth")]
-    close_ups += [_close_up(each.ridge_mm, results[0], each.preset) for each in results]
+def error_pictures(
+    results: Sequence[Reconstruction], comparisons: Sequence[Comparison], frame: PictureFrame
+) -> list[Picture]:
+    """Maps of the errors."""
     signed, errors = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True), []
     for result, comparison in zip(results, comparisons, strict=True):
         surface = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
@@ -264,21 +259,7 @@ def truth_pictures(
             signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm", SURFACE_ERROR),
             signed(f"Ridge error, {result.preset}", ridge, (-50.0, 50.0), "µm", RIDGE_ERROR),
         ]
-    return close_ups, errors
-
-
-def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
-    """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    whole = upright_frame(result, 10**6)
-    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
-    shift = np.eye(3)
-    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
-    frame = PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
-    values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
-    mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
-    relief = np.asarray(1000.0 * (values - np.float32(mean)), dtype=np.float32)
-    caption = f"{_CLOSE_UP_MM:g} mm square in the middle of the finger."
-    return _field_picture(title, (relief, weight), (-60.0, 40.0), "µm", caption, frame.pitch_mm)
+    return errors
 
 
 _CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)
@@ -290,7 +271,7 @@ _BACKGROUND = 0.965
 def _shade(surface: _SmallFields) -> FloatArray:
     """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], for display; valleys are slightly darker."""
     inside = surface.weight > 0.5
-    known = np.where(inside, surface.height_mm, np.float32(np.nan))
+    known = np.where(inside, surface.height_mm, np.nan)
     normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
     key = np.clip(normals @ _unit(_KEY), 0.0, 1.0)
     fill = np.clip(normals @ _unit(_FILL), 0.0, 1.0)
@@ -298,9 +279,9 @@ def _shade(surface: _SmallFields) -> FloatArray:
     gloss = np.clip(normals @ _unit(halfway), 0.0, 1.0) ** 24
     deviation = float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
     depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
-    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + np.float32(0.14) * depth)
-    shaded = light[..., None] * _CLAY + np.float32(0.10) * gloss[..., None]
-    return np.asarray(np.clip(shaded, 0.0, 1.0) ** np.float32(0.8), dtype=np.float32)
+    light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + 0.14 * depth)
+    shaded = light[..., None] * _CLAY + 0.10 * gloss[..., None]
+    return np.asarray(np.clip(shaded, 0.0, 1.0) ** 0.8, dtype=np.float32)
 
 
 def _unit(direction: FloatArray) -> FloatArray:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,11 +27,10 @@ from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
-from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.model import Capture, Reconstruction
 from splitknit.report import figures, template
-from splitknit.report.curves import curve_picture
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, Picture, captioned, capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
@@ -96,7 +94,7 @@ def make_report(
         surfaces = pool.submit(scene_of, result, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
-        sections, summary = pool.submit(_sections, result, truth), pool.submit(_summary, result)
+        summary = pool.submit(_summary, result)
         comparisons: list[Comparison] = []
         if truth is not None:
             from splitknit.accuracy import compare  # only what was simulated has a truth
@@ -107,7 +105,6 @@ def make_report(
         maps += [picture for job in fields if (picture := job.result()) is not None]
         prints, above = None if printing is None else printing.result(), drawn.result()
     unshown = ("mirror_drawing",) if finger else _OF_FINGERS
-    close_ups, errors = ([], []) if truth is None else figures.truth_pictures(results, truth, comparisons, frame)
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
         """Pictures without scale bars where the scale is unknown."""
@@ -124,15 +121,13 @@ def make_report(
         above=of_size([figures.picture_from_above(above, frame.pitch_mm, finger)])[0],
         prints=None if prints is None else figures.print_picture(prints),
         maps=of_size(maps),
-        sections=sections.result(),
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name not in unshown}),
         settings=_tables(facts["settings"]),
-        capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
+        capture=[(_label(key), _shown(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
         compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
-        close_ups=close_ups,
-        errors=errors,
+        errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, above, prints)
@@ -214,54 +209,6 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     ]
 
 
-def _sections(result: Reconstruction, truth: Truth | None) -> list[Picture]:
-    """Cross-sections through the middle of the finger."""
-    whole = upright_frame(result, 10**6, margin_mm=0.0)
-    origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
-    middle = (float(origin[0]) + whole.size[1] / 2, float(origin[1]) + whole.size[0] / 2)
-    unit, pitch = result.unit, result.pitch_mm * result.unit.per_mm
-    finger = ("finger", ", tip to the left", "the axis")
-    thing, axis, line = finger if is_finger(result) else ("surface", "", "the middle column")
-    heights, reliefs = [result.height_mm], [result.ridge_mm]
-    if truth is not None:
-        heights.append(np.asarray(truth["height_mm"], dtype=np.float32))
-        reliefs.append(np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32))
-
-    def cut(field: FloatArray, half: float, along: bool) -> tuple[FloatArray, FloatArray]:
-        """Places (shown unit) and values (mm), about one sample a pixel, `half` pixels to both sides of the middle."""
-        steps = np.linspace(-half, half, int(2 * half) + 2)
-        upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
-        upright[int(along)] += steps
-        column, row = (result.input_from_upright @ upright)[:2].astype(np.float32)
-        beyond: Any = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (np.nan,)}
-        values = cv2.remap(field, column[None], row[None], cv2.INTER_LINEAR, **beyond)
-        return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
-
-    half = min(3.0 / pitch, whole.size[0] / 2) if unit.known else whole.size[0] / 2
-    title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
-    height, relief = f"height, {unit.name}", f"relief, {unit.small}"
-    of_height, of_relief = (heights, height, unit.per_mm, True), (reliefs, relief, unit.small_per_mm, False)
-    across, along = (
-        f"Height {way} the {thing}, through its middle, both axes to one scale." for way in ("across", "along")
-    )
-    details = f"Relief along {2 * half * pitch:.0f} {unit.name} of {line}, mean removed."
-    pictures = []
-    for words, caption, way, extent, (fields, y_label, factor, equal) in (
-        (f"Section across the {thing}", across, False, whole.size[1] / 2, of_height),
-        (f"Section along the {thing}", along, True, whole.size[0] / 2, of_height),
-        (title, details, True, half, of_relief),
-    ):
-        cuts = [cut(field, extent, way) for field in fields]
-        known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts])
-        if np.count_nonzero(known) < 2:
-            continue
-        curves = [(x, factor * (y - y[known].mean())) for x, y in cuts]
-        x_label = f"{unit.name} from the middle{'' if equal else axis}"
-        grey = " Black: measured, grey: truth." if truth is not None else ""
-        pictures.append(captioned(words, curve_picture(curves, x_label, y_label, equal=equal), caption + grey))
-    return pictures
-
-
 def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One table for each nested group of `facts`."""
     plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
@@ -283,15 +230,8 @@ def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{_label(str(key))}: {_shown(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(_flat(item) for item in value) or "none"
+        return ", ".join(f"({_shown(item)})" if isinstance(item, list) else _shown(item) for item in value) or "none"
     return "-" if value is None else str(value)
-
-
-def _flat(value: Any) -> str:
-    """Show an entry of a list in one line."""
-    if isinstance(value, list):
-        return f"({', '.join(_flat(item) for item in value)})"
-    return _shown(value)
 
 
 # What the names in a report mean, for readers who do not know the code.

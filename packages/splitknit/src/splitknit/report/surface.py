@@ -281,9 +281,9 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
     if side < 1.5:
         return field
     size = (round(side), round(side))
-    total = cv2.blur(np.where(known, field, np.float32(0)), size, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.blur(np.where(known, field, 0.0), size, borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(known.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT)
-    return np.where(known, total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(np.float32)
+    return np.where(known, total / np.maximum(weight, 1e-6), np.nan).astype(np.float32)
 
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:

@@ -160,11 +160,6 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     direct, global_ = parts.direct[lit], parts.global_[lit]
     negative = float((global_ < 0).mean())
     dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
-    white = None
-    if light.white is not None and light.white.shape == total.shape:
-        ratio = total[lit] / np.where(light.white[lit] > 0, light.white[lit], np.nan)
-        error = float(np.nanmedian(np.abs(ratio - 1)))
-        white = {"median_ratio": float(np.nanmedian(ratio)), "median_error": error}
     return {
         "method": "checkerboard",
         "images": list(light.names),
@@ -174,7 +169,6 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
         "global": {"median": float(np.median(global_)), "p99": float(np.quantile(global_, 0.99))},
         "direct_share": float(np.median(direct / np.maximum(total[lit], 1e-9))),
         "negative_global_share": negative,
-        "against_white": white,
         "warnings": [f"{dark}: check alpha, dark and the black image."] if negative > 0.05 else [],
     }
 
@@ -199,7 +193,6 @@ class PatternLight:
 
     names: tuple[str, ...]  # of the images
     stack: FloatArray  # (N, H, W) or (N, H, W, 3)
-    white: FloatArray | None  # (H, W) or (H, W, 3)
     patterns: FloatArray | None  # (N, H, W) given states
     mask: BoolArray | None  # (H, W)
     clip_level: float  # value at which the files clip
@@ -208,7 +201,7 @@ class PatternLight:
 
 def read_light(folder: Path, states: Path | None = None, encoding: str = "linear") -> PatternLight:
     """Read all images of a folder, and of a folder of `states`, in the order of their names (``a_2`` before ``a_10``),
-    those called ``black``, ``white`` and ``mask`` apart; hashes go by names relative to the folder, wherever that lies.
+    ``black`` and ``mask`` apart and without ``white``; hashes go by names relative to the folder, wherever that lies.
     """
     for place in (folder, *([] if states is None else [states])):
         what = "of images" if place == folder else f"of patterns (nor the word '{ESTIMATE}')"
@@ -216,8 +209,8 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     document = folder / "separation.json"
     require(not document.exists(), f"'{document}' is not read any more; give its fields as options, and remove it.")
     files = _images_in(folder)
-    roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "white", "mask")}
-    images = [file for file in files if file not in roles.values()]
+    roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "mask")}
+    images = [file for file in files if file.stem.lower() not in ("black", "white", "mask")]
     require(len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does.")
     with StackReader() as reader:
         size, by = image_size(images[0]), str(images[0])
@@ -227,15 +220,13 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
         hashes = reader.finish()
     channels = pixels.shape[3]
 
-    def single(role: str) -> FloatArray:
-        light = linear_image(singles[role], encoding)
-        return light if light.shape[2] == channels else light.mean(axis=-1, keepdims=True)
-
-    black = single("black") if "black" in singles else np.zeros(1, dtype=np.float32)
+    black = np.zeros(1, dtype=np.float32)
+    if "black" in singles:
+        light = linear_image(singles["black"], encoding)
+        black = light if light.shape[2] == channels else light.mean(axis=-1, keepdims=True)
     stack = np.empty(pixels.shape, dtype=np.float32)
     for k, image in enumerate(pixels):
         stack[k] = linear_image(image, encoding) - black
-    white = single("white") - black if "white" in singles else None
     table = decode_table(pixels.dtype, encoding)
     some = 0 if channels == 1 else slice(None)
     patterns = None
@@ -245,7 +236,6 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     return PatternLight(
         tuple(file.name for file in images),
         stack[..., some],
-        None if white is None else white[..., some],
         patterns,
         mask_from_image(singles["mask"], str(roles["mask"])) if "mask" in singles else None,
         float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
