@@ -190,7 +190,7 @@ def _write_line(audit: Path | None, line: dict[str, Any]) -> None:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
     try:
         if audit is not None:
-            append_line(audit, {"time": now, **line}, begin=True)
+            append_line(audit, {"time": now, **line})
     except OSError as error:
         fault = f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror})"
         raise Unavailable(f"{fault}, and without it nothing is done.") from error
