@@ -262,7 +262,7 @@ def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
     return dataclasses.replace(picture, resolution_ppi=near)
 
 
-def minutiae_in(picture: PrintFile, how: str = "phase", made: Print | None = None) -> FingerView:
+def minutiae_in(picture: PrintFile, how: str, made: Print | None = None) -> FingerView:
     """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to acquire)."""
     try:
         made = made or pressed_print(picture)
