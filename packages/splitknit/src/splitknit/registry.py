@@ -66,6 +66,7 @@ GONE: dict[str, str] = {
     "export --to ansi-nist-itl": "write iso-39794-4 or iso-19794-4; transactions are only read.",
     "export --to iso-19794-2-2011": "write iso-19794-2 (of 2005).",
     "export --to iso-19794-4-2011": "write iso-39794-4, which states the print's quality as well.",
+    "print --set": "prints are made in one way; leave it out.",
     "records what --out": "read its minutiae with 'read_prints' (docs/reference/records.md) and draw them yourself.",
     "identify --shards": "leave it out: an index in memory serves up to some 100,000 captures.",
     "calibrate lights --nail-seen": "mark the nail's tip in the table.",

@@ -20,7 +20,6 @@ from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import no_progress
-from splitknit.settings import override
 from splitknit.verbs import Progress
 from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
@@ -28,7 +27,6 @@ from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_f
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import (
     Print,
-    PrintingSettings,
     checked_surface,
     enhance,
     make_print,
@@ -52,7 +50,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
     shape. Raises BadInput, naming the input at fault.
     """
-    settings, path, out, ppi = override(PrintingSettings(), job.settings or {}), job.path, Path(job.out), float(job.ppi)
+    path, out, ppi = job.path, Path(job.out), float(job.ppi)
     method, place = _how(job)
     timings: dict[str, float] = {}
 
@@ -65,9 +63,9 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
         with timed("printing"):
-            source, made, around = _printed(job, method, place, settings, progress)
-        chosen = asdict(settings) if method == "rolled" else {}
-        origin = provenance({"method": method, **chosen, "surface": place, "ppi": ppi}, source.hashes)
+            source, made, around = _printed(job, method, place, progress)
+        chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
+        origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
         progress("enhancing", 0.85)
         with timed("enhancing"):
             enhanced = naming(path, lambda: enhance(made, ppi))
@@ -140,9 +138,7 @@ def _how(job: PrintJob) -> tuple[str, str]:
     return "file", "paper"
 
 
-def _printed(
-    job: PrintJob, method: str, place: str, settings: PrintingSettings, progress: Progress
-) -> tuple[Source, Print, Rolled | None]:
+def _printed(job: PrintJob, method: str, place: str, progress: Progress) -> tuple[Source, Print, Rolled | None]:
     """What the print is made from, the print, and the finger around its front where it is rolled."""
     path, ppi = job.path, float(job.ppi)
     if method == "file":
@@ -161,7 +157,7 @@ def _printed(
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
         from splitknit_match.prints.rolled import read_rolled  # slow to import
 
-        source, around = read_rolled(path, job.preset, settings.rolled.pitch_mm, progress)
+        source, around = read_rolled(path, job.preset, progress)
         progress("printing", 0.75)
         return source, naming(path, lambda: make_rolled_print(around, source, place, ppi)), around
     photo = method == "photo"

@@ -23,11 +23,13 @@ from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
 Array = NDArray[np.float64]
+PITCH_MM = 0.035
+"""Of the chart, finer than the camera resolves."""
 SIDE_MM, TIP_MM = 14.0, 0.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
-def read_rolled(path: Path, preset: str, pitch_mm: float, progress: Progress) -> tuple[Source, Rolled]:
+def read_rolled(path: Path, preset: str, progress: Progress) -> tuple[Source, Rolled]:
     """A capture folder as one finger around its front.
 
     Raises BadInput if it is not a capture, has no mirrors beside the finger, or fewer than two views can be used.
@@ -43,7 +45,7 @@ def read_rolled(path: Path, preset: str, pitch_mm: float, progress: Progress) ->
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
         rolled = rolled_finger(
-            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), pitch_mm,
+            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), PITCH_MM,
             lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
         )  # fmt: skip
         # the chart takes the part of the input's pixels
