@@ -152,7 +152,7 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
             read_own_rates(own)
     own.write_text(json.dumps([sound]))
     assert main(["match", *sides, "--decision", str(own)]) == 2
-    assert "must be an object, but it is a list of 1" in capsys.readouterr().err
+    assert "Expected object, got array" in capsys.readouterr().err
 
 
 def test_own_rates_of_dissimilarities_are_refused(tmp_path: Path, capsys) -> None:

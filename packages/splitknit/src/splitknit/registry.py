@@ -92,6 +92,7 @@ GONE: dict[str, str] = {
     "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
     "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
     "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
+    "evaluate --fuse llr": "use 'trained', 'linear' or 'minmax'; validation/published/knuckles.py has these ratios.",
     "evaluate --exclude": "leave the lines of those fingers out of the score file.",
     "batch --cluster": "use '--scheduler' (docs/guide/batch.md).",
     "batch --cluster-ca": "name certificates in Dask's configuration (docs/guide/batch.md).",

@@ -10,7 +10,7 @@ from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
 
-_METHODS = ("linear", "minmax", "llr", "trained")
+_METHODS = ("linear", "minmax", "trained")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class EvaluationJob(Job):
         "give the figures of scores averaged over sessions as well", option="--average-sessions")] = False
     fuse: Annotated[tuple[str, ...], Help(
         "score files of other traits (prints, finger vein, face ...), in place of `scores`: each alone, and fused "
-        "after min-max and z-score normalisation and as log-likelihood ratios, cross-validated by subject, with "
-        "intervals by subject; or, beside `scores`, one of linear, minmax, llr, trained: one more system",
+        "after min-max and z-score normalisation, cross-validated by subject, with intervals by subject; or, beside "
+        "`scores`, one of linear, minmax, trained: one more system",
         "FILE", nargs="+")] = ()
     calibrate: Annotated[AnyPath | None, Help(
         "write the false match rates of one system here, for 'splitknit match --decision'", "FILE")] = None
