@@ -94,7 +94,7 @@ def unpack_surface(payload: bytes) -> Surface:
 
 def _normals(height_mm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
     """Normals (H, W, 3) of a surface under parallel rays, zero outside the mask."""
-    seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+    seen = np.where(mask, height_mm, np.nan).astype(np.float32)
     normals = normals_from_gradients(*height_gradients(seen, pitch_mm)) * mask[..., None]
     return np.nan_to_num(normals, nan=0.0)
 

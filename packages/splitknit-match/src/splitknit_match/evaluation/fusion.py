@@ -114,7 +114,7 @@ def fit_minmax(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
 def _mean(offset: Values, scale: Values) -> tuple[Values, Model]:
     weight = np.full(scale.size, 1 / scale.size)
-    return weight, lambda table: np.asarray(np.nanmean((table - offset) / scale, axis=1))
+    return weight, lambda table: np.nanmean((table - offset) / scale, axis=1)
 
 
 def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
@@ -142,7 +142,7 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
         return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
 
     how: Any = {"jac": True, "hess": curvature, "method": "trust-exact", "options": {"gtol": 1e-12}}
-    answer = np.asarray(minimize(loss, np.zeros(x.shape[1]), **how).x)
+    answer = minimize(loss, np.zeros(x.shape[1]), **how).x
     return answer[: scores.shape[1]], lambda table: design(table) @ answer
 
 
@@ -152,7 +152,7 @@ FITS = {"minmax": fit_minmax, "linear": fit_linear, "trained": fit_logistic}
 def spread(scores: Values) -> tuple[Values, Values]:
     """Mean and standard deviation (S,) of each system."""
     known: Any = np.ma.masked_invalid(scores)
-    mean, spread = (np.asarray(each.filled(0.0)) for each in (known.mean(axis=0), known.std(axis=0)))
+    mean, spread = (each.filled(0.0) for each in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
     fault = f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from"
     require(not bool(flat.any()), f"{fault}; leave it out of the fusion.")

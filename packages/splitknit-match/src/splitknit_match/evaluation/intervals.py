@@ -235,4 +235,4 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
 
 
 def _accepted(scores: Values, threshold: float | None) -> NDArray[np.bool_]:
-    return np.asarray(scores >= (np.inf if threshold is None else threshold))
+    return scores >= (np.inf if threshold is None else threshold)

@@ -134,13 +134,13 @@ def compare_results(
         left = float(np.sqrt(np.mean([np.square(part[fields.valid]) for part in strain]))) * one.step
     else:
         fields, left = _elastic_fields(one, two, affine)
-    form = _form((fields.heights[0] + fields.heights[1]) * np.float32(0.5), fields.valid)
+    form = _form((fields.heights[0] + fields.heights[1]) * 0.5, fields.valid)
     detail = replace(fields, heights=(fields.heights[0] - form, fields.heights[1] - form))
     bands = {band: limits for band, limits in BANDS_MM.items() if fit == "rigid" or limits[1] <= ELASTIC_MM}
     parts = {band: detail if limits[1] <= ELASTIC_MM else fields for band, limits in bands.items()}
     figures = {band: _by_slant(parts[band], limits, one.step) for band, limits in bands.items()}
     reliefs = [_band(part, fields.valid, BANDS_MM["relief"], one.step) * fields.cosine for part in detail.heights]
-    shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * np.float32(1e3)
+    shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * 1e3
     notes = []
     if one.mask.shape == two.mask.shape and np.array_equal(one.height, two.height):
         notes.append("A and B are the same measurement, to the last digit: that it repeats is not shown.")
@@ -175,8 +175,8 @@ class _Side:
         self.mask = _inside(known, there)
         require(bool(self.mask.any()), "a result holds no surface.")
         height = _sampled(result.height_mm, known, there, step / result.pitch_mm)
-        self.height = np.where(self.mask, height, np.float32(0.0)).astype(np.float32)
-        slopes = height_gradients(np.where(self.mask, self.height, np.float32(np.nan)), step)
+        self.height = np.where(self.mask, height, 0.0).astype(np.float32)
+        slopes = height_gradients(np.where(self.mask, self.height, np.nan), step)
         x, y = (smoothed(part, self.mask, 0.6 / step) for part in slopes)  # a mean's slope is too flat at the edge
         self.cosine = (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
         self.ridges, self.places = self._unrolled()
@@ -197,7 +197,7 @@ class _Side:
         """Relief along the normal on the unrolled grid, mm, where it is known, and the slant in deg."""
         result, cosine = self.result, self.places[2]
         known = result.mask & np.isfinite(result.height_mm)
-        relief = np.where(known, result.height_mm, np.float32(0.0)) - _form(result.height_mm, known)
+        relief = np.where(known, result.height_mm, 0.0) - _form(result.height_mm, known)
         relief = relief - smoothed(relief, known, _SIGMA * ELASTIC_MM / result.pitch_mm)
         place = [self.places[1], self.places[0]]
         inside = _inside(eroded(known, 3 * _EDGE_MM / result.pitch_mm), place)  # unrolling errs beside the edge
@@ -310,7 +310,7 @@ def _rigid_fields(a: _Side, b: _Side, rotation: Array, shift: Array) -> _Fields:
 
 def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array, Array]:
     """Gauss-Newton steps on the differences of height; slow and fast ones count by their own variance."""
-    slopes = height_gradients(np.where(a.mask, a.height, np.float32(np.nan)), a.step)
+    slopes = height_gradients(np.where(a.mask, a.height, np.nan), a.step)
     sigma = _SIGMA * BANDS_MM["relief"][1] / a.step
     for _ in range(_STEPS):
         fields = _rigid_fields(a, b, rotation, shift)
@@ -354,7 +354,7 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
         place = placed(shift)
         if sweep == 0:  # by patches of ridges, then by heights
             on = _inside(a.ridges.template.valid, place)
-            value = np.where(on, ndimage.map_coordinates(a.ridges.value, place, order=1), np.float32(0.0))
+            value = np.where(on, ndimage.map_coordinates(a.ridges.value, place, order=1), 0.0)
             more = _patch_shifts(b.ridges.patches, value, on)
         else:
             on = _inside(first_on, place) & second_on
@@ -427,7 +427,7 @@ def _band(values: FloatArray, valid: BoolArray, limits: tuple[float, float], ste
     """Return the waves between two lengths, zero where not valid."""
     fine = smoothed(values, valid, _SIGMA * limits[0] / step) if limits[0] > 0 else values
     coarse = smoothed(values, valid, _SIGMA * limits[1] / step) if np.isfinite(limits[1]) else values[valid].mean()
-    return np.where(valid, fine - coarse, np.float32(0.0)).astype(np.float32)
+    return np.where(valid, fine - coarse, 0.0).astype(np.float32)
 
 
 def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict[str, dict[str, Any]]:

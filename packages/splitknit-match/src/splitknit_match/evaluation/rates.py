@@ -144,7 +144,7 @@ class Roc:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
         allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
         most = np.searchsorted(self.sums[1], allowed, side="right") - 1
-        return np.asarray(np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1)
+        return np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1
 
     def gars(self, targets: Sequence[float] | Values) -> list[float]:
         """Genuine accept rate at the largest FAR not above each target."""

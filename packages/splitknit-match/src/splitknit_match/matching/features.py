@@ -45,7 +45,7 @@ def lbp_codes(image: FloatArray) -> Codes:
 
 def _codes(padded: FloatArray) -> Codes:
     """Codes (H, W) of an image with a border (H + 2, W + 2)."""
-    step = np.diff(padded[1:-1], axis=1) * np.float32(1 / (1 - _DIAGONAL))  # saves a factor below
+    step = np.diff(padded[1:-1], axis=1) * (1 / (1 - _DIAGONAL))  # saves a factor below
     left, right = step[:, :-1], step[:, 1:]
     upwards = (padded[:-1] - padded[1:]).ravel()  # to each row but the last, from the one below
     near = _DIAGONAL / (1 - _DIAGONAL)

@@ -57,7 +57,7 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
 def _to_outline(area: BoolArray) -> FloatArray:
     """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
     pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return np.asarray(pixels * (25.4 / PPI), dtype=np.float32)
+    return pixels * (25.4 / PPI)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

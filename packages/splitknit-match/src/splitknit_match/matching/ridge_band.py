@@ -184,7 +184,7 @@ def band_places(
     height: AnyArray = cv2.resize(np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA)
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
-    height = np.where(inside, height / np.maximum(weight, 0.5), np.float32(np.nan)).astype(np.float32)
+    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
     total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), 1e-3)

@@ -105,7 +105,7 @@ def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
 def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:
     """Template of a ridge band (H, W) in four levels."""
     level = np.digitize(value, (-_THRESHOLD, 0.0, _THRESHOLD)).astype(np.uint8)
-    return Template(np.where(valid, level, np.uint8(0)), valid, pitch_mm)
+    return Template(np.where(valid, level, 0), valid, pitch_mm)
 
 
 def scaled(template: Template, scale: float) -> Template:
@@ -151,7 +151,7 @@ def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> T
     # the band is the mirrored print: its column c lies at the print's column (width - 1) - c step
     middle = [0.5 * (one.start + one.stop - 1) * step for one in box]
     first = (round(middle[0] - (size[0] - 1) / 2), round(minutiae.size[1] - 1 - middle[1] - (size[1] - 1) / 2))
-    x, y = minutiae.x_px - np.int32(first[1]), minutiae.y_px - np.int32(first[0])
+    x, y = minutiae.x_px - first[1], minutiae.y_px - first[0]
     inside = (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
     return replace(
         template,

@@ -131,7 +131,7 @@ def _forms_of_height(
     zx: FloatArray, zy: FloatArray, zxx: FloatArray, zxy: FloatArray, zyy: FloatArray
 ) -> tuple[FloatArray, ...]:
     """First (E, F, G) and second (L, M, N) fundamental form of a height field."""
-    inverse = np.asarray(1.0 / np.sqrt(1.0 + zx * zx + zy * zy), dtype=np.float32)
+    inverse = 1.0 / np.sqrt(1.0 + zx * zx + zy * zy)
     return 1.0 + zx * zx, zx * zy, 1.0 + zy * zy, zxx * inverse, zxy * inverse, zyy * inverse
 
 

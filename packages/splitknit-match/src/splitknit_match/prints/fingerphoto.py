@@ -152,7 +152,7 @@ def source_of_photo(
     clear &= amplitude > _FAINT * _at_nodes(values, field)
     finger = _at_nodes(weight > 0.5, field)
     quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
-    brightness = light[inside] / np.float32(np.iinfo(pixels.dtype).max)
+    brightness = light[inside] / np.iinfo(pixels.dtype).max
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
     require(
         quality >= LEAST_QUALITY,
@@ -184,7 +184,7 @@ def source_of_photo(
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
-    return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor))
+    return cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor)
 
 
 def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
@@ -245,7 +245,7 @@ def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright
     """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
     middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
     aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
-    height = np.float32(_THICKNESS) * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
+    height = _THICKNESS * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
     return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), 0.0)
 
 
@@ -266,7 +266,7 @@ def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Uprigh
     aside = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
-    there = np.asarray(cv2.transform(places, upright.input_from_upright[:2]), np.float32)
+    there = cv2.transform(places, upright.input_from_upright[:2])
     columns, rows = (np.where(np.abs(at) < steepest, there[..., k], NOWHERE) for k in (0, 1))
     return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 

@@ -70,7 +70,7 @@ def by_phase(
     size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     pixel = np.rint((place + 0.5) * scale - 0.5).astype(np.int32)
     column, row = (np.clip(pixel[:, k], 0, size[1 - k] - 1) for k in (0, 1))
-    return Minutiae(column, row, np.asarray(towards % (2 * np.pi)), kind, quality, size)
+    return Minutiae(column, row, towards % (2 * np.pi), kind, quality, size)
 
 
 def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> NDArray[np.uint8]:
@@ -126,7 +126,7 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
     for k in range(4):
         step = phases[(k + 1) % 4] - phases[k]
         total += step - 2 * np.pi * np.round(step / (2 * np.pi))
-    return np.asarray(np.round(total / (2 * np.pi))), quadratures
+    return np.round(total / (2 * np.pi)), quadratures
 
 
 def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:

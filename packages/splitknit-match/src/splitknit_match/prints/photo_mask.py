@@ -70,7 +70,7 @@ class Outline:
     @property
     def middle(self) -> Array:
         """(2,) of the last phalanx."""
-        return np.asarray(self.tip - 0.7 * self.width * self.ahead)
+        return self.tip - 0.7 * self.width * self.ahead
 
     def places(self, vectors: Array) -> Array:
         """Vectors (N, 2) of the model, x to the right and y back from the tip in widths, in the picture."""
@@ -81,7 +81,7 @@ class Outline:
         """(N, 2) pixels of a picture: around the part from the tip to `first` widths behind it."""
         kept = self.points[(self.tip - self.points) @ self.ahead < first * self.width]
         centre = self.tip - _TIP * self.width * self.ahead
-        return np.asarray((centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5)
+        return (centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,14 +166,14 @@ def _colours(pixels: Pixels, side: int) -> FloatArray:
     light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)[_reduced(pixels, side)]
     parts = cv2.transform(light.astype(np.float32), _XYZ)  # OpenCV's own way fills tables for 0.1 s
     parts = np.where(parts > 0.008856, np.cbrt(parts), 7.787 * parts + 16 / 116).astype(np.float32)
-    return np.asarray(cv2.transform(parts, _LAB)) * _WEIGHTS
+    return cv2.transform(parts, _LAB) * _WEIGHTS
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
     while max(picture.shape[:2]) > 4 * side:  # halves are quick
         picture = cv2.resize(picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA)
     factor = min(1.0, side / max(picture.shape[:2]))
-    return np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
+    return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
 
 
 def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
@@ -352,11 +352,11 @@ def _resemblance(one: Outline, bins: NDArray[np.intp], length: float, reach: flo
         return _filled((one.tip + one.width * one.places(vectors)) * max(bins.shape), bins.shape)
 
     inside, around = (
-        _smoothed(np.bincount(bins[part], minlength=32**3) / np.float32(max(int(part.sum()), 1)))
+        _smoothed(np.bincount(bins[part], minlength=32**3) / (max(int(part.sum()), 1)))
         for part in (within(1 - reach, 0.0), within(2.4, 0.0) & ~within(1 + reach, 0.2 * reach))
     )
     ratio = np.log((inside + 2e-4) / (around + 2e-4))
-    return np.asarray(np.clip(ratio, -2, 2).ravel()[bins], dtype=np.float32)
+    return np.clip(ratio, -2, 2).ravel()[bins]
 
 
 def _smoothed(histogram: NDArray[Any]) -> FloatArray:
@@ -374,7 +374,7 @@ def _likeness(one: Outline, lab: FloatArray) -> float:
     tip = _tip_at(np.linspace(-1.3, 1.3, 15))[0]
     vectors = np.stack([tip * 0.85 + np.array([0.0, 0.09]), tip * 1.25 - np.array([0.0, 0.15])])
     x, y = ((one.tip + one.width * one.places(vectors.reshape(-1, 2))) * side).astype(np.float32).T
-    seen = np.asarray(cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    seen = cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     within, ahead = seen.reshape(2, len(tip), 3)
     contrast = float(np.clip(np.linalg.norm(within - ahead, axis=1) / 12.0, 0, 1).mean())
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))
@@ -393,7 +393,7 @@ def _by_ridges(pixels: Pixels, one: Outline) -> float:
     low, high = np.maximum(near.min(axis=0).astype(int), 0), near.max(axis=0).astype(int) + 1
     green = pixels[low[1] : high[1], low[0] : high[0], 1].astype(np.float32)
     light = cv2.resize(green, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    light = np.log(light + np.float32(8 * np.iinfo(pixels.dtype).max / 255))
+    light = np.log(light + 8 * np.iinfo(pixels.dtype).max / 255)
     inside = _filled((near - low) * scale, light.shape).astype(np.float32)
     whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
     places = np.argwhere(whole[: max(len(light) - _BLOCK, 0) : 24, : max(light.shape[1] - _BLOCK, 0) : 24]) * 24

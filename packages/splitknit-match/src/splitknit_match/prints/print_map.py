@@ -32,7 +32,7 @@ def _linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArra
     down, across = (
         _weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True)
     )
-    return np.asarray(down @ values @ across.T, dtype=np.float32)
+    return down @ values @ across.T
 
 
 def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
@@ -170,7 +170,7 @@ class PrintMap:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
         along = self.print_from_input(points + step) - self.print_from_input(points - step)
-        return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))
+        return np.arctan2(-along[:, 1], along[:, 0])
 
 
 def plane_map(
@@ -266,7 +266,7 @@ def _dense_inverse(
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
-    at_column, at_row = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return at_column, at_row
 
 
@@ -317,7 +317,7 @@ def resample(
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
-        (places - np.float32(box.start) + 0.5) / np.float32(factor) - 0.5
+        (places - box.start + 0.5) / factor - 0.5
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))
     )
     return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)

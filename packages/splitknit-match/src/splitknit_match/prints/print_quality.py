@@ -80,7 +80,7 @@ def _quality_figures(
     strong = looked.mask & (purity > _MIN_PURITY)
     if min_height_um is not None:
         strong &= height > min_height_um
-    period = 1.0 / (found.frequency_px * np.float32(px))
+    period = 1.0 / (found.frequency_px * px)
     typical = float(np.median(period[looked.mask]))
     near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
     return QualityFigures(

@@ -51,7 +51,7 @@ class RidgeField:
 
     def period_mm(self, ppi: float) -> FloatArray:
         """(n, m) ridge period, NaN where there are no ridges."""
-        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
+        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.nan).astype(np.float32)
 
 
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
@@ -106,7 +106,7 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
 def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps single precision."""
     spectra = np.fft.rfft2(tiles, norm="forward")
-    spectra *= np.float32(tiles.shape[-1] * tiles.shape[-2])
+    spectra *= tiles.shape[-1] * tiles.shape[-2]
     return np.asarray(spectra, dtype=np.complex64)
 
 
@@ -143,7 +143,7 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     holes = (~mask).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
     small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
-    return np.asarray(mask | np.isin(labels, small))
+    return mask | np.isin(labels, small)
 
 
 def _frequencies(
@@ -162,7 +162,7 @@ def _frequencies(
     windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
     count = -(-nodes[0] // 2), -(-nodes[1] // 2)
     padded = np.pad(mask, ((0, 2 * count[0] - nodes[0]), (0, 2 * count[1] - nodes[1])))
-    wanted = np.asarray(padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3)))
+    wanted = padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3))
     patches = windows[: count[0], : count[1]][wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
     spectrum = spectra_of((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
@@ -196,7 +196,7 @@ def _frequencies(
     value[wanted] = found
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
-    smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
+    smooth = np.where(around > 0.01, smooth, np.median(found[sure])).astype(np.float32)
     large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
     known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
     return np.ascontiguousarray(large[: nodes[0], : nodes[1]]), known[: nodes[0], : nodes[1]] > 0

@@ -103,7 +103,7 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     used = index >= 0
     normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)
     relief = relief[used]
-    shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
+    shade = np.clip(0.5 + relief / (6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
     words = ["rolled-equivalent finger, mm; quality is the relief"]
     write_ply(target / "rolled.ply", (vertices, normals, shade), faces, words)
     return {**rolled_facts(rolled), "mesh_points": len(vertices)}

@@ -89,7 +89,7 @@ def surface_grid(
     mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
     require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
     step = node_mm / pitch_mm
-    upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
+    upright_from_input = np.linalg.inv(input_from_upright)
     # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the frame
     rows, columns = np.nonzero(mask[::4, ::4])
     require(rows.size > 0, _TOO_SMALL)
@@ -194,7 +194,7 @@ def _fits(
         filled = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
         values = np.where(weight, _binned(filled, (height, width), factor), 0.0)
         middle = float(values[weight].mean()) if bool(weight.any()) else 0.0
-        values = np.where(weight, values - np.float32(middle), 0.0)
+        values = np.where(weight, values - middle, 0.0)
         right = np.stack([_separable(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
         flat = np.full(supported.size, np.nan)
@@ -296,7 +296,7 @@ def _arc_lengths(grid: SurfaceGrid) -> Array:
     v = np.broadcast_to(v_line[:, None], u.shape)
     flat = np.stack([u, v], axis=2)
     flat[~known] = np.nan
-    return np.asarray(flat)
+    return flat
 
 
 def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:

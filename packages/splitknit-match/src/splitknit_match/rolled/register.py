@@ -33,14 +33,14 @@ def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArr
 def gaussian_over(values: FloatArray, known: BoolArray, sigma: float) -> FloatArray:
     """Gaussian mean over `known` of values that are zero elsewhere."""
     fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma), 1e-3)
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma) / fraction)
+    return cv2.GaussianBlur(values, (0, 0), sigma) / fraction
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) ridge band over its local standard deviation in 1 mm: two ridges."""
     power = gaussian_over(np.where(known, band * band, 0).astype(np.float32), known, 1.0 / pitch_mm)
     typical = float(np.median(power[known])) if known.any() else 1.0
-    return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
+    return np.asarray(band / np.sqrt(power + (0.1 * typical + 1e-20)), dtype=np.float32)
 
 
 KNOT_MM = 2.5  # distance of the knots of the correction of the surface
@@ -204,7 +204,7 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(columns))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
-    deviation = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    deviation = DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
     sizes = zip((rows, columns), seen.shape, strict=True)
     row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in sizes)

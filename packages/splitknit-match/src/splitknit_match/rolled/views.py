@@ -235,9 +235,9 @@ class ViewRelief:
 
     def sampled(self, sight: Sight, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where `sight` lacks them."""
-        size = np.float32(self.binning)
+        size = self.binning
         column, row = (
-            ((place - np.float32(side.start) + 0.5) / size - 0.5).astype(np.float32)
+            ((place - side.start + 0.5) / size - 0.5).astype(np.float32)
             for place, side in zip(sight.pixels(points_mm), self.window[::-1], strict=True)
         )
         relief = read(self.relief_mm, column, row, cubic=True)
