@@ -181,7 +181,7 @@ def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatAr
 
 def _usual(contrast: FloatArray) -> np.float32:
     """Mean contrast, weighted by itself: of the strong places, however few."""
-    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), (1e-6)))
+    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), 1e-6))
 
 
 def frame(image: NDArray[np.uint8]) -> BoolArray:
