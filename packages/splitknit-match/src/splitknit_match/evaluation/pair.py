@@ -13,6 +13,7 @@ skin, so that what the two differ by is the first one's error, the second one's 
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,13 +58,7 @@ _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
 _STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
-PROTOCOLS = {
-    "powder-5": ((2.6, 1.07), (1.0, 1.07), (1.5, 1.08), (1.0, 1.02), (1.1, 1.0), (0.6, 1.0)),
-    "powder-10": ((5.2, 1.14), (1.5, 1.17), (3.1, 1.16), (2.0, 1.0), (2.1, 1.0), (1.2, 1.0)),
-    "powder-20": ((9.5, 1.21), (2.4, 1.28), (5.8, 1.27), (3.9, 0.88), (4.3, 1.0), (2.7, 1.0)),
-    "cast": ((3.5, 1.0), (1.5, 0.93), (2.0, 0.99), (1.0, 1.02)),
-    "gel": ((9.5, 1.6), (2.8, 1.77), (6.0, 1.6), (1.8, 1.52)),
-}
+PROTOCOLS = json.loads(Path(__file__).with_name("protocols.json").read_text(encoding="ascii"))
 """The protocol's own error: rms in um and gain in each of the bands, of true surfaces alone (``validation/pair``)."""
 Fit = Literal["rigid", "elastic"]
 

@@ -49,9 +49,9 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     """
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)
-    area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, _disc(closed))
+    area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc(closed))
     area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is not print
-    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, _disc(opened))[1:-1, 1:-1] > 0)
+    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, disc(opened))[1:-1, 1:-1] > 0)
 
 
 def _to_outline(area: BoolArray) -> FloatArray:
@@ -60,7 +60,8 @@ def _to_outline(area: BoolArray) -> FloatArray:
     return pixels * (25.4 / PPI)
 
 
-def _disc(radius: int) -> NDArray[np.uint8]:
+def disc(radius: int) -> NDArray[np.uint8]:
+    """(2 radius + 1, 2 radius + 1) round structuring element."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(kernel, dtype=np.uint8)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.matching.minutiae import disc
 
 # lengths in mm on the print
 _STEP_MM = 0.2
@@ -108,12 +109,6 @@ def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     spectra = np.fft.rfft2(tiles, norm="forward")
     spectra *= tiles.shape[-1] * tiles.shape[-2]
     return np.asarray(spectra, dtype=np.complex64)
-
-
-def disc(radius: int) -> NDArray[np.uint8]:
-    """(2 radius + 1, 2 radius + 1) round structuring element."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(kernel, dtype=np.uint8)
 
 
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:

@@ -9,6 +9,7 @@ Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,7 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        prints.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+        prints.append(_print(image, ppi, finger, impression_of(impression, _IMPRESSIONS), f"{what} of {name}"))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
     require(len(prints) > 0 and cursor.place == len(data), more)
     return tuple(prints)
@@ -143,7 +144,7 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         )
         cursor.take(start + length - cursor.place, f"the extended data of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        prints.append(_print(image, ppi, finger, _impression(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
+        prints.append(_print(image, ppi, finger, impression_of(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
     require(
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
@@ -197,7 +198,8 @@ def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, n
     return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
 
 
-def _impression(code: int, codes: dict[str, int]) -> str:
+def impression_of(code: int, codes: Mapping[str, int]) -> str:
+    """Name of an impression type, ``unknown`` where `codes` have none."""
     return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
 
 

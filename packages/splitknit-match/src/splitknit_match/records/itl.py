@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import MAX_PIXELS, decode_print
+from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, impression_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -146,7 +146,7 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> PrintFile | N
         require(re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None, f"{name} states no resolution (1.011).")
         ppi = float(text) * _INCH_MM
     image = decode_print(record[_TYPE4.size :], _TYPE4_COMPRESSIONS[compression], (rows, columns), name)
-    impression = next((words for words, known_code in ITL_IMPRESSIONS.items() if known_code == code), "unknown")
+    impression = impression_of(code, ITL_IMPRESSIONS)
     finger = name_of(positions[0], FINGER_CODES, "finger position")
     return _checked(PrintFile(image, ppi, {}, finger, impression), name)
 
