@@ -125,7 +125,7 @@ def evaluate(
     require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
     progress("reading", 0.0)
     tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
-    systems = [system for table in tables.values() for system in table.systems]
+    systems = [table.scores for table in tables.values()]
     counts, numbers = Counter(system.name for system in systems), Counter[str]()
     for place, system in enumerate(systems):
         if counts[system.name] > 1:

@@ -155,5 +155,5 @@ def spread(scores: Values) -> tuple[Values, Values]:
     mean, spread = (each.filled(0.0) for each in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
     fault = f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from"
-    require(not bool(flat.any()), f"{fault}; leave it out of the fusion.")
+    require(not flat.any(), f"{fault}; leave it out of the fusion.")
     return mean, spread

@@ -147,7 +147,7 @@ def _weights(scores: Scores, method: str, settings: BootstrapSettings) -> Iterat
     generator = np.random.default_rng(settings.seed)
 
     def draw(count: int) -> Values:
-        return np.bincount(generator.integers(0, count, count), minlength=count).astype(np.float64)
+        return np.bincount(generator.integers(0, count, count), minlength=count).astype(float)
 
     if method != "plain":
         codes, clusters = _drawn(scores, method)

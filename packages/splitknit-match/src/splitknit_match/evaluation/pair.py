@@ -153,13 +153,13 @@ class _Side:
     def __init__(self, result: Reconstruction, step: float) -> None:
         require_scale(result)
         known = result.mask & np.isfinite(result.height_mm)
-        require(bool(known.any()), "a result holds no surface.")
+        require(known.any(), "a result holds no surface.")
         self.result, self.step = result, step
         rows, columns = result.mask.shape
         middle = (columns - 1) / 2, (rows - 1) / 2
         size = round((rows - 1) * result.pitch_mm / step) + 1, round((columns - 1) * result.pitch_mm / step) + 1
         self.middle = (size[1] - 1) / 2, (size[0] - 1) / 2
-        down, right = np.indices(size, dtype=np.float64)
+        down, right = np.indices(size, dtype=float)
         self.x, self.y = (right - self.middle[0]) * step, (self.middle[1] - down) * step
         place = there = [middle[1] - self.y / result.pitch_mm, middle[0] + self.x / result.pitch_mm]
         if result.x_mm is not None and result.y_mm is not None:  # perspective: rays meet the plane beside the points
@@ -168,7 +168,7 @@ class _Side:
             for _ in range(4):  # a contraction, by the depth over the distance
                 there = [old - _sampled(part, known, there) for old, part in zip(place, beside, strict=True)]
         self.mask = _inside(known, there)
-        require(bool(self.mask.any()), "a result holds no surface.")
+        require(self.mask.any(), "a result holds no surface.")
         height = _sampled(result.height_mm, known, there, step / result.pitch_mm)
         self.height = np.where(self.mask, height, 0.0).astype(np.float32)
         slopes = height_gradients(np.where(self.mask, self.height, np.nan), step)
@@ -209,7 +209,7 @@ class _Side:
         if result.x_mm is not None and result.y_mm is not None:
             x, y = result.x_mm[at], result.y_mm[at]
         z = np.where(result.mask[at], result.height_mm[at], np.nan)
-        return np.stack([x, y, z], axis=1, dtype=np.float64)
+        return np.stack([x, y, z], axis=1, dtype=float)
 
 
 def _form(height: FloatArray, known: BoolArray) -> FloatArray:
@@ -220,7 +220,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     some = slice(None, None, max(1, len(rows) // 20_000))
     rows, columns = rows[some], columns[some]
     design = np.einsum("ni,nj->nij", vander[0][rows], vander[1][columns]).reshape(len(rows), -1)
-    factors = np.linalg.lstsq(design, height[rows, columns].astype(np.float64), rcond=1e-8)[0]
+    factors = np.linalg.lstsq(design, height[rows, columns].astype(float), rcond=1e-8)[0]
     return np.asarray(vander[0] @ factors.reshape(_ORDER + 1, -1) @ vander[1].T, dtype=np.float32)
 
 
@@ -232,7 +232,7 @@ def _inside(mask: BoolArray, place: Sequence[Array]) -> BoolArray:
 def _sampled(values: FloatArray, known: BoolArray, place: Sequence[Array], coarser: float = 1.0) -> FloatArray:
     """Cubic spline of `values` at rows and columns; low-passed where the places lie `coarser` pixels apart."""
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    full = values[tuple(nearest)].astype(np.float64)
+    full = values[tuple(nearest)].astype(float)
     if coarser > 1.2:
         full = ndimage.gaussian_filter(full, 0.35 * coarser)
     return np.asarray(ndimage.map_coordinates(full, place, order=3, mode="nearest"), dtype=np.float32)
@@ -256,7 +256,7 @@ def _agreement(a: _Side, b: _Side, affine: Affine, patches: Literal["first", "pa
     """How patches of B's ridges fit A's, and (N, 2) their middles, columns and rows."""
     grid: PatchGrid = getattr(b.ridges, patches)
     found = compare_patches(grid, a.ridges.value, a.ridges.template.valid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(np.float64)
+    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(float)
     return found, places + (grid.side - 1) / 2
 
 
@@ -267,7 +267,7 @@ def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, A
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)
     require(int(good.sum()) >= 6, "A and B overlap too little; show more of the same skin in both.")
-    return one[good], two[good], found.correlation[good].astype(np.float64)
+    return one[good], two[good], found.correlation[good].astype(float)
 
 
 def _turn_of(one: Array, two: Array, firm: Array) -> tuple[Rotation, Sequence[Array]]:
@@ -299,7 +299,7 @@ def _rigid_fields(a: _Side, b: _Side, rotation: Array, shift: Array) -> _Fields:
     height = _sampled(a.height, a.mask, place)
     valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
     valid &= (cosine > 0.5) & (b.cosine > 0.5)  # up to 60 deg
-    require(bool(valid.any()), "A and B have no surface in common that is seen at less than 60 deg.")
+    require(valid.any(), "A and B have no surface in common that is seen at less than 60 deg.")
     return _Fields((height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine)))
 
 
@@ -319,7 +319,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
         columns = np.concatenate([normal, np.cross(points - centre, normal)], axis=-1) * cosine[..., None]
         error = (fields.heights[1] - fields.heights[0])[box] * cosine
         parts = [np.asarray(part, dtype=np.float32) for part in (error, *np.moveaxis(columns, -1, 0))]
-        slow = np.stack([smoothed(part, valid, sigma)[valid] for part in parts]).astype(np.float64)
+        slow = np.stack([smoothed(part, valid, sigma)[valid] for part in parts]).astype(float)
         fast = np.stack([part[valid] for part in parts]) - slow
         spreads = [max(1.4826 * float(np.median(np.abs(part - np.median(part)))), 1e-5) for part in (fast[0], slow[0])]
         # a slow difference counts as often as it is independent: the Gaussian's area over a ridge's
@@ -338,7 +338,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
 def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
     """Reliefs along the normal, unrolled, with B's skin shifted smoothly onto A's, and the rms of that shift in mm."""
     (first, first_on, slant), (second, second_on, _) = a.flat(), b.flat()
-    down, right = np.indices(second.shape, dtype=np.float64)
+    down, right = np.indices(second.shape, dtype=float)
 
     def placed(shift: Sequence[Array]) -> list[Array]:
         x, y = right + shift[1], down + shift[0]
@@ -390,10 +390,10 @@ def _shifts(reliefs: tuple[FloatArray, FloatArray], valid: BoolArray, step: floa
     stiff = sum(part.T @ part for part in flat)
     stiff = sparse.block_diag([stiff, stiff]).toarray()
     nodes = np.zeros(2 * basis.shape[1])
-    down, right = (part.ravel()[inside] for part in np.indices(valid.shape, dtype=np.float64))
-    slopes: Any = np.gradient(first.astype(np.float64))
-    smooth: Any = ndimage.spline_filter(first.astype(np.float64), order=3)
-    there = second.ravel()[inside].astype(np.float64)
+    down, right = (part.ravel()[inside] for part in np.indices(valid.shape, dtype=float))
+    slopes: Any = np.gradient(first.astype(float))
+    smooth: Any = ndimage.spline_filter(first.astype(float), order=3)
+    there = second.ravel()[inside].astype(float)
     for _ in range(8):
         place = [down + basis @ nodes[: basis.shape[1]], right + basis @ nodes[basis.shape[1] :]]
         here = ndimage.map_coordinates(smooth, place, order=3, prefilter=False)
@@ -435,10 +435,10 @@ def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict
         where = fields.valid & (fields.slant_deg >= low) & (fields.slant_deg < high)
         if int(where.sum()) * step**2 < _BLOCK_MM**2:
             continue
-        one, two = a[where].astype(np.float64), b[where].astype(np.float64)
+        one, two = a[where].astype(float), b[where].astype(float)
         powers = [np.ones(one.shape), one, two, one * one, two * two, one * two]
         sums = np.stack([np.bincount(block[where], weights=part) for part in powers], axis=1)
-        found[name] = _figures(sums[sums[:, 0] > 0].astype(np.float64), step)
+        found[name] = _figures(sums[sums[:, 0] > 0].astype(float), step)
     return found
 
 

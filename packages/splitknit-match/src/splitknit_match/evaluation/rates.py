@@ -201,7 +201,7 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     """Receiver operating characteristic of scores (N,) and (M,), NaN = failure to acquire. Raises
     BadInput if a side has no score, or one is infinite.
     """
-    sides = [np.asarray(side, dtype=np.float64) for side in (genuine, impostor)]
+    sides = [np.asarray(side, dtype=float) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
         require(side.ndim == 1, f"{name} scores must have the shape (N,), but they have {side.shape}.")
         require(not np.isnan(side).all(), f"there is no {name} score: both genuine and impostor scores are needed.")
