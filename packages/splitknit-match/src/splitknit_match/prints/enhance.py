@@ -57,7 +57,7 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArra
     floor = _FLOOR * typical
     coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
     found = replace(found, mask=found.mask & (around > floor))
-    require(bool(found.mask.any()), _NO_RIDGES)
+    require(found.mask.any(), _NO_RIDGES)
     rows, columns = image.shape
     wave = _plane_waves(coefficients, found)[:rows, :columns]
     size = (found.mask.shape[1] * found.step_px, found.mask.shape[0] * found.step_px)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,23 +51,13 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     """
     path, out, ppi = job.path, Path(job.out), float(job.ppi)
     method, place = _how(job)
-    timings: dict[str, float] = {}
-
-    @contextlib.contextmanager
-    def timed(name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        timings[name] = round(time.perf_counter() - started, 3)
-
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
-        with timed("printing"):
-            source, made, around = _printed(job, method, place, progress)
+        source, made, around = _printed(job, method, place, progress)
         chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
         origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
         progress("enhancing", 0.85)
-        with timed("enhancing"):
-            enhanced = naming(path, lambda: enhance(made, ppi))
+        enhanced = naming(path, lambda: enhance(made, ppi))
         progress("writing", 0.92)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
         pictures = {"print": made.image, "enhanced": enhanced.image}
@@ -96,8 +85,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             from splitknit_match.prints.rolled import write_rolled  # slow to import
 
             facts["rolled"] = write_rolled(target, around)
-        with timed("quality"):
-            quality = measured(made, enhanced, ppi)
+        quality = measured(made, enhanced, ppi)
         facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
         score = quality.score if source.quality is None else source.quality
         view = finger_view(
@@ -106,7 +94,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         )  # fmt: skip
         facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
         write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        facts |= {"provenance": origin, "timings_s": timings}
+        facts["provenance"] = origin
         facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
         write_file(target / "report.json", json_text(facts).encode("ascii"))
     progress("done", 1.0)
@@ -147,7 +135,7 @@ def _printed(job: PrintJob, method: str, place: str, progress: Progress) -> tupl
             raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
         made = naming(path, lambda: pressed_print(item))
         source = Source(
-            "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+            "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
             item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
             scale=" ".join(filter(None, (item.doubt, item.note))),
         )  # fmt: skip

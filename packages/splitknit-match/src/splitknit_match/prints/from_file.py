@@ -254,7 +254,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
     pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
-    require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
+    require(ridges.any(), "the print has no ridges; check focus and light of the capture.")
     require(not pressed.lacks, f"the picture shows {pressed.lacks}; name a print.")
     ppi = item.resolution_ppi or PPI
     rows, columns = item.image.shape

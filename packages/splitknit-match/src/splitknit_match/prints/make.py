@@ -77,7 +77,7 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
 
     if method == "curvature":
         index = curvature(_needed(source.height_mm), source.mask, source.pitch_mm, source.xy_mm).shape_index
-        require(bool(np.isfinite(index).any()), "the finger is too small for a curvature map.")
+        require(np.isfinite(index).any(), "the finger is too small for a curvature map.")
         values, weight = read(index)
         ink(values, weight, ppi)  # refuses what has no ridges
         grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1

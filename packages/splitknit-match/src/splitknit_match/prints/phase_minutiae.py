@@ -51,7 +51,7 @@ def by_phase(
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.
     """
-    ridges = -enhanced.wave.astype(np.float64)  # positive on ridges
+    ridges = -enhanced.wave.astype(float)  # positive on ridges
     along, wave_number = _field(enhanced)
     turns, quadratures = _turns(ridges, along, wave_number)
     rows, columns = np.nonzero(np.abs(turns) > 0.5)
@@ -79,7 +79,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
         opposite = place_mm[np.cos(towards - turn) < _OPPOSITE]
         apart[k] = min(_APART_MM, *np.hypot(*(opposite - place).T)) if len(opposite) else _APART_MM
-    missing = np.log(np.maximum(1 - like.astype(np.float64), _MIN_MISSING))
+    missing = np.log(np.maximum(1 - like.astype(float), _MIN_MISSING))
     return _probability(np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1))
 
 
@@ -99,7 +99,7 @@ def _field(enhanced: Enhanced) -> tuple[Array, Array]:
     cosine, sine, frequency = (
         cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[:rows, :columns] for part in parts
     )
-    return np.asarray(0.5 * np.arctan2(sine, cosine), dtype=np.float64), 2 * np.pi * frequency.astype(np.float64)
+    return np.asarray(0.5 * np.arctan2(sine, cosine), dtype=float), 2 * np.pi * frequency.astype(float)
 
 
 def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list[Array]]:

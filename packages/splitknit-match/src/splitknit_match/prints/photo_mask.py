@@ -113,7 +113,7 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     margin = 0 if box is None else max(wide, high) // 8  # what lies beside it shows where it ends
     first = max(left - margin, 0), max(top - margin, 0)
     part = pixels[first[1] : top + high + margin, first[0] : left + wide + margin]
-    low, most = (np.array(one, dtype=np.float64) for one in ((left - first[0], top - first[1]), (wide, high)))
+    low, most = (np.array(one, dtype=float) for one in ((left - first[0], top - first[1]), (wide, high)))
     fine, side = _colours(part, _FINE), max(part.shape[:2])
     lab = _reduced(fine, _FITTED)
     bins = _bins(lab)
@@ -130,14 +130,14 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
             rated.append((value * _by_ridges(part, one), one))
     rated.sort(key=lambda item: -item[0])
     require(
-        bool(rated) and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
+        rated and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
         "no finger was found in this picture in colour: no part of it, its tip in view, has the shape, the colour and "
         "the ridges of one; photograph one finger from near, pad to the camera, in focus, or save a print in grey.",
     )
     best = rated[0][1]
     beside = (best.tip + best.width * best.places(np.array([[-_BESIDE, 0.4], [_BESIDE, 0.4]]))) * side
     require(
-        box is not None or bool(((beside >= 0) & (beside <= np.array(part.shape[1::-1]))).all(axis=1).any()),
+        box is not None or ((beside >= 0) & (beside <= np.array(part.shape[1::-1]))).all(axis=1).any(),
         "the finger fills the picture from side to side; photograph it from farther, sides and its tip in view.",
     )
     others: list[Outline] = []
@@ -315,7 +315,7 @@ def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float
     for k in range(len(gain) - 1, 0, -1):
         path[k - 1] = came[k, path[k]]
     row = np.arange(len(gain))
-    where, shown = places[row, path].astype(np.float64), seen[row, path]
+    where, shown = places[row, path].astype(float), seen[row, path]
     near = shown & (points[:, 1] < 2.5)
     follow = float(edge[row, path][near].mean()) if near.any() else 0.0
     return replace(_moved(one, where, points[:, 1], shown, side), points=(where + 0.5) / side, edges=follow)
@@ -329,7 +329,7 @@ def _moved(one: Outline, where: Array, back: Array, shown: BoolArray, side: int)
         return one
     left, right = where[:count][both], where[::-1][:count][both]
     line = cv2.fitLine((0.5 * (left + right)).astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()[:2]
-    ahead = line.astype(np.float64) * (np.sign(line @ one.ahead) or 1.0)
+    ahead = line.astype(float) * (np.sign(line @ one.ahead) or 1.0)
     ahead = ahead if ahead @ one.ahead > 0.9 else one.ahead
     across = np.array([-ahead[1], ahead[0]])
     front = np.sort(where[shown] @ ahead)[-3:].mean()

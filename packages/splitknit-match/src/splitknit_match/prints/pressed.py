@@ -190,7 +190,7 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     level = int(np.bincount(border).argmax())
     padded = cv2.copyMakeBorder((image == level).astype(np.uint8), 9, 9, 9, 9, cv2.BORDER_REPLICATE)
-    found = np.zeros(image.shape, dtype=np.bool_)
+    found = np.zeros(image.shape, dtype=bool)
     if not padded.any() or padded.all():
         return found
     flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc(4))[9:-9, 9:-9])
@@ -322,7 +322,7 @@ def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     """(H, W) where there are ridges: clear ones and what hangs on them, holes filled."""
     clearest = _clearest(confidence)
     if clearest < _CLEAR:
-        return np.zeros(confidence.shape, dtype=np.bool_)
+        return np.zeros(confidence.shape, dtype=bool)
     raw, pad = (confidence > edge * clearest).astype(np.uint8), 2 * _CLOSED_PX
     closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):

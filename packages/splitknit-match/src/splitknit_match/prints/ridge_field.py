@@ -85,7 +85,7 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     if inside is not None:
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
         mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
-    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
     sure = [np.hypot(c, s) / np.maximum(e, 1e-6) for e, c, s in (narrow, wide)]
     trust = sure[0] ** 4
     vector = [
@@ -96,7 +96,7 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
     frequency, peaked = _frequencies(grey, orientation, step, px, mask)
     mask = np.logical_and(mask, peaked)
-    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
     return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
 
 
@@ -125,7 +125,7 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
     high = float(np.percentile(strength, 90))
     if high < 1.0:  # less than a grey level
-        return np.zeros(strength.shape, dtype=np.bool_)
+        return np.zeros(strength.shape, dtype=bool)
     raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
     size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
     kernel = disc(size // 2)
@@ -184,8 +184,8 @@ def _frequencies(
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
     fraction = weight / np.maximum(total, 1e-9)
     sure = (fraction > 0.1) & (found > low) & (found < high)
-    if not bool(sure.any()):
-        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
+    if not sure.any():
+        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=bool)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
     trust[wanted] = np.where(sure, fraction, 0.0)
     value[wanted] = found
