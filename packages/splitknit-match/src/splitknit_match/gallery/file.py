@@ -212,7 +212,7 @@ class People:
         wanted = {"person": person, "finger": finger}
         words = " and ".join(f"{name} '{value}'" for name, value in wanted.items() if value is not None)
         missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
-        require(bool(entries) or not words, missing)
+        require(entries or not words, missing)
         return entries
 
     def index(self) -> MinutiaIndex:

@@ -65,7 +65,7 @@ class MinutiaIndex:
         """Take templates by their rows, without failures to acquire; those that are the `same` as in an `earlier` index
         are not read again. Raises BadInput if one is damaged.
         """
-        known = np.array([row in same for row in ([] if earlier is None else earlier.rows.tolist())], dtype=np.bool_)
+        known = np.array([row in same for row in ([] if earlier is None else earlier.rows.tolist())], dtype=bool)
         taken = set() if earlier is None else set(earlier.rows[known].tolist())
 
         def minutiae(row: int) -> tuple[Places, NDArray[np.float64], NDArray[np.uint16]] | None:
@@ -210,7 +210,7 @@ class MinutiaIndex:
         miss = (np.angle(turns)[:, None] + probe.turn).ravel()[one] - turn.ravel()[other]
         miss -= 2 * np.pi * np.rint(miss / (2 * np.pi))
         like = np.exp(-apart.ravel()[near] / _FITS_MM**2 - (miss / _FITS_RAD) ** 2)
-        both = np.ones(len(near), dtype=np.bool_)
+        both = np.ones(len(near), dtype=bool)
         for side, size in ((one, laid.size), (other, x.size)):
             most = np.zeros(size)
             np.maximum.at(most, side, like)

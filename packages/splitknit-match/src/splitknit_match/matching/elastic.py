@@ -184,7 +184,7 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
     centre = place.mean(axis=0)
     span, near = _SPAN_MM / patches.pitch_mm, _NEAR_MM / patches.pitch_mm
     design = np.column_stack([(place - centre) / span, np.ones(len(place))])
-    robust = weight.astype(np.float64)
+    robust = weight.astype(float)
     solution: NDArray[np.float64] = np.zeros((3, 2))
     # the linear part is held back: a few patches must not shear the finger
     hold = np.diag([0.09, 0.09, 0.0])
@@ -316,7 +316,7 @@ def _peak(support: FloatArray, surface: FloatArray) -> tuple[NDArray[np.float64]
     middle = support.reshape(len(surface), -1).argmax(axis=1)
     row, column = np.divmod(middle, count)
     middle += np.arange(0, own.size, count * count)
-    here, best = supports[middle], own[middle].astype(np.float64)
+    here, best = supports[middle], own[middle].astype(float)
     middle_own = best.copy()
     shift = np.stack([column, row], axis=1) - np.float64(count // 2)
     for axis, (at, step) in enumerate(((column, 1), (row, count))):

@@ -129,7 +129,7 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Laid]:
     count = min(_PAIRS, gamma.size)
     best = np.argpartition(-gamma, count - 1, axis=None)[:count]
     i, j = np.unravel_index(np.sort(best), gamma.shape)
-    first = gamma[i, j].astype(np.float64)
+    first = gamma[i, j].astype(float)
     fits = _compatible((a.place[i], a.turn[i]), (b.place[j], b.turn[j]))
     fits[(i[:, None] == i) | (j[:, None] == j)] = 0.0
     value = first

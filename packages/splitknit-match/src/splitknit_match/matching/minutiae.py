@@ -183,7 +183,7 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
         image.ndim == 2 and image.size > 0 and image.dtype == np.uint8,
         f"a print must be (H, W) uint8, ridges dark, but it is {image.shape} {image.dtype}.",
     )
-    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
+    require(np.isfinite(ppi) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
     high, wide = (side * 25.4 / ppi for side in image.shape)
     require(

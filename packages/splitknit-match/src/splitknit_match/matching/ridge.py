@@ -82,7 +82,7 @@ class _RotatedViews:
     def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float) -> None:
         """Take the band; its middle becomes the middle of the grids."""
         self._soft, self._pitch_mm = _softened(value, pitch_mm), pitch_mm
-        self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
+        self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=float))
         count = 2 * _HALF
         self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
         self._unit = np.zeros(count, dtype=np.float32)

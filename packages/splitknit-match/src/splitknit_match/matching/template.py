@@ -84,7 +84,7 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     >>> make_template(ridge_band(waves.astype(np.float32), np.ones((200, 200), bool), 0.1)).empty
     False
     """
-    if not bool(band.valid.any()) or band.area_mm2 < least_mm2:
+    if not band.valid.any() or band.area_mm2 < least_mm2:
         return failed_template(band.pitch_mm)
     box = bounding_box(band.valid)
     value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
@@ -170,7 +170,7 @@ def print_size(template: Template) -> tuple[int, int]:
 
 def failed_template(pitch_mm: float = 0.1) -> Template:
     """Return the template of a failure to acquire."""
-    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
+    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=bool), pitch_mm)
 
 
 def pack(template: Template) -> bytes:
@@ -230,7 +230,7 @@ def unpack(payload: bytes) -> Template:
     level = np.zeros(height * width, dtype=np.uint8)
     level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
     shape = (height, width)
-    found = Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
+    found = Template(level.reshape(shape), flat.reshape(shape).astype(bool), pitch_um / 1000, minutiae)
     known = (
         not minutiae or not minutiae.count or minutiae.size == print_size(found)
     )  # others: an earlier version's grid

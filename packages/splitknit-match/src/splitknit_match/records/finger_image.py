@@ -109,7 +109,7 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
         prints.append(_print(image, ppi, finger, impression_of(impression, _IMPRESSIONS), f"{what} of {name}"))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
-    require(len(prints) > 0 and cursor.place == len(data), more)
+    require(prints and cursor.place == len(data), more)
     return tuple(prints)
 
 

@@ -97,7 +97,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         document = codec.decode("FingerImageDataBlock", data)
         blocks, version = document["representationBlocks"], document["versionBlock"]
     require(version["generation"] == _GENERATION, f"{name} is of generation {version['generation']}; 3 is read.")
-    require(len(blocks) > 0, f"{name} holds no image.")
+    require(blocks, f"{name} holds no image.")
     prints: list[PrintFile] = []
     left = MAX_PIXELS
     for number, block in enumerate(blocks, start=1):

@@ -59,7 +59,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
         elif kind in (13, 14):
             prints.append(_type14(_fields(record), left, what, _LATENT if kind == 13 else ""))
         left = MAX_PIXELS - sum(item.image.size for item in prints)
-    require(len(prints) > 0, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
+    require(prints, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
     return tuple(prints)
 
 
@@ -120,7 +120,7 @@ def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     read = ", ".join(_COMPRESSIONS)
     require(compression in _COMPRESSIONS, f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.")
     require(_number(fields, _BITS, name) == 8, f"{name} is not 8-bit grey; convert it.")
-    require(bool(fields.get(_IMAGE)), f"{name} holds no image (field {_IMAGE}).")
+    require(fields.get(_IMAGE), f"{name} holds no image (field {_IMAGE}).")
     unit, x, y = (_number(fields, field, name) for field in (_UNIT, _PPI_X, _PPI_Y))
     require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
@@ -163,7 +163,7 @@ def _checked(item: PrintFile, name: str) -> PrintFile:
 
 def _text(fields: _Fields, field: int, name: str) -> str:
     text = fields.get(field, b"")
-    require(len(text) > 0, f"{name} lacks the field {field}; it does not conform to ANSI/NIST-ITL.")
+    require(text, f"{name} lacks the field {field}; it does not conform to ANSI/NIST-ITL.")
     return text.decode("ascii", "replace")
 
 

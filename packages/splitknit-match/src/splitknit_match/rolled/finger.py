@@ -135,7 +135,7 @@ class Work:
             added = np.sum([match.radius_mm for match in matches], axis=0)
             moves = [(match.pose, match.correlation) for match in matches]
         else:
-            none = np.zeros(chart.shape, dtype=np.bool_)
+            none = np.zeros(chart.shape, dtype=bool)
             seen = [mirror if self.met[name] else replace(mirror, known=none) for name, mirror in mirrors.items()]
             done = align(chart, radius, front, seen)
             added, moves = done.radius_mm, list(zip(done.poses, done.correlations, strict=True))
