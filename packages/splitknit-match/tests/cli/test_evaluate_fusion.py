@@ -47,9 +47,10 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
     eers = {system: one["eer"]["value"] for system, one in facts["systems"].items()}
     assert list(eers) == ["s1", "s2", name]
     assert eers[name] < min(eers["s1"], eers["s2"])
-    assert facts["fusion"]["models"] == 15
-    assert facts["fusion"]["dealt_by"] == "subject"
-    assert facts["fusion"]["missing"] == {"s1": 11, "s2": 11}
+    fusion = facts["fusions"][method]
+    assert fusion["models"] == 15
+    assert fusion["dealt_by"] == "subject"
+    assert fusion["missing"] == {"s1": 11, "s2": 11}
     assert facts["system"] == "s1"  # the first stays the first
     assert {(one["first"], one["second"]) for one in facts["differences"]} >= {("s1", name), ("s2", name)}
     assert any("saw nothing of the folds" in note for note in facts["notes"])
