@@ -79,7 +79,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
-    fault = f"{name} is a finger image record of the version {data[4:8]!r}; 010 (of 2005) is read: convert it."
+    fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is read: convert it."
     require(data[4:8] == _V2005, fault)
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")

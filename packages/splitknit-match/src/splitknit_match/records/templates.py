@@ -32,7 +32,10 @@ def encode_template(payload: bytes, version: int) -> bytes:
 
 def is_template(data: bytes) -> bool:
     """Whether a file's content is a template, of any version."""
-    return data.startswith(MAGIC)
+    try:
+        return bool(_decode_template(data, int.from_bytes(data[8:10], "little")))
+    except BadInput:
+        return False
 
 
 def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
