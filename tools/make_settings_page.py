@@ -22,7 +22,6 @@ from typing import Any
 
 from splitknit.presets import PRESETS
 from splitknit_match.matching.surface import MatchingSettings
-from splitknit_match.prints.make import PrintingSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
 from splitknit_simulator.bench_photos import BenchPhotos
@@ -125,11 +124,6 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
         "`splitknit capture`",
         "With `--device twin` the settings of `simulate` as well.",
         (("capture.", SessionSettings()), ("pi.", PiCameraSettings())),
-    ),
-    (
-        "`splitknit print`",
-        "`ink.ppi` follows `--ppi`; what `quality.` has for each figure is in [prints](../guide/prints.md#quality).",
-        (("", PrintingSettings()),),
     ),
     (
         "`splitknit match`, `enroll` and `identify`",

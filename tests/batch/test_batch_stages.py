@@ -194,7 +194,7 @@ def test_score_files_hold_what_the_store_holds(copies: tuple[Path, Path], tmp_pa
     population, out = copies
     run(population, out, "ridge")
     table = Store(out).scores("ea", "ridge")
-    (read,) = read_scores(out / "csv" / "ea_ridge.csv").systems
+    read = read_scores(out / "csv" / "ea_ridge.csv").scores
     np.testing.assert_array_equal(read.score, table["similarity"])
     np.testing.assert_array_equal(read.label, table["genuine"])
     assert read.label.sum() == 12

@@ -56,7 +56,6 @@ VERBS: dict[str, str] = {
     "evaluate": "evaluate --scores {base}/scores.csv --replicates 20 --out {out}",
     "evaluate-calibrate": "evaluate --scores {base}/scores.csv --replicates 20 --out {base}/rates --calibrate {out}",
     "profile": "profile {base}/result -4,-6 4,6 --cutoff 2.5 --out {out}",
-    "records": "records what {base}/result/print.png --out {out}",
     "demo": "demo --out {out} --seed 1 --scale 0.05",
     "batch": "batch {base}/population --out {out} --cases ea --matchers ridge --jobs 1",
     "export-mesh": "export {base}/result --to glb --out {out}",
@@ -70,6 +69,7 @@ NOT_STOPPED = {
     "gallery list": "reads",
     "identify": "reads",
     "pad": "reads",
+    "records what": "reads",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("simulate-population", "batch", "demo")

@@ -28,7 +28,7 @@ from tests.fuzz import PACKAGES
 from tests.fuzz.mutators import Files
 
 from batch_stores import waves
-from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, STANDARDS, transaction, type_14
+from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, transaction, type_14
 from handmade import finger
 from png_files import png_of
 from splitknit.accuracy import read_truth
@@ -739,7 +739,7 @@ def _print_files() -> list[Files]:
     records = [encode_finger_image(held, how) for how in ("none", "png", "jp2")]
     records += [encode_finger_image_block(held, how) for how in ("none", "jp2")]
     jfif = jpeg[:13] + struct.pack(">BHH", 2, 394, 394) + jpeg[18:]
-    others = encode_print_tiff(image, 600.0), encode_wsq(image), ISO_BYTES, ANSI_BYTES, FIR_2011
+    others = encode_print_tiff(image, 600.0), encode_wsq(image), ISO_BYTES, ANSI_BYTES
     return _each("x", png, jfif, bmp, *records, *others)
 
 

@@ -122,14 +122,3 @@ def views(draw: st.DrawFn, standard: str) -> FingerView:
 
 
 STANDARDS = (ISO_2005, ANSI_2004, ANSI_2009)
-
-
-FIR_2011 = bytes.fromhex(
-    "4649520030323000000000b100010001000000a107ea011f010203000000000000000002000101f401f401f401f408000000"
-    "0a000c0000007800020406080a0c0e10121416181a1c1e20222426282a2c2e30323436383a3c3e40424446484a4c4e505254"
-    "56585a5c5e60626466686a6c6e70727476787a7c7e80828486888a8c8e90929496989a9c9ea0a2a4a6a8aaacaeb0b2b4b6b8"
-    "babcbec0c2c4c6c8caccced0d2d4d6d8dadcdee0e2e4e6e8eaecee"
-)
-"""A finger image record of ISO/IEC 19794-4:2011 as the package iso19794 0.1.0 writes it.
-
-12 x 10 pixels 0, 2, 4 ... 238; 500 ppi, right index, live-scan plain."""

@@ -146,26 +146,6 @@ def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> No
     assert set(facts["inputs_sha256"]) == set(files)
 
 
-def test_a_column_of_systems_is_as_good_as_files(folder: Path, tmp_path: Path) -> None:
-    rows = []
-    for name in ("ours", "theirs"):
-        with (folder / f"{name}.csv").open() as stream:
-            rows += [{**row, "system": name} for row in csv.DictReader(stream)]
-    rows = [rows[k] for k in np.random.default_rng(0).permutation(len(rows))]
-    with (tmp_path / "both.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    files = [str(folder / "ours.csv"), str(folder / "theirs.csv")]
-    assert main(["evaluate", "--scores", str(tmp_path / "both.csv"), "--out", str(tmp_path / "a"), *QUICK]) == 0
-    assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "b"), *QUICK]) == 0
-    one, other = report(tmp_path / "a"), report(tmp_path / "b")
-    assert list(one["systems"]) == list(other["systems"])
-    for name in one["systems"]:
-        assert one["systems"][name]["gar_at_far"] == other["systems"][name]["gar_at_far"]
-    assert one["differences"][0]["eer"]["value"] == other["differences"][0]["eer"]["value"]
-
-
 def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -> None:
     files = [str(folder / "ours.csv"), str(folder / "hand.csv")]
     assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "out"), *QUICK]) == 0
@@ -239,7 +219,7 @@ def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
         ("hello", "no column 'label'"),
         ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: label and ids"),
         ("label,score,finger_a,finger_b\n0,2,x,y\n1,1,x,y\n", "line 3: label and ids"),
-        ("label,score,system\n1,2,a\n0,1,a\n1,1,b\n", "b holds no impostor"),
+        ("label,score\n1,2\n1,1\n", "bad holds no impostor"),
     ],
 )
 def test_bad_files_give_one_sentence(tmp_path: Path, capsys: Captured, text: str, words: str) -> None:

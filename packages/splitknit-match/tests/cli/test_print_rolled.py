@@ -16,8 +16,6 @@ from splitknit.model import Capture
 from splitknit_match.cli.print import _words
 from written_files import read_ply
 
-QUICK = ["--set", "rolled.pitch_mm=0.07"]
-
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert main(["print", *map(str, arguments)]) == 2
@@ -39,8 +37,9 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     write_capture(capture, tmp_path / "capture")
     views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
+    monkeypatch.setattr("splitknit_match.prints.rolled.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
-    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), *QUICK, "--json"]
+    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), "--json"]
     assert main(["print", *arguments]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["surface"] == "free"

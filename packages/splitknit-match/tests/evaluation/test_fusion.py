@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fit_ratios, fuse
+from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fuse
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit_match.evaluation.rates import d_prime
 from splitknit_match.evaluation.scores import Scores, ids_of
@@ -31,7 +31,7 @@ def separation(scores: Scores) -> float:
     return d_prime(scores.genuine, scores.impostor)
 
 
-@pytest.mark.parametrize("method", ["trained", "linear", "minmax", "llr"])
+@pytest.mark.parametrize("method", ["trained", "linear", "minmax"])
 def test_three_independent_systems_are_better_than_the_best(method: str) -> None:
     three = systems()
     fused = fuse(three, method).scores
@@ -66,7 +66,7 @@ def test_missing_scores_are_made_up_for_by_the_others() -> None:
     holes = np.where(rng.random(two[0].score.size) < 0.3, np.nan, two[0].score)
     second = np.where(rng.random(two[0].score.size) < 0.2, np.nan, two[1].score)
     broken = [replace(two[0], score=holes), replace(two[1], score=second)]
-    for method in ("linear", "trained", "llr"):
+    for method in ("linear", "trained"):
         fused = fuse(broken, method)
         assert np.array_equal(np.isnan(fused.scores.score), np.isnan(holes) & np.isnan(second))
         assert fused.missing == (int(np.isnan(holes).sum()), int(np.isnan(second).sum()))
@@ -117,25 +117,10 @@ def test_newton_finds_the_least_loss() -> None:
     assert mine == pytest.approx(best.x, abs=2e-3)
 
 
-@pytest.mark.parametrize("method", ["trained", "llr"])
-def test_separable_scores_stay_finite(method: str) -> None:
-    fused = fuse(systems(2, noise=0.01), method).scores
+def test_separable_scores_stay_finite() -> None:
+    fused = fuse(systems(2, noise=0.01)).scores
     assert np.isfinite(fused.score).all()
     assert fused.genuine.min() > fused.impostor.max()
-
-
-def test_ratios_of_normal_densities_are_known() -> None:
-    """Equal widths: a straight line. Another width with the same mean, which no weighted sum can use: a parabola."""
-    rng, genuine = np.random.default_rng(3), np.arange(40_000) % 2 == 0
-    line = rng.normal(0, 1, genuine.size) + 1.5 * genuine
-    parabola = rng.normal(0, 1, genuine.size) * np.where(genuine, 1.0, 2.0)
-    (_, model), at = fit_ratios(np.stack([line, parabola], axis=1), genuine), np.linspace(-1.5, 2.0, 9)
-    nothing = np.full(at.size, np.nan)
-    assert model(np.stack([at, nothing], axis=1)) == pytest.approx(1.5 * at - 1.125, abs=0.25)
-    expected = np.log(2.0) - 3 * at**2 / 8
-    assert model(np.stack([nothing, at], axis=1)) == pytest.approx(expected, abs=0.15)
-    assert model(np.stack([at, at], axis=1)) == pytest.approx(1.5 * at - 1.125 + expected, abs=0.4)
-    assert model(np.array([[1e9, np.nan], [np.nan, np.nan]]))[1] != model(np.array([[1e9, np.nan]]))[0]
 
 
 def test_other_traits_pair_up_by_subject_and_session() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import sqlite3
@@ -368,27 +367,6 @@ def test_a_link_in_place_of_the_journal_leads_nowhere(file: Path, key: Key | Non
     with GalleryFile(file, key) as gallery, pytest.raises(BadInput, match="cannot be opened"):
         gallery.add([new("Cid", 9)], SETTINGS)
     assert other.read_bytes() == b"not ours" * 1000
-
-
-def test_who_opened_a_gallery_is_put_down_where_that_is_wanted(file: Path, key: Key | None) -> None:
-    log = file.with_name("people.skg.log")
-    people(file, key)
-    assert not log.exists()
-    log.touch(mode=0o644)
-    with GalleryFile(file, key) as gallery:
-        gallery.entries()
-        gallery.add([new("Dan", 8)], SETTINGS)
-    (line,) = [json.loads(line) for line in log.read_text().splitlines()]
-    assert line["gallery"] == str(file) and line["user"] and line["time"].endswith("+00:00")
-    assert log.stat().st_mode & 0o777 == 0o600
-    log.unlink()
-    for make in (lambda: log.symlink_to(file.with_name("elsewhere")), lambda: os.mkfifo(log)):
-        make()
-        for act in (people, lambda *whose: GalleryFile(*whose).add([new("Eve", 7)], SETTINGS)):
-            with pytest.raises(BadInput, match="the access log"):
-                act(file, key)
-        log.unlink()
-    assert len(people(file, key)) == 6
 
 
 KILLED = """

@@ -23,10 +23,10 @@ def write(folder: Path, text: str | bytes) -> Path:
 def test_label_and_score_are_enough(tmp_path: Path) -> None:
     path = write(tmp_path, "label,score\n1,0.5\n0,-1e-3\n1,\n0, 7 \n")
     found = read_scores(path)
-    (scores,) = found.systems
+    scores = found.scores
     assert scores.label.tolist() == [True, False, True, False]
     np.testing.assert_array_equal(scores.score, [0.5, -1e-3, np.nan, 7.0])
-    np.testing.assert_array_equal(read_scores(path, dissimilarity=True).systems[0].score, -scores.score)
+    np.testing.assert_array_equal(read_scores(path, dissimilarity=True).scores.score, -scores.score)
     assert (scores.finger, scores.subject, scores.session, scores.name) == (None, None, None, "scores")
     assert found.ignored == []
     assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -34,7 +34,7 @@ def test_label_and_score_are_enough(tmp_path: Path) -> None:
 
 def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
     path = write(tmp_path, "label,score,finger_a,finger_b\n1,0.5,'=a,'=a\n0,-0.5,@b,'tis\n")
-    (scores,) = read_scores(path).systems
+    scores = read_scores(path).scores
     assert scores.finger is not None
     assert set(scores.finger.names) == {"=a", "'tis", "@b"}
 
@@ -42,20 +42,18 @@ def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
 def test_everything_there_is(tmp_path: Path) -> None:
     path = write(
         tmp_path,
-        "\ufeffsystem, score ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n"
-        '"ours, new",1.5,1.0,10,10,s,s,1,2,9\r\n'
+        "\ufeffwhere, score ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n"
         "\r\n"
-        'ours,"0.5",0,9,10,s,t,1,10,8\r\n'
-        '"ours, new",0.5,0,9,10,s,t,1,10,8\r\n'
-        "ours,1.5,1,10,10,s,s,1,2,9\r\n",
+        '"here, there","0.5",0,9,10,s,t,1,10,8\r\n'
+        "here,1.5,1.0,10,10,s,s,1,2,9\r\n",
     )
     found = read_scores(path)
-    ours, new = found.systems
-    assert (ours.name, new.name, found.ignored) == ("ours", "ours, new", ["time"])
+    ours = found.scores
+    assert (ours.name, found.ignored) == ("scores", ["where", "time"])
     assert ours.session is not None and ours.finger is not None
     assert ours.session.names == ("1", "2", "10")  # numbers in the order of numbers
     assert [ours.finger.names[code] for code in ours.finger.codes[0]] == ["s/9", "t/10"]  # within their subject
-    assert new.label.tolist() == [True, False]
+    assert ours.label.tolist() == [False, True]
 
 
 def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Path) -> None:
@@ -98,7 +96,7 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
         ("label,score,finger_a\n1,2,3\n", "line 1: there is a column 'finger_a' alone"),
         ("label,score,session_b\n1,2,3\n", "line 1: there is a column 'session_b' alone"),
         ("label,score,finger_a,finger_b\n1,2,3,3\n0,1,,3\n", "line 3: finger_a is blank"),
-        ("label,score,system\n1,2,\n", "line 2: system is blank"),
+        ("label,score,system\n1,2,a\n", "a file of its own"),
         ('label,score\n1,"2\n', "is not a CSV file: line 2"),
         (b"\x89PNG\r\n\x1a\n\xff\xff", "is not a CSV file: it is not text"),
         (b"label,score\n1,2\n0,\xff\n", "is not a CSV file: it is not text"),
@@ -128,4 +126,4 @@ def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
         except BadInput as error:
             assert "\n" not in str(error)
         else:
-            assert all(system.label.any() and not system.label.all() for system in found.systems)
+            assert found.scores.label.any() and not found.scores.label.all()

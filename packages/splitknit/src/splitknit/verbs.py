@@ -12,7 +12,6 @@ import textwrap
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, ParamSpec, Protocol, TypeVar
@@ -27,8 +26,6 @@ AnyPath = str | os.PathLike[str]
 """A path as Python callers give it; once the job is made, the field holds a :class:`pathlib.Path`."""
 Progress = Callable[[str, float], None]
 """Is called with the name of a stage, and the fraction of the work that is done (0 to 1)."""
-VERB = ContextVar("VERB", default="python")
-"""The verb that runs, for logs of access; ``python`` where a function was called."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

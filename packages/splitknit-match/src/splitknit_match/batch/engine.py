@@ -106,7 +106,6 @@ def run_batch(
         If the population holds no capture, the store is of something else, damaged or being
         written, a worker is killed, or the scheduler cannot be reached or must not be used.
     """
-    started = time.perf_counter()
     _check(cases, matchers, impostors, jobs)
     people, folder = Path(population), Path(out)
     compared = [(case, name) for case in cases for name in matchers]
@@ -135,7 +134,6 @@ def run_batch(
             _require_readable(facts, f"the others are reconstructed, but not compared ({reason})")
             raise
     facts["csv"] = [str(file) for file in files]
-    facts["seconds"] = time.perf_counter() - started
     _require_readable(facts, "the others are done")
     return facts
 
@@ -143,7 +141,7 @@ def run_batch(
 def _check(cases: Sequence[Case], matchers: Sequence[str], impostors: float, jobs: int) -> None:
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     require(0 <= impostors <= 1, f"impostors must be from 0 to 1, but it is {impostors}.")
-    require(len(cases) > 0, "a batch needs at least one case.")
+    require(cases, "a batch needs at least one case.")
     names = {case.name for case in cases}
     require(len(names) == len(cases), "two cases have one name; give each its own.")
     for name in matchers:
@@ -189,7 +187,6 @@ def _require_readable(facts: dict[str, Any], others: str) -> None:
 
 def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:
     """Make the comparisons of a case by a matcher that the store lacks; return the facts."""
-    started = time.perf_counter()
     if MATCHERS[name].source == "minutiae":
         features, target = (run.store.folder / kind / case.name for kind in ("features", "minutiae"))
         files = run.store.files("features", case.name)
@@ -210,7 +207,6 @@ def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:
         "case": case.name,
         "matcher": name,
         "compared": compared,
-        "seconds": time.perf_counter() - started,
         "ms_per_comparison": 1000 * seconds / compared if compared else None,
     }
 

@@ -105,7 +105,7 @@ def _found_in(folder: Path) -> list[_Source]:
         other = found.setdefault((one.person, one.session, one.finger), one)
         require(other is one, f"'{other.path}' and '{path}' are of one finger and session; remove one of them.")
     expected = "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
-    require(len(found) > 0, f"'{folder}' holds nothing to enrol: {expected}.")
+    require(found, f"'{folder}' holds nothing to enrol: {expected}.")
     return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
 
 

@@ -57,7 +57,7 @@ def read_population(folder: Path) -> Population:
             if (folder / name / "capture.json").is_file():
                 world = f"{subject}/{finger}"
                 captures.append(CaptureRef(name, subject, world, str(session), number))
-    require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
+    require(captures, f"the population '{folder}' holds no finished capture yet.")
     return Population(folder, _hash(folder), plan.total, tuple(captures))
 
 

@@ -112,7 +112,7 @@ class Store:
         Raises BadInput if there are none, or a table is damaged.
         """
         files = self.files("features", case)
-        require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
+        require(files, f"the store '{self.folder}' holds nothing of case '{case}'.")
         table = _joined(files, columns and [*columns, "capture"], "capture")
         return {name: table[name] for name in columns or table}
 
@@ -122,7 +122,7 @@ class Store:
         """
         files = self.files(f"scores/{case}", matcher)
         fault = f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher"
-        require(len(files) > 0, f"{fault} '{matcher}'.")
+        require(files, f"{fault} '{matcher}'.")
         return _joined(files, None, "b", "a")
 
 

@@ -31,7 +31,7 @@ _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again
 def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     """Payload of a surface whose knitted height (H, W) is `height_mm`."""
     mask = surface.mask
-    require(bool(mask.any()), "the mask of a surface is empty.")
+    require(mask.any(), "the mask of a surface is empty.")
     fault = f"a surface of {mask.size} pixels is too large to be kept; reduce the images."
     require(mask.size <= _MAX_PIXELS, fault)
     box = bounding_box(mask)
@@ -39,7 +39,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     normals = _normals(height_mm, mask, surface.pitch_mm)
     stored = not np.array_equal(normals, surface.normals)
     corner = [side.start for side in box] + [side.stop - side.start for side in box]
-    matrix = np.asarray(surface.input_from_upright, dtype=np.float64).ravel()
+    matrix = np.asarray(surface.input_from_upright, dtype=float).ravel()
     kinds = int(stored) + 2 * int(surface.whole)
     head = _HEAD.pack(_MAGIC, *mask.shape, *corner, kinds, surface.pitch_mm, *matrix, *surface.upright_size)
     words = [_differences(height), _differences(shape)]
@@ -58,9 +58,9 @@ def unpack_surface(payload: bytes) -> Surface:
         largest = int(max(rows * columns, upright_size[0] * upright_size[1] // 2))
         sound = magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= _MAX_PIXELS
         sound = sound and top + high <= rows and left + wide <= columns
-        require(sound and bool(np.isfinite(matrix).all()), _DAMAGED)
+        require(sound and np.isfinite(matrix).all(), _DAMAGED)
         bits = np.frombuffer(payload, np.uint8, (high * wide + 7) // 8, _HEAD.size)
-        inside = np.unpackbits(bits, count=high * wide).astype(np.bool_)
+        inside = np.unpackbits(bits, count=high * wide).astype(bool)
         count = int(np.count_nonzero(inside))
         layers = 6 if kinds % 2 else 3
         at = _HEAD.size + len(bits)
@@ -72,7 +72,7 @@ def unpack_surface(payload: bytes) -> Surface:
         ridge = _floats(_bits(height - shape) + words[2])
     sound = all(bool((np.abs(part) <= _MAX_MM).all()) for part in (height, shape, ridge, *normal))
     require(sound, _DAMAGED)
-    mask = np.zeros((rows, columns), dtype=np.bool_)
+    mask = np.zeros((rows, columns), dtype=bool)
     mask[top : top + high, left : left + wide] = inside.reshape(high, wide)
     normals = np.zeros((rows, columns, 3), dtype=np.float32)
     if normal:
@@ -94,7 +94,7 @@ def unpack_surface(payload: bytes) -> Surface:
 
 def _normals(height_mm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
     """Normals (H, W, 3) of a surface under parallel rays, zero outside the mask."""
-    seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
+    seen = np.where(mask, height_mm, np.nan).astype(np.float32)
     normals = normals_from_gradients(*height_gradients(seen, pitch_mm)) * mask[..., None]
     return np.nan_to_num(normals, nan=0.0)
 

@@ -118,7 +118,7 @@ def connected(address: str) -> Iterator[Any]:
     with refusing(fault):
         parts = urlsplit(address)
         plain = address == f"{parts.scheme}://{parts.netloc}"
-        require(plain and parts.scheme in ("tls", "tcp") and bool(parts.hostname and parts.port), fault)
+        require(plain and parts.scheme in ("tls", "tcp") and (parts.hostname and parts.port), fault)
     encrypted = parts.scheme == "tls"
     fault = f"the scheduler '{address}' is on another computer, without encryption: anyone who"
     fault += " reaches its port can send code that its workers run, and read the fingerprints"

@@ -63,7 +63,7 @@ class BatchJob(Job):
 
 def _names(text: str, option: str, such: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
-    require(len(names) > 0, f"{option} needs a name at least, {such}, but it is '{text}'.")
+    require(names, f"{option} needs a name at least, {such}, but it is '{text}'.")
     return names
 
 
@@ -75,7 +75,7 @@ def _case(text: str) -> Any:
     name, _, rest = text.partition("=")
     preset, _, changes = rest.partition(":")
     fault = f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,..."
-    require(bool(preset.strip()), fault)
+    require(preset.strip(), fault)
     assignments = re.findall(r"(?:\[[^\]]*\]|[^,\[])+", changes)
     parts = [parse_assignment(part) for part in assignments if part.strip()]
     return Case(name.strip(), preset.strip(), dict(parts))

@@ -10,7 +10,7 @@ from splitknit.cli.verb import Outcome, Verb
 from splitknit.errors import require
 from splitknit.verbs import AnyPath, Help, Job, KeyFile, Natural, Progress, path
 
-_METHODS = ("linear", "minmax", "llr", "trained")
+_METHODS = ("linear", "minmax", "trained")
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class EvaluationJob(Job):
     _: KW_ONLY
     scores: Annotated[tuple[AnyPath, ...], Help(
         "CSV files with the columns label (1 genuine, 0 impostor) and score (blank = failure to acquire), and if known "
-        "finger_a, finger_b, subject_a, subject_b, session_a, session_b; several files, or a column system, are "
+        "finger_a, finger_b, subject_a, subject_b, session_a, session_b; several files are "
         "compared", "FILE", nargs="+", either="source")] = ()
     gallery: Annotated[AnyPath | None, Help(
         "instead: compare all sessions of a gallery with each other; scores.csv is written as well",
@@ -38,8 +38,8 @@ class EvaluationJob(Job):
         "give the figures of scores averaged over sessions as well", option="--average-sessions")] = False
     fuse: Annotated[tuple[str, ...], Help(
         "score files of other traits (prints, finger vein, face ...), in place of `scores`: each alone, and fused "
-        "after min-max and z-score normalisation and as log-likelihood ratios, cross-validated by subject, with "
-        "intervals by subject; or, beside `scores`, one of linear, minmax, llr, trained: one more system",
+        "after min-max and z-score normalisation, cross-validated by subject, with intervals by subject; or, beside "
+        "`scores`, one of linear, minmax, trained: one more system",
         "FILE", nargs="+")] = ()
     calibrate: Annotated[AnyPath | None, Help(
         "write the false match rates of one system here, for 'splitknit match --decision'", "FILE")] = None
@@ -89,7 +89,7 @@ class EvaluationJob(Job):
     def _sources(self) -> tuple[list[Path], Any]:
         given = [path(one) for one in (self.scores or ([] if self.gallery is None else [self.gallery]))]
         if not self.fuse or (len(self.fuse) == 1 and self.fuse[0] in _METHODS):
-            require(bool(given), "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE.")
+            require(given, "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE.")
             return given, self.fuse[0] if self.fuse else None
         fault = "`fuse` takes score files in place of `scores` and `gallery`,"
         require(not given, f"{fault} or beside them one of {', '.join(_METHODS)}, but not '{' '.join(self.fuse)}'.")

@@ -42,7 +42,7 @@ class ListJob(_OfGallery):
         name = None if self.person is None else check_person(self.person)
         with self.opened() as gallery:
             entries = gallery.entries(name)
-        require(name is None or len(entries) > 0, f"'{self.gallery}' holds nothing of person '{name}'.")
+        require(name is None or entries, f"'{self.gallery}' holds nothing of person '{name}'.")
         entries.sort(key=lambda entry: (entry.person, entry.finger, session_order(entry.session)))
         lines = [f"{'person':24} {'finger':13} {'session':8} {'from':9} skin"]
         captures = []

@@ -56,7 +56,7 @@ PAD = Verb(PadJob, _show, _Ending)
 
 def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Progress) -> str | None:
     """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one is, or None."""
-    require(not wanted or bool(paths), "`pad` goes with captures that are named.")
+    require(not wanted or paths, "`pad` goes with captures that are named.")
     answer = "live" if wanted else None
     for one in paths if wanted else ():
         facts = _presented(Path(one), preset, progress)

@@ -17,7 +17,7 @@ from splitknit.errors import require
 from splitknit.model import no_progress
 from splitknit.verbs import Progress
 from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.fusion import Fused
+from splitknit_match.evaluation.fusion import FITS, Fused
 from splitknit_match.evaluation.fusion import fuse as fuse_systems
 from splitknit_match.evaluation.intervals import DEFAULTS, BootstrapSettings, Interval, Intervals, differences
 from splitknit_match.evaluation.intervals import bootstrap as resample
@@ -26,13 +26,7 @@ from splitknit_match.evaluation.scores import Scores, read_scores
 
 MAX_SYSTEMS = 12
 Cluster = Literal["auto", "plain", "finger", "subject"]
-Fusion = Literal["linear", "minmax", "llr", "trained", "all"]
-_MISSING = {
-    "linear": "its weight goes to the others",
-    "minmax": "its weight goes to the others",
-    "llr": "the others' ratios are added up",
-    "trained": "it counts as the mean, and that it is missing as a feature of its own",
-}
+Fusion = Literal["linear", "minmax", "trained", "all"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +97,9 @@ def evaluate(
         comparisons.
     average : bool
         Whether figures of scores averaged over sessions are given as well.
-    fuse : ``linear``, ``minmax``, ``llr``, ``trained`` or ``all``, optional
-        Whether the systems' fusion is one more: of z-scores, of min-max scores, of log-likelihood ratios, by logistic
-        regression, or the first three with intervals by subject.
+    fuse : ``linear``, ``minmax``, ``trained`` or ``all``, optional
+        Whether the systems' fusion is one more: of z-scores, of min-max scores, by logistic regression, or the first
+        two with intervals by subject.
     bootstrap : BootstrapSettings
         Replicates, seed and FARs of :class:`splitknit_match.evaluation.intervals.BootstrapSettings`.
     progress : callable
@@ -131,7 +125,7 @@ def evaluate(
     require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
     progress("reading", 0.0)
     tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
-    systems = [system for table in tables.values() for system in table.systems]
+    systems = [table.scores for table in tables.values()]
     counts, numbers = Counter(system.name for system in systems), Counter[str]()
     for place, system in enumerate(systems):
         if counts[system.name] > 1:
@@ -155,7 +149,7 @@ def evaluate_systems(  # noqa: PLR0917
     """Error rates of systems; see :func:`evaluate`."""
     if fuse == "all" and cluster == "auto":
         cluster = "subject"
-    methods = ("minmax", "linear", "llr") if fuse == "all" else (fuse,) if fuse else ()
+    methods = [name for name in FITS if name != "trained"] if fuse == "all" else [fuse] if fuse else []
     fused = {method: fuse_systems(systems, method, bootstrap.seed) for method in methods}
     every = [*systems, *(each.scores for each in fused.values())]
     groups = [every, [average_sessions(system) for system in every]] if average else [every]
@@ -244,5 +238,7 @@ def _fusion_notes(fused: Fused, method: str) -> list[str]:
         )
     if any(fused.missing):
         counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
-        notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {_MISSING[method]}.")
+        trained = "it counts as the mean, and that it is missing as a feature of its own"
+        then = trained if method == "trained" else "its weight goes to the others"
+        notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {then}.")
     return notes

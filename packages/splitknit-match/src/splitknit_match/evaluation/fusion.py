@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 from scipy.special import expit
 
@@ -28,7 +27,6 @@ from splitknit_match.evaluation.scores import Scores
 
 FOLDS = 5  # fewer where there are fewer subjects
 PENALTY = 1e-3  # of the logistic regression: on half the sum of the squared weights, where the mean loss is 1
-BINS = 1024  # of the densities of scores
 Labels = NDArray[np.bool_]
 Model = Callable[[Values], Values]
 
@@ -50,9 +48,9 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
     """Make one system of several that scored the same pairs.
 
     `systems`: two or more, of the same pairs (in any order, if their ids distinguish them), with
-    subjects or at least fingers. `method`: ``linear`` (mean of z-scores), ``minmax`` (mean of
-    scores between the lowest and highest), ``llr`` (sum of log-likelihood ratios), ``trained``
-    (logistic regression, log-odds). `seed`: of the folds. Where all scores of a pair are missing,
+    subjects or at least fingers. `method`: of :data:`FITS`: ``linear`` (mean of z-scores),
+    ``minmax`` (mean of scores between the lowest and highest), ``trained`` (logistic regression,
+    log-odds). `seed`: of the folds. Where all scores of a pair are missing,
     so is the fused one. Raises BadInput if the systems scored other pairs, nobody is named, there
     are fewer than three subjects (fingers), or a training part lacks a class.
 
@@ -104,50 +102,19 @@ def _cross_fit(
 
 def fit_linear(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     """Mean of z-scores; a missing score's weight goes to the others. Source: A. Ross and A. Jain 2003 (sum rule)."""
-    return _mean(*_spread(scores))
+    return _mean(*spread(scores))
 
 
 def fit_minmax(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     """Mean of scores between the lowest (0) and highest (1) of the training part. Source: R. Snelick et al. 2005."""
-    _spread(scores)
+    spread(scores)
     low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
     return _mean(low, high - low)
 
 
 def _mean(offset: Values, scale: Values) -> tuple[Values, Model]:
     weight = np.full(scale.size, 1 / scale.size)
-    return weight, lambda table: np.asarray(np.nanmean((table - offset) / scale, axis=1))
-
-
-def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
-    """Sum of log-likelihood ratios; missing ones add nothing.
-
-    Densities are estimated by Gaussian kernels of Silverman's width; one observation spread over the whole range is
-    added to each class, so that no ratio is infinite. Source: K. Nandakumar, Y. Chen, S. Dass and A. Jain, "Likelihood
-    ratio-based biometric score fusion", IEEE TPAMI 30, 2008, eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
-    """
-    _spread(scores)
-    low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
-    width = (high - low) / BINS
-
-    def log_density(column: Values, k: int) -> Values:
-        known = column[~np.isnan(column)]
-        require(known.size > 0, f"system {k + 1} has only genuine or only impostor scores in the part to learn from.")
-        counts = np.histogram(known, BINS, (low[k], high[k]))[0].astype(np.float64)
-        quartiles = float(np.subtract(*np.percentile(known, [75, 25]))) / 1.34
-        spread = min(float(known.std()), quartiles or np.inf)
-        kernel = max(0.9 * spread * known.size**-0.2 / width[k], 1.0)
-        density = gaussian_filter1d(counts, kernel, mode="constant") + 1.0 / BINS
-        return np.asarray(np.log(density / density.sum()))
-
-    ratio = [log_density(side[genuine], k) - log_density(side[~genuine], k) for k, side in enumerate(scores.T)]
-
-    def scored(table: Values) -> Values:  # held at the training part's ends
-        places = ((table - low) / width - 0.5).T
-        each = [np.interp(place, np.arange(BINS), one) for place, one in zip(places, ratio, strict=True)]
-        return np.asarray(np.nansum(each, axis=0))
-
-    return np.ones(len(ratio)), scored
+    return weight, lambda table: np.nanmean((table - offset) / scale, axis=1)
 
 
 def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
@@ -155,7 +122,7 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     A missing score counts as the mean and, being missing, as a feature of its own. Source: Handbook of Multibiometrics,
     chapter 4 (classifier-based fusion); C. Bishop, "Pattern Recognition and Machine Learning", 2006, (4.92) to (4.100).
     """
-    offset, scale = _spread(scores)
+    offset, scale = spread(scores)
 
     def design(table: Values) -> Values:
         known = ~np.isnan(table)
@@ -175,18 +142,18 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
         return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
 
     how: Any = {"jac": True, "hess": curvature, "method": "trust-exact", "options": {"gtol": 1e-12}}
-    answer = np.asarray(minimize(loss, np.zeros(x.shape[1]), **how).x)
+    answer = minimize(loss, np.zeros(x.shape[1]), **how).x
     return answer[: scores.shape[1]], lambda table: design(table) @ answer
 
 
-FITS = {"linear": fit_linear, "minmax": fit_minmax, "llr": fit_ratios, "trained": fit_logistic}
+FITS = {"minmax": fit_minmax, "linear": fit_linear, "trained": fit_logistic}
 
 
-def _spread(scores: Values) -> tuple[Values, Values]:
+def spread(scores: Values) -> tuple[Values, Values]:
     """Mean and standard deviation (S,) of each system."""
     known: Any = np.ma.masked_invalid(scores)
-    mean, spread = (np.asarray(each.filled(0.0)) for each in (known.mean(axis=0), known.std(axis=0)))
+    mean, spread = (each.filled(0.0) for each in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
     fault = f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from"
-    require(not bool(flat.any()), f"{fault}; leave it out of the fusion.")
+    require(not flat.any(), f"{fault}; leave it out of the fusion.")
     return mean, spread

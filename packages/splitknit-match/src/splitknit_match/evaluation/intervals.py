@@ -147,7 +147,7 @@ def _weights(scores: Scores, method: str, settings: BootstrapSettings) -> Iterat
     generator = np.random.default_rng(settings.seed)
 
     def draw(count: int) -> Values:
-        return np.bincount(generator.integers(0, count, count), minlength=count).astype(np.float64)
+        return np.bincount(generator.integers(0, count, count), minlength=count).astype(float)
 
     if method != "plain":
         codes, clusters = _drawn(scores, method)
@@ -235,4 +235,4 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
 
 
 def _accepted(scores: Values, threshold: float | None) -> NDArray[np.bool_]:
-    return np.asarray(scores >= (np.inf if threshold is None else threshold))
+    return scores >= (np.inf if threshold is None else threshold)

@@ -51,7 +51,7 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
     systems = {result.scores.name: _system(result, bootstrap) for result in evaluation.results}
     first = evaluation.results[0].scores.name
     fusions = {method: _fusion(method, fused, bootstrap.seed) for method, fused in evaluation.fused.items()}
-    facts = {
+    return {
         "format": FORMAT,
         "version": 1,
         "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
@@ -64,13 +64,11 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
             {"first": one.first, "second": one.second, "method": one.method, **_rates(one.figures, bootstrap.targets)}
             for one in evaluation.differences
         ],
+        "fusions": fusions,
         "notes": list(evaluation.notes),
         "settings": {**settings, "bootstrap": plain_json(bootstrap)},
         "inputs_sha256": dict(evaluation.inputs_sha256),
     }
-    if len(fusions) == 1:
-        return facts | {"fusion": next(iter(fusions.values()))}
-    return facts | ({"fusions": fusions} if fusions else {})
 
 
 def _rates(figures: Mapping[str, Interval], targets: Sequence[float]) -> dict[str, Any]:
@@ -133,18 +131,11 @@ def _fusion(method: str, fused: Fused, seed: int) -> dict[str, Any]:
 
 
 def _page(facts: Mapping[str, Any], charts: Mapping[str, str], uncharted: str) -> str:
-    systems = facts["systems"]
-    bootstrap = systems[facts["system"]]["bootstrap"]
     html = template(Path(__file__).with_name("evaluation.html")).render(
         facts=facts,
-        systems=systems,
-        targets=list(facts["gar_at_far"]),
-        bootstrap=bootstrap,
-        confidence=f"{100 * bootstrap['confidence']:g} %",
         drawn_by=_DRAWN_BY,
         charts=charts,
         uncharted=uncharted[:1].upper() + uncharted[1:],
-        turned=facts["settings"]["dissimilarity"],
         rate=_rate,
         interval=interval,
         change=_change,

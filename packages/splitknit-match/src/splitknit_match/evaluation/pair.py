@@ -13,6 +13,7 @@ skin, so that what the two differ by is the first one's error, the second one's 
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,13 +58,7 @@ _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
 _STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
-PROTOCOLS = {
-    "powder-5": ((2.6, 1.07), (1.0, 1.07), (1.5, 1.08), (1.0, 1.02), (1.1, 1.0), (0.6, 1.0)),
-    "powder-10": ((5.2, 1.14), (1.5, 1.17), (3.1, 1.16), (2.0, 1.0), (2.1, 1.0), (1.2, 1.0)),
-    "powder-20": ((9.5, 1.21), (2.4, 1.28), (5.8, 1.27), (3.9, 0.88), (4.3, 1.0), (2.7, 1.0)),
-    "cast": ((3.5, 1.0), (1.5, 0.93), (2.0, 0.99), (1.0, 1.02)),
-    "gel": ((9.5, 1.6), (2.8, 1.77), (6.0, 1.6), (1.8, 1.52)),
-}
+PROTOCOLS = json.loads(Path(__file__).with_name("protocols.json").read_text(encoding="ascii"))
 """The protocol's own error: rms in um and gain in each of the bands, of true surfaces alone (``validation/pair``)."""
 Fit = Literal["rigid", "elastic"]
 
@@ -135,13 +130,13 @@ def compare_results(
         left = float(np.sqrt(np.mean([np.square(part[fields.valid]) for part in strain]))) * one.step
     else:
         fields, left = _elastic_fields(one, two, affine)
-    form = _form((fields.heights[0] + fields.heights[1]) * np.float32(0.5), fields.valid)
+    form = _form((fields.heights[0] + fields.heights[1]) * 0.5, fields.valid)
     detail = replace(fields, heights=(fields.heights[0] - form, fields.heights[1] - form))
     bands = {band: limits for band, limits in BANDS_MM.items() if fit == "rigid" or limits[1] <= ELASTIC_MM}
     parts = {band: detail if limits[1] <= ELASTIC_MM else fields for band, limits in bands.items()}
     figures = {band: _by_slant(parts[band], limits, one.step) for band, limits in bands.items()}
     reliefs = [_band(part, fields.valid, BANDS_MM["relief"], one.step) * fields.cosine for part in detail.heights]
-    shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * np.float32(1e3)
+    shown = np.where(fields.valid, np.stack(reliefs), np.nan).astype(np.float32) * 1e3
     notes = []
     if one.mask.shape == two.mask.shape and np.array_equal(one.height, two.height):
         notes.append("A and B are the same measurement, to the last digit: that it repeats is not shown.")
@@ -160,13 +155,13 @@ class _Side:
     def __init__(self, result: Reconstruction, step: float) -> None:
         require_scale(result)
         known = result.mask & np.isfinite(result.height_mm)
-        require(bool(known.any()), "a result holds no surface.")
+        require(known.any(), "a result holds no surface.")
         self.result, self.step = result, step
         rows, columns = result.mask.shape
         middle = (columns - 1) / 2, (rows - 1) / 2
         size = round((rows - 1) * result.pitch_mm / step) + 1, round((columns - 1) * result.pitch_mm / step) + 1
         self.middle = (size[1] - 1) / 2, (size[0] - 1) / 2
-        down, right = np.indices(size, dtype=np.float64)
+        down, right = np.indices(size, dtype=float)
         self.x, self.y = (right - self.middle[0]) * step, (self.middle[1] - down) * step
         place = there = [middle[1] - self.y / result.pitch_mm, middle[0] + self.x / result.pitch_mm]
         if result.x_mm is not None and result.y_mm is not None:  # perspective: rays meet the plane beside the points
@@ -175,10 +170,10 @@ class _Side:
             for _ in range(4):  # a contraction, by the depth over the distance
                 there = [old - _sampled(part, known, there) for old, part in zip(place, beside, strict=True)]
         self.mask = _inside(known, there)
-        require(bool(self.mask.any()), "a result holds no surface.")
+        require(self.mask.any(), "a result holds no surface.")
         height = _sampled(result.height_mm, known, there, step / result.pitch_mm)
-        self.height = np.where(self.mask, height, np.float32(0.0)).astype(np.float32)
-        slopes = height_gradients(np.where(self.mask, self.height, np.float32(np.nan)), step)
+        self.height = np.where(self.mask, height, 0.0).astype(np.float32)
+        slopes = height_gradients(np.where(self.mask, self.height, np.nan), step)
         x, y = (smoothed(part, self.mask, 0.6 / step) for part in slopes)  # a mean's slope is too flat at the edge
         self.cosine = (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
         self.ridges, self.places = self._unrolled()
@@ -199,7 +194,7 @@ class _Side:
         """Relief along the normal on the unrolled grid, mm, where it is known, and the slant in deg."""
         result, cosine = self.result, self.places[2]
         known = result.mask & np.isfinite(result.height_mm)
-        relief = np.where(known, result.height_mm, np.float32(0.0)) - _form(result.height_mm, known)
+        relief = np.where(known, result.height_mm, 0.0) - _form(result.height_mm, known)
         relief = relief - smoothed(relief, known, _SIGMA * ELASTIC_MM / result.pitch_mm)
         place = [self.places[1], self.places[0]]
         inside = _inside(eroded(known, 3 * _EDGE_MM / result.pitch_mm), place)  # unrolling errs beside the edge
@@ -216,7 +211,7 @@ class _Side:
         if result.x_mm is not None and result.y_mm is not None:
             x, y = result.x_mm[at], result.y_mm[at]
         z = np.where(result.mask[at], result.height_mm[at], np.nan)
-        return np.stack([x, y, z], axis=1, dtype=np.float64)
+        return np.stack([x, y, z], axis=1, dtype=float)
 
 
 def _form(height: FloatArray, known: BoolArray) -> FloatArray:
@@ -227,7 +222,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     some = slice(None, None, max(1, len(rows) // 20_000))
     rows, columns = rows[some], columns[some]
     design = np.einsum("ni,nj->nij", vander[0][rows], vander[1][columns]).reshape(len(rows), -1)
-    factors = np.linalg.lstsq(design, height[rows, columns].astype(np.float64), rcond=1e-8)[0]
+    factors = np.linalg.lstsq(design, height[rows, columns].astype(float), rcond=1e-8)[0]
     return np.asarray(vander[0] @ factors.reshape(_ORDER + 1, -1) @ vander[1].T, dtype=np.float32)
 
 
@@ -239,7 +234,7 @@ def _inside(mask: BoolArray, place: Sequence[Array]) -> BoolArray:
 def _sampled(values: FloatArray, known: BoolArray, place: Sequence[Array], coarser: float = 1.0) -> FloatArray:
     """Cubic spline of `values` at rows and columns; low-passed where the places lie `coarser` pixels apart."""
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    full = values[tuple(nearest)].astype(np.float64)
+    full = values[tuple(nearest)].astype(float)
     if coarser > 1.2:
         full = ndimage.gaussian_filter(full, 0.35 * coarser)
     return np.asarray(ndimage.map_coordinates(full, place, order=3, mode="nearest"), dtype=np.float32)
@@ -263,7 +258,7 @@ def _agreement(a: _Side, b: _Side, affine: Affine, patches: Literal["first", "pa
     """How patches of B's ridges fit A's, and (N, 2) their middles, columns and rows."""
     grid: PatchGrid = getattr(b.ridges, patches)
     found = compare_patches(grid, a.ridges.value, a.ridges.template.valid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(np.float64)
+    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(float)
     return found, places + (grid.side - 1) / 2
 
 
@@ -274,7 +269,7 @@ def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, A
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)
     require(int(good.sum()) >= 6, "A and B overlap too little; show more of the same skin in both.")
-    return one[good], two[good], found.correlation[good].astype(np.float64)
+    return one[good], two[good], found.correlation[good].astype(float)
 
 
 def _turn_of(one: Array, two: Array, firm: Array) -> tuple[Rotation, Sequence[Array]]:
@@ -306,13 +301,13 @@ def _rigid_fields(a: _Side, b: _Side, rotation: Array, shift: Array) -> _Fields:
     height = _sampled(a.height, a.mask, place)
     valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
     valid &= (cosine > 0.5) & (b.cosine > 0.5)  # up to 60 deg
-    require(bool(valid.any()), "A and B have no surface in common that is seen at less than 60 deg.")
+    require(valid.any(), "A and B have no surface in common that is seen at less than 60 deg.")
     return _Fields((height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine)))
 
 
 def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array, Array]:
     """Gauss-Newton steps on the differences of height; slow and fast ones count by their own variance."""
-    slopes = height_gradients(np.where(a.mask, a.height, np.float32(np.nan)), a.step)
+    slopes = height_gradients(np.where(a.mask, a.height, np.nan), a.step)
     sigma = _SIGMA * BANDS_MM["relief"][1] / a.step
     for _ in range(_STEPS):
         fields = _rigid_fields(a, b, rotation, shift)
@@ -326,7 +321,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
         columns = np.concatenate([normal, np.cross(points - centre, normal)], axis=-1) * cosine[..., None]
         error = (fields.heights[1] - fields.heights[0])[box] * cosine
         parts = [np.asarray(part, dtype=np.float32) for part in (error, *np.moveaxis(columns, -1, 0))]
-        slow = np.stack([smoothed(part, valid, sigma)[valid] for part in parts]).astype(np.float64)
+        slow = np.stack([smoothed(part, valid, sigma)[valid] for part in parts]).astype(float)
         fast = np.stack([part[valid] for part in parts]) - slow
         spreads = [max(1.4826 * float(np.median(np.abs(part - np.median(part)))), 1e-5) for part in (fast[0], slow[0])]
         # a slow difference counts as often as it is independent: the Gaussian's area over a ridge's
@@ -345,7 +340,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
 def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
     """Reliefs along the normal, unrolled, with B's skin shifted smoothly onto A's, and the rms of that shift in mm."""
     (first, first_on, slant), (second, second_on, _) = a.flat(), b.flat()
-    down, right = np.indices(second.shape, dtype=np.float64)
+    down, right = np.indices(second.shape, dtype=float)
 
     def placed(shift: Sequence[Array]) -> list[Array]:
         x, y = right + shift[1], down + shift[0]
@@ -356,7 +351,7 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
         place = placed(shift)
         if sweep == 0:  # by patches of ridges, then by heights
             on = _inside(a.ridges.template.valid, place)
-            value = np.where(on, ndimage.map_coordinates(a.ridges.value, place, order=1), np.float32(0.0))
+            value = np.where(on, ndimage.map_coordinates(a.ridges.value, place, order=1), 0.0)
             more = _patch_shifts(b.ridges.patches, value, on)
         else:
             on = _inside(first_on, place) & second_on
@@ -397,10 +392,10 @@ def _shifts(reliefs: tuple[FloatArray, FloatArray], valid: BoolArray, step: floa
     stiff = sum(part.T @ part for part in flat)
     stiff = sparse.block_diag([stiff, stiff]).toarray()
     nodes = np.zeros(2 * basis.shape[1])
-    down, right = (part.ravel()[inside] for part in np.indices(valid.shape, dtype=np.float64))
-    slopes: Any = np.gradient(first.astype(np.float64))
-    smooth: Any = ndimage.spline_filter(first.astype(np.float64), order=3)
-    there = second.ravel()[inside].astype(np.float64)
+    down, right = (part.ravel()[inside] for part in np.indices(valid.shape, dtype=float))
+    slopes: Any = np.gradient(first.astype(float))
+    smooth: Any = ndimage.spline_filter(first.astype(float), order=3)
+    there = second.ravel()[inside].astype(float)
     for _ in range(8):
         place = [down + basis @ nodes[: basis.shape[1]], right + basis @ nodes[basis.shape[1] :]]
         here = ndimage.map_coordinates(smooth, place, order=3, prefilter=False)
@@ -429,7 +424,7 @@ def _band(values: FloatArray, valid: BoolArray, limits: tuple[float, float], ste
     """Return the waves between two lengths, zero where not valid."""
     fine = smoothed(values, valid, _SIGMA * limits[0] / step) if limits[0] > 0 else values
     coarse = smoothed(values, valid, _SIGMA * limits[1] / step) if np.isfinite(limits[1]) else values[valid].mean()
-    return np.where(valid, fine - coarse, np.float32(0.0)).astype(np.float32)
+    return np.where(valid, fine - coarse, 0.0).astype(np.float32)
 
 
 def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict[str, dict[str, Any]]:
@@ -442,10 +437,10 @@ def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict
         where = fields.valid & (fields.slant_deg >= low) & (fields.slant_deg < high)
         if int(where.sum()) * step**2 < _BLOCK_MM**2:
             continue
-        one, two = a[where].astype(np.float64), b[where].astype(np.float64)
+        one, two = a[where].astype(float), b[where].astype(float)
         powers = [np.ones(one.shape), one, two, one * one, two * two, one * two]
         sums = np.stack([np.bincount(block[where], weights=part) for part in powers], axis=1)
-        found[name] = _figures(sums[sums[:, 0] > 0].astype(np.float64), step)
+        found[name] = _figures(sums[sums[:, 0] > 0].astype(float), step)
     return found
 
 

@@ -22,7 +22,7 @@ from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, Pai
 
 FORMAT = "splitknit-comparison"
 _MAIN = next(iter(SLANTS_DEG))
-_LONGEST_PX = 700
+_LONGEST_PX, _APART_UM = 700, 20.0
 
 
 def write_comparison(
@@ -58,7 +58,7 @@ def write_comparison(
         cell=_cell,
     )
     with atomic_folder(out) as folder:
-        write_picture(folder / "difference.png", _coloured(pair.difference_um, True), provenance())
+        write_picture(folder / "difference.png", _coloured(pair.difference_um, _APART_UM)[0], provenance())
         (folder / "report.html").write_text(str(page), encoding="utf-8")
         (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
     return facts
@@ -103,11 +103,6 @@ def headline(facts: Mapping[str, Any]) -> list[str]:
             fits = f"correlation {_cell(one['correlation'], 3)}, gain {_cell(one['gain'], 2)}"
             apart = f"rms of A - B {_cell(one['rms_um'], 1)} um; B's own waves {one['std_um']:.1f} um"
             lines.append(f"{band}, slant {_MAIN} deg: {fits}, {apart}")
-            lines += [
-                f"  own error ({source}): {bands[band]['rms_um']:.1f} um; without it {bands[band]['left_um']:.1f} um"
-                for source, bands in facts["own_error"].items()
-                if band in bands
-            ]
     return lines
 
 
@@ -116,27 +111,26 @@ def _cell(figure: Mapping[str, Any], digits: int) -> str:
     return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")
 
 
-def _coloured(values: Any, diverging: bool = False) -> Any:
-    """Micrometres of the surface's box as colours, at most `_LONGEST_PX` a side."""
+def _coloured(values: Any, limit: float) -> tuple[Any, float]:
+    """Micrometres of the surface's box as colours, at most `_LONGEST_PX` a side; and pixels of the surface in one."""
     known = np.isfinite(values)
     box = bounding_box(known, 4)
-    limits = (-20.0, 20.0) if diverging else (-60.0, 60.0)
-    picture = on_paper(colour(values[box], *limits, diverging=diverging), known[box].astype(np.float32))
+    picture = on_paper(colour(values[box], -limit, limit, diverging=limit == _APART_UM), known[box].astype(np.float32))
     factor = min(1.0, _LONGEST_PX / max(picture.shape[:2]))
-    return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    return small, max(picture.shape[:2]) / max(small.shape[:2])
 
 
 def _pictures(pair: PairComparison) -> list[Picture]:
-    shown = {
-        "A": (pair.relief_um[0], "What is tested, waves below 1.7 mm. Yellow is high."),
-        "B": (pair.relief_um[1], "The reference, laid on A."),
-        "A - B": (pair.difference_um, "Blue: A is too low, orange: too high. Ridges seen here have the wrong height."),
-    }
-    found = []
-    for name, (values, caption) in shown.items():
-        limit, diverging = (20.0, True) if "-" in name else (60.0, False)
-        picture = _coloured(values, diverging)
-        rows, columns = bounding_box(np.isfinite(values), 4)
-        pitch = pair.pitch_mm * max(rows.stop - rows.start, columns.stop - columns.start) / max(picture.shape[:2])
-        found.append(captioned(name, picture, caption, pitch, colour_bar(-limit, limit, "µm", diverging=diverging)))
-    return found
+    high, apart = "What is tested, waves below 1.7 mm. Yellow is high.", "Blue: A is too low, orange: too high."
+    shown = (
+        ("A", pair.relief_um[0], 60.0, high),
+        ("B", pair.relief_um[1], 60.0, "The reference, laid on A."),
+        ("A - B", pair.difference_um, _APART_UM, f"{apart} Ridges seen here have the wrong height."),
+    )
+    pictures = []
+    for name, values, limit, caption in shown:
+        picture, coarser = _coloured(values, limit)
+        legend = colour_bar(-limit, limit, "µm", diverging=limit == _APART_UM)
+        pictures.append(captioned(name, picture, caption, pair.pitch_mm * coarser, legend))
+    return pictures

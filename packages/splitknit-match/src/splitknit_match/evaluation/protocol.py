@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
-from splitknit_match.evaluation.scores import KINDS, Ids, Scores
+from splitknit_match.evaluation.scores import KINDS, Ids, Scores, ids_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +47,9 @@ def comparisons(
     captures = list(zip(fingers.tolist(), sessions.tolist(), strict=True))
     require(len(set(captures)) == len(captures), "a finger has two captures in one session; keep one of them.")
     pairs = list(combinations(sorted(set(sessions.tolist())), 2))  # the earlier first: six of four
-    require(len(pairs) > 0, "captures of two sessions at least are needed.")
+    require(pairs, "captures of two sessions at least are needed.")
     names, number = np.unique(fingers, return_inverse=True)
-    wanted = np.ones((names.size, names.size), dtype=np.bool_)
+    wanted = np.ones((names.size, names.size), dtype=bool)
     if drawn is not None:
         for row, name in enumerate(names.tolist()):
             wanted[row, :row] = wanted[:row, row] = [drawn(name, other) for other in names[:row].tolist()]
@@ -76,11 +76,11 @@ def scores_of_comparisons(
     """Scores (N,) of `pairs`, NaN where there is none, with the names of fingers, sessions and subjects."""
 
     def ids(of_captures: Sequence[Any]) -> Ids:
-        names, codes = np.unique(np.asarray(of_captures).astype(str), return_inverse=True)
-        return Ids(np.stack([codes[pairs.a], codes[pairs.b]], axis=1), tuple(map(str, names)))
+        names = np.asarray(of_captures)
+        return ids_of(names[pairs.a], names[pairs.b])
 
     who = None if subject is None else ids(subject)
-    values = np.asarray(score, dtype=np.float64)
+    values = np.asarray(score, dtype=float)
     return Scores(pairs.genuine, values, finger=ids(finger), subject=who, session=ids(session), name=name)
 
 

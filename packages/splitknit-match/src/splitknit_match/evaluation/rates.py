@@ -144,7 +144,7 @@ class Roc:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
         allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
         most = np.searchsorted(self.sums[1], allowed, side="right") - 1
-        return np.asarray(np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1)
+        return np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1
 
     def gars(self, targets: Sequence[float] | Values) -> list[float]:
         """Genuine accept rate at the largest FAR not above each target."""
@@ -201,7 +201,7 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     """Receiver operating characteristic of scores (N,) and (M,), NaN = failure to acquire. Raises
     BadInput if a side has no score, or one is infinite.
     """
-    sides = [np.asarray(side, dtype=np.float64) for side in (genuine, impostor)]
+    sides = [np.asarray(side, dtype=float) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
         require(side.ndim == 1, f"{name} scores must have the shape (N,), but they have {side.shape}.")
         require(not np.isnan(side).all(), f"there is no {name} score: both genuine and impostor scores are needed.")

@@ -2,8 +2,7 @@
 
 A score file is CSV of anybody's matcher, one comparison a line. ``label`` (1 genuine, 0 impostor)
 and ``score`` are needed; a blank score is a failure to acquire. ``finger_a``, ``finger_b``,
-``subject_a``, ``session_a`` and so on name who was compared; ``system`` names the matcher where a
-file holds the scores of several. Other columns are ignored.
+``subject_a``, ``session_a`` and so on name who was compared. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
-from splitknit.errors import read_bytes, require
+from splitknit.errors import naming, read_bytes, require
 from splitknit.io.csv_table import csv_text, plain_text
 
 KINDS = ("finger", "subject", "session")
@@ -49,7 +48,7 @@ class Ids:
         return Ids(self.codes[index], self.names)
 
 
-def ids_of(a: Sequence[Any], b: Sequence[Any]) -> Ids:
+def ids_of(a: Any, b: Any) -> Ids:
     """Ids from the names of both sides, in the order in which names first appear when sorted."""
     names, codes = np.unique(np.asarray([a, b]).astype(str), return_inverse=True)
     return Ids(codes.reshape(2, -1).T.astype(np.int64), tuple(map(str, names)))
@@ -78,7 +77,7 @@ class Scores:
         for words, chosen in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
             require(chosen.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
             fault = f"{self.name} holds no {words} score"
-            require(not bool(np.isnan(chosen).all()), f"{fault}: all {chosen.size} are failures to acquire.")
+            require(not np.isnan(chosen).all(), f"{fault}: all {chosen.size} are failures to acquire.")
         wrong = contradictions(self.label, self.finger, self.subject)
         fault = f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other"
         require(not wrong.any(), f"{fault}: check its ids.")
@@ -104,7 +103,7 @@ def contradictions(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | 
     """(N,) whether a comparison's ids and label cannot both be right. Genuine: one finger (and subject) on both sides;
     impostor: two fingers, perhaps of one subject.
     """
-    wrong = np.zeros(label.shape, dtype=np.bool_)
+    wrong = np.zeros(label.shape, dtype=bool)
     if finger is not None:
         wrong |= finger.same != label
     if subject is not None:
@@ -134,7 +133,7 @@ def score_table(
 class ScoreFile:
     """What a score file holds."""
 
-    systems: list[Scores]  # named by the column ``system``, else by the file
+    scores: Scores  # named by the file
     ignored: list[str]  # columns that were not read
     sha256: str
 
@@ -163,16 +162,16 @@ def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) ->
         score.append(_score(row[place["score"]].strip(), where))
         for column, at, codes, coded in codings:
             text = row[at].strip()
-            require(bool(text), f"{where}: {column} is blank; name it in every line or nowhere.")
+            require(text, f"{where}: {column} is blank; name it in every line or nowhere.")
             coded.append(codes.setdefault(text, len(codes)))
-    require(len(lines) > 0, f"{name} holds no comparison: a line of column names and a line for each are expected.")
+    require(lines, f"{name} holds no comparison: a line of column names and a line for each are expected.")
     kinds = {
         kind: _coded(codes, [ids[column] for column in ids if column.startswith(kind)])
         for kind, codes in places.items()
     }
     values = np.array(score) * (-1.0 if dissimilarity else 1.0)
-    systems = _systems(np.array(label, dtype=np.bool_), values, kinds, np.array(lines), name)
-    return ScoreFile(systems, [column for column in header if column not in known], hashlib.sha256(data).hexdigest())
+    scores = _scores_of(np.array(label, dtype=bool), values, kinds, np.array(lines), name)
+    return ScoreFile(scores, [column for column in header if column not in known], hashlib.sha256(data).hexdigest())
 
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
@@ -197,6 +196,7 @@ def _check_columns(header: list[str], where: str) -> list[str]:
         cure = "columns apart by commas, 'label' (1 genuine, 0 impostor) and 'score' among them, are needed"
         fault = f"{where}: there is no column '{column}' in '{_short(','.join(header))}'"
         require(column in header, f"{fault}; {cure}.")
+    require("system" not in header, f"{where}: there is a column 'system'; put each system into a file of its own.")
     twice = [column for column in header if header.count(column) > 1]
     require(not twice, f"{where}: there are two columns '{_short(''.join(twice[:1]))}'; name each once.")
     known = ["label", "score"]
@@ -206,7 +206,7 @@ def _check_columns(header: list[str], where: str) -> list[str]:
         cure = f"both '{pair[0]}' and '{pair[1]}' are needed."
         require(len(there) != 1, f"{where}: there is a column '{''.join(there)}' alone; {cure}")
         known += there
-    return known + ["system"] * ("system" in header)
+    return known
 
 
 def _label(text: str, where: str) -> bool:
@@ -234,26 +234,16 @@ def _coded(places: Mapping[str, int], columns: Sequence[array[int]]) -> Ids:
     return Ids(order[np.array(columns, dtype=np.int64)].T, tuple(names))
 
 
-def _systems(
+def _scores_of(
     label: NDArray[np.bool_], score: NDArray[np.float64], kinds: Mapping[str, Ids], line: NDArray[np.int64], path: str
-) -> list[Scores]:
-    finger, subject, session, system = (kinds.get(kind) for kind in (*KINDS, "system"))
+) -> Scores:
+    finger, subject, session = map(kinds.get, KINDS)
     if finger is not None and subject is not None:
         finger = fingers_of_subjects(finger, subject)
     wrong = contradictions(label, finger, subject)
     where = f"{path}, line {line[np.argmax(wrong)]}"
     require(not wrong.any(), f"{where}: label and ids of the comparison contradict each other; correct one of them.")
-    every = Ids(np.zeros((label.size, 1), dtype=np.int64), (Path(path).stem,))
-    codes, names = (system or every).codes[:, 0], (system or every).names
-    systems = []
-    for code, name in enumerate(names):
-        chosen = codes == code
-        who, whose, when = (None if ids is None else ids.taken(chosen) for ids in (finger, subject, session))
-        try:
-            systems.append(Scores(label[chosen], score[chosen], who, whose, when, name))
-        except BadInput as error:
-            raise BadInput(f"{path}, as system {error}") from error
-    return systems
+    return naming(path, lambda: Scores(label, score, finger, subject, session, Path(path).stem))
 
 
 def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:

@@ -7,8 +7,6 @@ into the file, so that a gallery at rest is one file. What a killed writer began
 from __future__ import annotations
 
 import contextlib
-import datetime
-import getpass
 import hashlib
 import os
 import re
@@ -23,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
 from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
-from splitknit.io.atomic import append_line, private_modes
+from splitknit.io.atomic import private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit.verbs import VERB, AnyPath
+from splitknit.verbs import AnyPath
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
@@ -36,8 +34,6 @@ APPLICATION_ID = 0x534B4741
 VERSION = 4
 WAIT_S = 10.0
 """How long one waits for another program's transaction."""
-LOG = ".log"
-"""End of the name of the access log that may lie beside a gallery."""
 KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
 MAX_NAME = 100
 """Characters of a person's name, at most."""
@@ -216,7 +212,7 @@ class People:
         wanted = {"person": person, "finger": finger}
         words = " and ".join(f"{name} '{value}'" for name, value in wanted.items() if value is not None)
         missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
-        require(bool(entries) or not words, missing)
+        require(entries or not words, missing)
         return entries
 
     def index(self) -> MinutiaIndex:
@@ -248,7 +244,6 @@ class GalleryFile:
         """Device and inode of the file whose pages were checked."""
         self._kept: tuple[object, People | None] = None, None
         """What was read last, and of which state of which file."""
-        self._logged = False
 
     def __enter__(self) -> Self:
         return self
@@ -396,7 +391,6 @@ class GalleryFile:
         """One state of the gallery, whatever others write meanwhile."""
         with self._refusing():
             require(self.there, f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
-            self._log()
             with contextlib.closing(self._connect()) as database, _transaction(database, "BEGIN"):
                 self._check(database)
                 yield database
@@ -407,7 +401,6 @@ class GalleryFile:
         there = self.there
         require(there or settings_sha256 is not None, f"there is no gallery '{self.path}'.")
         with self._refusing():
-            self._log()
             if not there:
                 self.path.touch(private_modes()[0])
             place = _stamp_of(self.path)
@@ -504,21 +497,6 @@ class GalleryFile:
             f"the templates in '{self.path}' are of version {versions[0][0]}, but this program makes version "
             f"{TEMPLATE_VERSION}; enrol the fingers again in a new gallery.",
         )
-
-    def _log(self) -> None:
-        """Add a line to the access log, where one lies beside the gallery: who opens it when, for which verb."""
-        log = self.path.with_name(self.path.name + LOG)
-        if self._logged or not os.path.lexists(log):
-            return
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        uid = os.getuid() if hasattr(os, "getuid") else None
-        who = {"time": now, "user": getpass.getuser(), "uid": uid, "verb": VERB.get()}
-        try:
-            append_line(log, {**who, "gallery": str(self.path.resolve())})
-        except OSError as error:
-            fault = f"the access log '{log}' cannot be written ({error.strerror})"
-            raise Unavailable(f"{fault}, and without it '{self.path}' is not opened.") from error
-        self._logged = True
 
     @contextlib.contextmanager
     def _refusing(self) -> Iterator[None]:

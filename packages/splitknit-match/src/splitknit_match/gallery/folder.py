@@ -95,7 +95,7 @@ def _read_table(folder: Path) -> list[NewCapture]:
     data = read_bytes(file, _MAX_TABLE_BYTES)
     with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
-    require(len(rows) > 0, f"'{file}' lists no finger.")
+    require(rows, f"'{file}' lists no finger.")
     captures, lines = [], dict[tuple[str, ...], int]()
     for number, row in enumerate(rows, start=2):
         complete = all(isinstance(row.get(column), str) for column in _COLUMNS)

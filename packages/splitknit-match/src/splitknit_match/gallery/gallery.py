@@ -171,7 +171,7 @@ class Gallery(GalleryFile):
         given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
         sources = [held(source, resolution_ppi) for source in given]
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
-        require(len(sources) > 0, f"name {kinds} to enrol.")
+        require(sources, f"name {kinds} to enrol.")
         single = len(sources) == 1 or session is None
         require(single, "`session` goes with one source; several are numbered by themselves.")
         person, finger = check_person(person), known_finger(finger)

@@ -65,7 +65,7 @@ class MinutiaIndex:
         """Take templates by their rows, without failures to acquire; those that are the `same` as in an `earlier` index
         are not read again. Raises BadInput if one is damaged.
         """
-        known = np.array([row in same for row in ([] if earlier is None else earlier.rows.tolist())], dtype=np.bool_)
+        known = np.array([row in same for row in ([] if earlier is None else earlier.rows.tolist())], dtype=bool)
         taken = set() if earlier is None else set(earlier.rows[known].tolist())
 
         def minutiae(row: int) -> tuple[Places, NDArray[np.float64], NDArray[np.uint16]] | None:
@@ -92,8 +92,8 @@ class MinutiaIndex:
                 setattr(self, name, np.concatenate([getattr(earlier, name)[kept], getattr(self, name)]))
             keys = np.concatenate([earlier._keys()[kept], keys])
         self.first = np.cumsum(self.count) - self.count
-        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * np.int32(2 * _TURNS)
-        self.code += _steps(self.turn) + np.int32(_TURNS)
+        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _TURNS)
+        self.code += _steps(self.turn) + _TURNS
         self.lists = np.stack([np.argsort(one, kind="stable").astype(np.int32) for one in keys.T])
         sizes = [np.bincount(one, minlength=1 << _BITS) for one in keys.T]
         self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
@@ -122,7 +122,7 @@ class MinutiaIndex:
         turned = (probe.place[:, None] * np.exp(2j * np.pi / _TURNS * np.arange(_TURNS))).astype(np.complex64)
         start = turned.ravel().take(minutia * _TURNS + code % _TURNS)
         right, up = (
-            np.clip((shift / np.float32(_CELL_MM) + np.float32(_SHIFTS / 2)).astype(np.int32), 0, _SHIFTS - 1)
+            np.clip((shift / _CELL_MM + _SHIFTS / 2).astype(np.int32), 0, _SHIFTS - 1)
             for shift in (self.x.take(found) - start.real, self.y.take(found) - start.imag)
         )
         votes = np.bincount((slot * _SHIFTS + right) * _SHIFTS + up, weight, minlength=count * _SHIFTS**2)
@@ -142,7 +142,7 @@ class MinutiaIndex:
 
         def total_of(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
             parts = [np.bincount(laid, weight * part, minlength=len(kept)) for part in (values.real, values.imag)]
-            return np.asarray(parts[0] + 1j * parts[1])
+            return parts[0] + 1j * parts[1]
 
         turns = np.exp(1j * np.angle(total_of(np.exp(1j * (self.turn[found] - probe.turn[minutia])))))
         shifts = total_of(self.x[found] + 1j * self.y[found] - probe.place[minutia] * turns[laid])
@@ -202,15 +202,15 @@ class MinutiaIndex:
         x, y, turn = self.x[at], self.y[at], self.turn[at]
         laid = (probe.place * turns[:, None] + shift[:, None]).astype(np.complex64)
         there = column < count[:, None]
-        apart = laid.real[:, :, None] - np.where(there, x, np.float32(np.inf))[:, None]
+        apart = laid.real[:, :, None] - np.where(there, x, np.inf)[:, None]
         apart *= apart
         apart += (laid.imag[:, :, None] - y[:, None]) ** 2
-        near = np.flatnonzero(apart < np.float32(_REACH_MM2))
+        near = np.flatnonzero(apart < _REACH_MM2)
         one, other = near // width, near // laid[0].size // width * width + near % width  # of the probe, the captures
         miss = (np.angle(turns)[:, None] + probe.turn).ravel()[one] - turn.ravel()[other]
         miss -= 2 * np.pi * np.rint(miss / (2 * np.pi))
         like = np.exp(-apart.ravel()[near] / _FITS_MM**2 - (miss / _FITS_RAD) ** 2)
-        both = np.ones(len(near), dtype=np.bool_)
+        both = np.ones(len(near), dtype=bool)
         for side, size in ((one, laid.size), (other, x.size)):
             most = np.zeros(size)
             np.maximum.at(most, side, like)
@@ -230,12 +230,12 @@ def _vectors() -> Floats:
 
 def _keys(side: Cylinders) -> NDArray[np.uint16]:
     """(N, tables) of cylinders."""
-    signs = (side.value - np.float32(_MEAN) * side.known) @ _vectors() > 0
-    return np.asarray(signs.reshape(-1, _TABLES, _BITS) @ (1 << np.arange(_BITS, dtype=np.uint16)), dtype=np.uint16)
+    signs = (side.value - _MEAN * side.known) @ _vectors() > 0
+    return signs.reshape(-1, _TABLES, _BITS) @ (1 << np.arange(_BITS, dtype=np.uint16))
 
 
 def _steps(turn: Floats) -> NDArray[np.int32]:
-    return np.asarray(np.floor(turn * np.float32(_TURNS / (2 * np.pi))).astype(np.int32) % _TURNS)
+    return np.asarray(np.floor(turn * (_TURNS / (2 * np.pi))).astype(np.int32) % _TURNS)
 
 
 def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:

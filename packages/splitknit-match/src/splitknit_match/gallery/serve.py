@@ -190,7 +190,7 @@ def _write_line(audit: Path | None, line: dict[str, Any]) -> None:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
     try:
         if audit is not None:
-            append_line(audit, {"time": now, **line}, begin=True)
+            append_line(audit, {"time": now, **line})
     except OSError as error:
         fault = f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror})"
         raise Unavailable(f"{fault}, and without it nothing is done.") from error
@@ -224,7 +224,7 @@ def _finger_of(fields: Mapping[str, Any]) -> Pixels | bytes:
     except (binascii.Error, ValueError) as error:
         raise BadInput("'print' and 'template' must be base64.") from error
     if "template" in fields:
-        require(len(data) > 0, "the template is empty: a failure to acquire.")
+        require(data, "the template is empty: a failure to acquire.")
         return data
     prints = decode_prints(data, "the print")
     require(len(prints) == 1, f"the print holds {len(prints)} fingers; send them one by one.")
@@ -269,6 +269,6 @@ def read_token(file: Path | None, variable: str = "SPLITKNIT_SERVE_TOKEN") -> st
     """Token from a file, else from the environment. Raises BadInput if there is none."""
     if file is None:
         text = os.environ.get(variable)
-        require(bool(text), f"give the token that clients must send: `token_file` FILE, or the variable {variable}.")
+        require(text, f"give the token that clients must send: `token_file` FILE, or the variable {variable}.")
         return str(text)
     return read_bytes(file, 10_000).decode("utf-8", "replace").strip()

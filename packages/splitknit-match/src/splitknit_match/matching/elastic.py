@@ -111,7 +111,7 @@ def patch_grid(
     padded[: shape[0], : shape[1]] = value
     known = np.zeros(padded.shape, dtype=np.uint8)
     known[: shape[0], : shape[1]] = valid
-    fraction = _sums(known, side)[rows, columns] / np.float32(side * side)
+    fraction = _sums(known, side)[rows, columns] / (side * side)
     kept = fraction >= _MIN_OVERLAP
     rows, columns, places, fraction = rows[kept], columns[kept], places[kept], fraction[kept]
     patches = sliding_window_view(padded, (side, side))[rows, columns]
@@ -123,11 +123,11 @@ def patch_grid(
         grid=(len(starts[0]), len(starts[1])),
         first=(int(starts[0][0]), int(starts[1][0])),
         step=step,
-        spectrum=np.float32(window * window) * spectrum_of(patches, (window, window)).conj(),
+        spectrum=(window * window) * spectrum_of(patches, (window, window)).conj(),
         side=side,
         reach=reach,
         pitch_mm=pitch_mm,
-        energy=np.asarray((patches * patches).sum(axis=(1, 2)), dtype=np.float32),
+        energy=(patches * patches).sum(axis=(1, 2)),
         fraction=fraction,
     )
 
@@ -144,15 +144,15 @@ def compare_patches(
     moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
     if bend is None:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
+        value = cv2.warpAffine(a_value, moved, (right, bottom), flags=flags)
         nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
+        valid = cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest)
     else:
         bent_places = _places(bottom, right) - _upsampled(patches, bend, (bottom, right), reach)
         there = cv2.transform(bent_places, moved)
-        value = np.asarray(cv2.remap(a_value, there, _ONE_MAP, cv2.INTER_LINEAR))
-        valid = np.asarray(cv2.remap(a_valid.view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST))
-    fraction = _sums(valid, side) / np.float32(side * side)
+        value = cv2.remap(a_value, there, _ONE_MAP, cv2.INTER_LINEAR)
+        valid = cv2.remap(a_valid.view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST)
+    fraction = _sums(valid, side) / (side * side)
     seen = np.minimum(fraction[patches.rows + reach, patches.columns + reach], patches.fraction)
     used = np.flatnonzero(seen >= _MIN_OVERLAP)
     if not len(used):
@@ -167,7 +167,7 @@ def compare_patches(
     surface = np.fft.irfft(np.fft.ifft(product, axis=1)[:, :count], n=window, axis=2)[:, :, :count]
     energy = _sums(value * value, side)
     around = sliding_window_view(energy, (count, count))[rows, columns]
-    floor = np.float32(0.05 * side * side)
+    floor = 0.05 * side * side
     surface = surface / np.sqrt(np.maximum(around, floor) * np.maximum(patches.energy[used], floor)[:, None, None])
     support = _supported(surface, patches.place[used], patches.grid, seen[used])
     shift, correlation = _peak(support, surface)
@@ -184,7 +184,7 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
     centre = place.mean(axis=0)
     span, near = _SPAN_MM / patches.pitch_mm, _NEAR_MM / patches.pitch_mm
     design = np.column_stack([(place - centre) / span, np.ones(len(place))])
-    robust = weight.astype(np.float64)
+    robust = weight.astype(float)
     solution: NDArray[np.float64] = np.zeros((3, 2))
     # the linear part is held back: a few patches must not shear the finger
     hold = np.diag([0.09, 0.09, 0.0])
@@ -229,7 +229,7 @@ def _smoothed(
     board = np.zeros((*grid, 3), dtype=np.float32)
     np.add.at(board, (place[:, 0], place[:, 1]), np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
     board = np.asarray(cv2.GaussianBlur(board, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
-    return np.asarray(board[..., :2] / (board[..., 2:] + (_STILL * 0.16)), dtype=np.float32)
+    return board[..., :2] / (board[..., 2:] + (_STILL * 0.16))
 
 
 def _upsampled(patches: PatchGrid, bend: FloatArray, size: tuple[int, int], border: int) -> FloatArray:
@@ -248,7 +248,7 @@ def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray, place: NDAr
     """(N, 2) column and row in A of places (N, 2) in B."""
     grid = (place - (np.array(patches.first[::-1]) + (patches.side - 1) / 2)) / patches.step
     near = np.clip(np.rint(grid).astype(np.int64), 0, np.array(bend.shape[1::-1]) - 1)
-    return np.asarray((place - bend[near[:, 1], near[:, 0]]) @ b_from[:, :2].T + b_from[:, 2])
+    return (place - bend[near[:, 1], near[:, 0]]) @ b_from[:, :2].T + b_from[:, 2]
 
 
 def overlap_correlation(
@@ -264,8 +264,8 @@ def overlap_correlation(
     if bend is not None:
         places -= _upsampled(patches, bend, (shape[0], shape[1]), 0)
     there = cv2.transform(places, b_from)
-    both = (np.asarray(cv2.remap(a[1].view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST)) > 0) & b[1]
-    one, other = np.asarray(cv2.remap(a[0], there, _ONE_MAP, cv2.INTER_LINEAR))[both], b[0][both]
+    both = (cv2.remap(a[1].view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST) > 0) & b[1]
+    one, other = cv2.remap(a[0], there, _ONE_MAP, cv2.INTER_LINEAR)[both], b[0][both]
     power = float(one @ one) * float(other @ other)
     return float(one @ other) / max(power, 1e-12) ** 0.5, float(both.sum()) * patches.pitch_mm**2
 
@@ -316,7 +316,7 @@ def _peak(support: FloatArray, surface: FloatArray) -> tuple[NDArray[np.float64]
     middle = support.reshape(len(surface), -1).argmax(axis=1)
     row, column = np.divmod(middle, count)
     middle += np.arange(0, own.size, count * count)
-    here, best = supports[middle], own[middle].astype(np.float64)
+    here, best = supports[middle], own[middle].astype(float)
     middle_own = best.copy()
     shift = np.stack([column, row], axis=1) - np.float64(count // 2)
     for axis, (at, step) in enumerate(((column, 1), (row, count))):

@@ -6,6 +6,8 @@ thesis's (75.7 px/mm) and scale with the image; neighbours are one pixel away.
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +47,7 @@ def lbp_codes(image: FloatArray) -> Codes:
 
 def _codes(padded: FloatArray) -> Codes:
     """Codes (H, W) of an image with a border (H + 2, W + 2)."""
-    step = np.diff(padded[1:-1], axis=1) * np.float32(1 / (1 - _DIAGONAL))  # saves a factor below
+    step = np.diff(padded[1:-1], axis=1) * (1 / (1 - _DIAGONAL))  # saves a factor below
     left, right = step[:, :-1], step[:, 1:]
     upwards = (padded[:-1] - padded[1:]).ravel()  # to each row but the last, from the one below
     near = _DIAGONAL / (1 - _DIAGONAL)
@@ -63,15 +65,13 @@ def _codes(padded: FloatArray) -> Codes:
     return codes
 
 
-def uniform_bins() -> Codes:
-    """(256,) the bin of each code: 0 to 57 for the uniform ones in rising order, 58 for all others."""
-    codes = np.arange(256, dtype=np.uint32)
-    turned = (codes >> 1) | ((codes & 1) << 7)
-    changes = np.array([int(value).bit_count() for value in codes ^ turned])
-    return np.where(changes <= 2, np.cumsum(changes <= 2) - 1, 58).astype(np.uint8)
-
-
-_BINS = uniform_bins()
+@cache
+def uniform_bins(neighbours: int = 8) -> Codes:
+    """(2^n,) the bin of each code: those of at most two changes around the circle in rising order, then all others."""
+    codes = np.arange(1 << neighbours, dtype=np.uint32)
+    turned = (codes >> 1) | ((codes & 1) << (neighbours - 1))
+    uniform = np.bitwise_count(codes ^ turned) <= 2
+    return np.where(uniform, np.cumsum(uniform) - 1, np.count_nonzero(uniform)).astype(np.uint8)
 
 
 def lbp_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
@@ -82,7 +82,7 @@ def lbp_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     cell, rows, columns = cells(image, px_per_mm)
     used = lbp_codes(image[: rows * cell + 1, : columns * cell + 1])[: rows * cell, : columns * cell]
     first = 59 * (np.arange(columns * cell) // cell)
-    bins = cv2.LUT(used, _BINS).reshape(rows, cell, -1)
+    bins = cv2.LUT(used, uniform_bins()).reshape(rows, cell, -1)
     counts = np.stack([np.bincount((first + row).ravel(), minlength=59 * columns) for row in bins])
     counts = counts.reshape(-1, 59).astype(np.float32)
     return np.asarray(counts / np.sqrt((counts * counts).sum(axis=1, keepdims=True))).ravel()

@@ -267,7 +267,7 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
     from splitknit_match.prints.pressed import pressed_ridges
 
     image = at_500_ppi(image, ppi)
-    inside, minutiae, lacks = np.zeros(image.shape, dtype=np.bool_), no_minutiae((image.shape[0], image.shape[1])), ""
+    inside, minutiae, lacks = np.zeros(image.shape, dtype=bool), no_minutiae((image.shape[0], image.shape[1])), ""
     with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
         ridges = pressed or pressed_ridges(image)
         lacks = ridges.lacks

@@ -95,12 +95,12 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     gap = ((place - place[:, None]) * ahead.conj()).astype(np.complex64)[:, None]
     # the Gaussian around a minutia is the product of one to the right and one up; each (N, cells, N)
     line = _LINE_MM[:, None]
-    far = np.float32(-35)  # less makes numbers so small (subnormal) that sums of their products take ten times as long
+    far = -35  # less makes numbers so small (subnormal) that sums of their products take ten times as long
     right, up = (np.exp(np.maximum((line - part) ** 2 / (-2 * _SIGMA_MM**2), far)) for part in (gap.real, gap.imag))
     own = np.arange(len(place))
     right[own, :, own] = 0.0
     turned = _wrapped(turn - turn[:, None]).astype(np.float32)[:, None]
-    apart = np.float32(np.pi) - np.abs(np.pi - np.abs(_LEVEL_RAD[:, None] - turned))
+    apart = np.pi - np.abs(np.pi - np.abs(_LEVEL_RAD[:, None] - turned))
     like = np.exp(-0.5 * (apart / _SIGMA_RAD) ** 2)  # (N, levels, N)
     both = (up[:, :, None] * like[:, None]).reshape(len(place), _CELLS * _LEVELS, len(place))
     near = (right @ both.swapaxes(1, 2)).reshape(len(place), _CELLS, _CELLS, _LEVELS)[:, _ROUND]
@@ -118,7 +118,7 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
 def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> BoolArray:
     """(...) whether columns and rows (..., 2) lie on a template's ridges."""
     rows, columns = (np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1))
-    return np.asarray(np.pad(valid, 1)[rows, columns])
+    return np.pad(valid, 1)[rows, columns]
 
 
 def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Laid]:
@@ -129,7 +129,7 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Laid]:
     count = min(_PAIRS, gamma.size)
     best = np.argpartition(-gamma, count - 1, axis=None)[:count]
     i, j = np.unravel_index(np.sort(best), gamma.shape)
-    first = gamma[i, j].astype(np.float64)
+    first = gamma[i, j].astype(float)
     fits = _compatible((a.place[i], a.turn[i]), (b.place[j], b.turn[j]))
     fits[(i[:, None] == i) | (j[:, None] == j)] = 0.0
     value = first
@@ -206,4 +206,4 @@ def _laid(
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+    return (angle + np.pi) % (2 * np.pi) - np.pi

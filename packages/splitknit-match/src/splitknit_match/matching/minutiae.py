@@ -49,18 +49,19 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     """
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)
-    area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, _disc(closed))
+    area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc(closed))
     area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is not print
-    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, _disc(opened))[1:-1, 1:-1] > 0)
+    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, disc(opened))[1:-1, 1:-1] > 0)
 
 
 def _to_outline(area: BoolArray) -> FloatArray:
     """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
     pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return np.asarray(pixels * (25.4 / PPI), dtype=np.float32)
+    return pixels * (25.4 / PPI)
 
 
-def _disc(radius: int) -> NDArray[np.uint8]:
+def disc(radius: int) -> NDArray[np.uint8]:
+    """(2 radius + 1, 2 radius + 1) round structuring element."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(kernel, dtype=np.uint8)
 
@@ -182,7 +183,7 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
         image.ndim == 2 and image.size > 0 and image.dtype == np.uint8,
         f"a print must be (H, W) uint8, ridges dark, but it is {image.shape} {image.dtype}.",
     )
-    require(bool(np.isfinite(ppi)) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
+    require(np.isfinite(ppi) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
     high, wide = (side * 25.4 / ppi for side in image.shape)
     require(

@@ -71,8 +71,8 @@ class Minutiae:
         if self.count:
             inside = self.x_px.min() >= 0 and self.y_px.min() >= 0
             inside = inside and self.x_px.max() < width and self.y_px.max() < rows
-            require(bool(inside), f"minutiae must lie inside their print of {rows} x {width} pixels.")
-            require(bool(np.isfinite(self.direction_rad).all()), "directions of minutiae must be finite.")
+            require(inside, f"minutiae must lie inside their print of {rows} x {width} pixels.")
+            require(np.isfinite(self.direction_rad).all(), "directions of minutiae must be finite.")
             require(int(self.quality.max()) <= 100, "qualities of minutiae must lie between 0 and 100.")
             require(int(self.type.max()) <= BIFURCATION, "types of minutiae are 0, 1 (ending) and 2 (bifurcation).")
 

@@ -82,7 +82,7 @@ class _RotatedViews:
     def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float) -> None:
         """Take the band; its middle becomes the middle of the grids."""
         self._soft, self._pitch_mm = _softened(value, pitch_mm), pitch_mm
-        self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
+        self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=float))
         count = 2 * _HALF
         self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
         self._unit = np.zeros(count, dtype=np.float32)
@@ -207,11 +207,11 @@ def _agreement(products: Spectra) -> NDArray[np.float32]:
 def _whitened(spectrum: Spectra) -> Spectra:
     size = np.abs(spectrum)
     floor = max(0.05 * float(size.max()), 1e-12)
-    result = spectrum * (_ridge_pass() / np.maximum(size, np.float32(floor)) ** _WHITENING)
+    result = spectrum * (_ridge_pass() / np.maximum(size, floor) ** _WHITENING)
     # twice the power of the half plane, but for its first column, where ridges have little
     power = 2 * float((np.abs(result) ** 2).sum())
     result *= np.float32(np.sqrt(_PLANE_PX[0] * _PLANE_PX[1] / max(power, 1e-30)))
-    return np.asarray(result, dtype=np.complex64)
+    return result
 
 
 @cache
@@ -413,12 +413,12 @@ def every_pose(a: Prepared, b: Prepared) -> list[Affine]:
     target = spectrum_of(still, size).conj()
     # both grids have their middles at (side - 1) / 2: where the middles fall together is not a shift
     offset = np.array([(s - t) / 2 for s, t in zip(still.shape[:0:-1], turned.shape[:1:-1], strict=True)])
-    scale = np.float32((size[0] * size[1]) ** 0.5)
+    scale = (size[0] * size[1]) ** 0.5
     found, root = [], np.ones(size, dtype=np.float32)
 
     def correlated(what: int, number: int) -> FloatArray:
         product = spectrum_of(turned[what, number], size) * target[what]
-        return np.asarray(scale * np.fft.irfft2(product, s=size, norm="ortho"), dtype=np.float32)
+        return np.asarray(scale * np.fft.irfft2(product, s=size, norm="ortho"))
 
     for number in range(turned.shape[1]):
         if number % _OVERLAPS == 0:

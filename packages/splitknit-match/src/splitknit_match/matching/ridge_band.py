@@ -89,7 +89,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
             continue
         require(field.shape == mask.shape, f"{name} must have the shape {mask.shape}, but it has {field.shape}.")
         mask = mask & np.isfinite(field)
-        require(bool(mask.any()), f"{name} is NaN all over the mask.")
+        require(mask.any(), f"{name} is NaN all over the mask.")
         deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
         require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
     transform = np.eye(3) if input_from_upright is None else input_from_upright
@@ -120,9 +120,9 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         ridges = (ridges - gaussian_mean(ridges, narrow) / total) * weight
     fraction = np.maximum(gaussian_mean(weight, window), 1e-3)
     spread = np.sqrt(np.maximum(gaussian_mean(ridges * ridges, window) / fraction, 0.0))
-    typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
+    typical = float(np.median(spread[inside])) if inside.any() else 0.0
     if typical <= 0.0:
-        return RidgeBand(np.zeros(value.shape, dtype=np.float32), np.zeros(value.shape, dtype=np.bool_), band_mm)
+        return RidgeBand(np.zeros(value.shape, dtype=np.float32), np.zeros(value.shape, dtype=bool), band_mm)
     flat = ridges / np.maximum(spread, FLOOR * typical)
     # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation detection
     across, down = cv2.Sobel(flat, cv2.CV_32F, 1, 0), cv2.Sobel(flat, cv2.CV_32F, 0, 1)
@@ -147,7 +147,7 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray |
         image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
         f"a print must be (H, W) uint8, not {image.shape} {image.dtype}.",
     )
-    require(bool(np.isfinite(ppi)) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
+    require(np.isfinite(ppi) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
     detail = ink - gaussian_mean(ink, RIDGE_MM / pitch)
@@ -155,8 +155,8 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray |
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
     if inside is not None:
         finger &= inside[:, ::-1]
-    if not bool(finger.any()):
-        finger, ink = np.ones(image.shape, dtype=np.bool_), np.zeros_like(ink)  # a band without any valid skin
+    if not finger.any():
+        finger, ink = np.ones(image.shape, dtype=bool), np.zeros_like(ink)  # a band without any valid skin
     return ridge_band(ink, finger, pitch)
 
 
@@ -172,8 +172,8 @@ def band_places(
     """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
     step = band_mm / pitch_mm
     grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
-    column = np.arange(grid_columns, dtype=np.float64) * step
-    row = np.arange(grid_rows, dtype=np.float64) * step
+    column = np.arange(grid_columns, dtype=float) * step
+    row = np.arange(grid_rows, dtype=float) * step
     if shape_mm is None:
         flat = np.broadcast_to(column, (grid_rows, grid_columns))
         return (*_to_input(flat, row, transform), np.ones(flat.shape, dtype=np.float32))
@@ -184,7 +184,7 @@ def band_places(
     height: AnyArray = cv2.resize(np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA)
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
-    height = np.where(inside, height / np.maximum(weight, 0.5), np.float32(np.nan)).astype(np.float32)
+    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
     total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), 1e-3)

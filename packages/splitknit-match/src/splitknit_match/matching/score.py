@@ -28,7 +28,7 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
 
     Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
     """
-    total = float(np.sum(np.asarray(distances, dtype=np.float64)))
+    total = float(np.sum(np.asarray(distances, dtype=float)))
     return math.exp(-(ratio**4) / total) if total > 0 else 0.0
 
 
@@ -82,9 +82,9 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
 
     Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
     """
-    scores = np.sort(np.asarray(impostor, dtype=np.float64).ravel())
+    scores = np.sort(np.asarray(impostor, dtype=float).ravel())
     require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")
-    require(bool(np.isfinite(scores).all()), "impostor scores contain NaN or infinite values.")
+    require(np.isfinite(scores).all(), "impostor scores contain NaN or infinite values.")
     # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
     above = np.unique(np.round(np.geomspace(1, scores.size, _ENTRIES)).astype(np.int64))[::-1]
     thresholds = np.concatenate([scores[scores.size - above], [np.nextafter(scores[-1], np.inf)]])
@@ -110,7 +110,7 @@ class OwnRates:
 
 def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: float) -> dict[str, Any]:
     """Content of a file of own rates; failures (NaN) are left out. Raises BadInput as :func:`calibrate_scores`."""
-    scores = np.asarray(impostor, dtype=np.float64)
+    scores = np.asarray(impostor, dtype=float)
     table = calibrate_scores(scores[~np.isnan(scores)])
     return {
         "format": DECISION_FORMAT, "version": 1, "method": method, "what": what, "least_mm2": least_mm2,
@@ -125,11 +125,11 @@ def read_own_rates(path: Path) -> OwnRates:
     require(document.get("format") == DECISION_FORMAT, wrong)
     require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
     with refusing(wrong):  # also integers beyond all floats
-        scores, rates = (np.array(document[name], dtype=np.float64) for name in ("similarity", "fmr"))
+        scores, rates = (np.array(document[name], dtype=float) for name in ("similarity", "fmr"))
         table = FmrTable(scores, rates, int(float(document["impostors"])), str(document["what"]))
         found = OwnRates(table, str(document["method"]), float(document["least_mm2"]))
     sound = scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1 and found.least_mm2 >= 0
     sound = sound and table.impostors < 1e12
-    require(sound and bool((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all()), wrong)
-    require(bool(((rates > 0) & (rates <= 1)).all()) and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
+    require(sound and ((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all()), wrong)
+    require(((rates > 0) & (rates <= 1)).all() and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
     return found

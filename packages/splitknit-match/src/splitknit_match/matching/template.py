@@ -84,7 +84,7 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     >>> make_template(ridge_band(waves.astype(np.float32), np.ones((200, 200), bool), 0.1)).empty
     False
     """
-    if not bool(band.valid.any()) or band.area_mm2 < least_mm2:
+    if not band.valid.any() or band.area_mm2 < least_mm2:
         return failed_template(band.pitch_mm)
     box = bounding_box(band.valid)
     value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
@@ -105,7 +105,7 @@ def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
 def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:
     """Template of a ridge band (H, W) in four levels."""
     level = np.digitize(value, (-_THRESHOLD, 0.0, _THRESHOLD)).astype(np.uint8)
-    return Template(np.where(valid, level, np.uint8(0)), valid, pitch_mm)
+    return Template(np.where(valid, level, 0), valid, pitch_mm)
 
 
 def scaled(template: Template, scale: float) -> Template:
@@ -151,7 +151,7 @@ def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> T
     # the band is the mirrored print: its column c lies at the print's column (width - 1) - c step
     middle = [0.5 * (one.start + one.stop - 1) * step for one in box]
     first = (round(middle[0] - (size[0] - 1) / 2), round(minutiae.size[1] - 1 - middle[1] - (size[1] - 1) / 2))
-    x, y = minutiae.x_px - np.int32(first[1]), minutiae.y_px - np.int32(first[0])
+    x, y = minutiae.x_px - first[1], minutiae.y_px - first[0]
     inside = (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
     return replace(
         template,
@@ -170,7 +170,7 @@ def print_size(template: Template) -> tuple[int, int]:
 
 def failed_template(pitch_mm: float = 0.1) -> Template:
     """Return the template of a failure to acquire."""
-    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
+    return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=bool), pitch_mm)
 
 
 def pack(template: Template) -> bytes:
@@ -230,7 +230,7 @@ def unpack(payload: bytes) -> Template:
     level = np.zeros(height * width, dtype=np.uint8)
     level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
     shape = (height, width)
-    found = Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
+    found = Template(level.reshape(shape), flat.reshape(shape).astype(bool), pitch_um / 1000, minutiae)
     known = (
         not minutiae or not minutiae.count or minutiae.size == print_size(found)
     )  # others: an earlier version's grid

@@ -155,7 +155,7 @@ def finger_images(
     if input_from_upright is not None:
         size = upright_size or (mask.shape[0], mask.shape[1])
         mask = warp(mask.astype(np.float32), input_from_upright, size) > 0.5
-        require(bool(mask.any()), "the mask lies outside the upright frame.")
+        require(mask.any(), "the mask lies outside the upright frame.")
         cleaned = {name: warp(channel, input_from_upright, size) for name, channel in cleaned.items()}
         back = np.linalg.inv(input_from_upright[:2, :2])
         turn = back / np.sqrt(abs(np.linalg.det(back)))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import cast
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.features import REFERENCE_PX_PER_MM
+from splitknit_match.matching.features import REFERENCE_PX_PER_MM, uniform_bins
 from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, overlaps, tip_column
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
@@ -82,16 +81,7 @@ def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
             )
         )  # fmt: skip
         codes |= (cast("FloatArray", seen) >= image).astype(np.uint32) << np.uint32(k)
-    return _labels_of(neighbours)[codes]
-
-
-@cache
-def _labels_of(neighbours: int) -> Labels:
-    """(2^n,) the label of each pattern."""
-    codes = np.arange(1 << neighbours, dtype=np.uint32)
-    changed = codes ^ ((codes >> 1) | ((codes & 1) << (neighbours - 1)))
-    uniform = sum((changed >> k) & 1 for k in range(neighbours)) <= 2
-    return np.where(uniform, np.cumsum(uniform) - 1, _bins(neighbours) - 1).astype(np.uint8)
+    return uniform_bins(neighbours)[codes]
 
 
 def _bins(neighbours: int) -> int:

@@ -60,7 +60,7 @@ def curvature(
     mask is empty, or the pitch is not positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the
     first fundamental form's inverse times the second (do Carmo 1976, section 3.3).
     """
-    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
+    require(np.isfinite(pitch_mm) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
     mask = check_mask(mask, (height_mm.shape[0], height_mm.shape[1]))
     side = window_side(1.0 / pitch_mm, window_px)
     box = bounding_box(mask, side // 2 + 1)
@@ -87,7 +87,7 @@ def curvature(
                 normal[:, a, b] = masked[i + k, j + m].ravel()[edge]
         # a touch of ridge regression: what the pixels there do not determine stays small
         for a, power in enumerate(powers):
-            normal[:, a, a] += (sum(power) > 1) * 1e-4 * masked[0, 0].ravel()[edge].astype(np.float64)
+            normal[:, a, a] += (sum(power) > 1) * 1e-4 * masked[0, 0].ravel()[edge].astype(float)
     unit = pitch_mm * (side // 2)
     factors = (1 / unit, -1 / unit, 2 / unit**2, -1 / unit**2, 2 / unit**2)  # rows run downwards
 
@@ -104,7 +104,7 @@ def curvature(
                 if abs(weight) > 1e-12:
                     total += np.float32(weight) * sums[power]
             results.append(total)
-        right = np.stack([sums[power].ravel()[edge] for power in powers], axis=1).astype(np.float64)
+        right = np.stack([sums[power].ravel()[edge] for power in powers], axis=1).astype(float)
         for start in range(0, edge.size, _CHUNK):
             part = slice(start, start + _CHUNK)
             solved = np.linalg.solve(normal[part], right[part][..., None])[..., 0]
@@ -131,7 +131,7 @@ def _forms_of_height(
     zx: FloatArray, zy: FloatArray, zxx: FloatArray, zxy: FloatArray, zyy: FloatArray
 ) -> tuple[FloatArray, ...]:
     """First (E, F, G) and second (L, M, N) fundamental form of a height field."""
-    inverse = np.asarray(1.0 / np.sqrt(1.0 + zx * zx + zy * zy), dtype=np.float32)
+    inverse = 1.0 / np.sqrt(1.0 + zx * zx + zy * zy)
     return 1.0 + zx * zx, zx * zy, 1.0 + zy * zy, zxx * inverse, zxy * inverse, zyy * inverse
 
 

@@ -51,13 +51,13 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArra
     found = ridge_field(image, ppi, inside)
     coefficients = node_amplitudes(image, found, _SIGMA_PERIODS)
     amplitude = np.abs(coefficients)
-    around = np.asarray(cv2.GaussianBlur(amplitude, (0, 0), 2.5), dtype=np.float32)
+    around = cv2.GaussianBlur(amplitude, (0, 0), 2.5)
     typical = float(np.median(around[found.mask]))
     require(typical > 0.05, _NO_RIDGES)
-    floor = np.float32(_FLOOR * typical)
+    floor = _FLOOR * typical
     coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
     found = replace(found, mask=found.mask & (around > floor))
-    require(bool(found.mask.any()), _NO_RIDGES)
+    require(found.mask.any(), _NO_RIDGES)
     rows, columns = image.shape
     wave = _plane_waves(coefficients, found)[:rows, :columns]
     size = (found.mask.shape[1] * found.step_px, found.mask.shape[0] * found.step_px)

@@ -78,7 +78,7 @@ def export_records(job: ExportJob, progress: Progress = no_progress) -> Facts:
     require(known, f"'{job.finger}' is not a finger; choose one of {', '.join(FINGER_CODES)}.")
     known = job.impression is None or job.impression in IMPRESSIONS
     require(known, f"'{job.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
-    require(len(sources) > 0, "name what is to be exported: captures, results, prints or records.")
+    require(sources, "name what is to be exported: captures, results, prints or records.")
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
     hashes: dict[str, str] = {}
@@ -99,7 +99,7 @@ def export_records(job: ExportJob, progress: Progress = no_progress) -> Facts:
                 (folder / file).write_bytes(data)
                 rows.append({"file": file, "source": str(source), "kind": finger.kind, **facts})
             hashes |= own
-        require(len(rows) > 0, f"'{sources[0]}' holds no finger to export.")
+        require(rows, f"'{sources[0]}' holds no finger to export.")
         facts = {
             "format": _FORMAT,
             "to": job.to,
@@ -262,7 +262,7 @@ def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
     return dataclasses.replace(picture, resolution_ppi=near)
 
 
-def minutiae_in(picture: PrintFile, how: str = "phase", made: Print | None = None) -> FingerView:
+def minutiae_in(picture: PrintFile, how: str, made: Print | None = None) -> FingerView:
     """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to acquire)."""
     try:
         made = made or pressed_print(picture)

@@ -29,6 +29,7 @@ from splitknit.io.photos import SUFFIXES, Photo, read_photo
 from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray
 from splitknit.plausible import FINGER_WIDTH
+from splitknit_match.matching.minutiae import disc
 from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes
@@ -36,7 +37,7 @@ from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
-from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
+from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.prints.sources import Source
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
@@ -152,7 +153,7 @@ def source_of_photo(
     clear &= amplitude > _FAINT * _at_nodes(values, field)
     finger = _at_nodes(weight > 0.5, field)
     quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
-    brightness = light[inside] / np.float32(np.iinfo(pixels.dtype).max)
+    brightness = light[inside] / np.iinfo(pixels.dtype).max
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
     require(
         quality >= LEAST_QUALITY,
@@ -184,7 +185,7 @@ def source_of_photo(
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
-    return np.asarray(cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor))
+    return cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor)
 
 
 def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
@@ -245,7 +246,7 @@ def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright
     """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
     middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
     aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
-    height = np.float32(_THICKNESS) * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
+    height = _THICKNESS * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
     return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), 0.0)
 
 
@@ -266,7 +267,7 @@ def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Uprigh
     aside = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
-    there = np.asarray(cv2.transform(places, upright.input_from_upright[:2]), np.float32)
+    there = cv2.transform(places, upright.input_from_upright[:2])
     columns, rows = (np.where(np.abs(at) < steepest, there[..., k], NOWHERE) for k in (0, 1))
     return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 

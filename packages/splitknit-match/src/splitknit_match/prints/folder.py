@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import no_progress
-from splitknit.settings import override
 from splitknit.verbs import Progress
 from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
@@ -28,7 +26,6 @@ from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_f
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import (
     Print,
-    PrintingSettings,
     checked_surface,
     enhance,
     make_print,
@@ -53,25 +50,15 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
     shape. Raises BadInput, naming the input at fault.
     """
-    settings, path, out, ppi = override(PrintingSettings(), job.settings or {}), job.path, Path(job.out), float(job.ppi)
+    path, out, ppi = job.path, Path(job.out), float(job.ppi)
     method, place = _how(job)
-    timings: dict[str, float] = {}
-
-    @contextlib.contextmanager
-    def timed(name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        timings[name] = round(time.perf_counter() - started, 3)
-
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
-        with timed("printing"):
-            source, made, around = _printed(job, method, place, settings, progress)
-        chosen = asdict(settings) if method == "rolled" else {}
-        origin = provenance({"method": method, **chosen, "surface": place, "ppi": ppi}, source.hashes)
+        source, made, around = _printed(job, method, place, progress)
+        chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
+        origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
         progress("enhancing", 0.85)
-        with timed("enhancing"):
-            enhanced = naming(path, lambda: enhance(made, ppi))
+        enhanced = naming(path, lambda: enhance(made, ppi))
         progress("writing", 0.92)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
         pictures = {"print": made.image, "enhanced": enhanced.image}
@@ -99,8 +86,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             from splitknit_match.prints.rolled import write_rolled  # slow to import
 
             facts["rolled"] = write_rolled(target, around)
-        with timed("quality"):
-            quality = measured(made, enhanced, ppi)
+        quality = measured(made, enhanced, ppi)
         facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
         score = quality.score if source.quality is None else source.quality
         view = finger_view(
@@ -112,7 +98,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         if source.height_mm is not None and method != "rolled":
             page = _page(source, made, view, pictures, facts, score)
             write_file(target / "report.html", page.encode("utf-8"))
-        facts |= {"provenance": origin, "timings_s": timings}
+        facts["provenance"] = origin
         facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
         write_file(target / "report.json", json_text(facts).encode("ascii"))
     progress("done", 1.0)
@@ -174,9 +160,7 @@ def _how(job: PrintJob) -> tuple[str, str]:
     return "file", "paper"
 
 
-def _printed(
-    job: PrintJob, method: str, place: str, settings: PrintingSettings, progress: Progress
-) -> tuple[Source, Print, Rolled | None]:
+def _printed(job: PrintJob, method: str, place: str, progress: Progress) -> tuple[Source, Print, Rolled | None]:
     """What the print is made from, the print, and the finger around its front where it is rolled."""
     path, ppi = job.path, float(job.ppi)
     if method == "file":
@@ -185,7 +169,7 @@ def _printed(
             raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
         made = naming(path, lambda: pressed_print(item))
         source = Source(
-            "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+            "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
             item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
             scale=" ".join(filter(None, (item.doubt, item.note))),
         )  # fmt: skip
@@ -195,7 +179,7 @@ def _printed(
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
         from splitknit_match.prints.rolled import read_rolled  # slow to import
 
-        source, around = read_rolled(path, job.preset, settings.rolled.pitch_mm, progress)
+        source, around = read_rolled(path, job.preset, progress)
         progress("printing", 0.75)
         return source, naming(path, lambda: make_rolled_print(around, source, place, ppi)), around
     photo = method == "photo"

@@ -17,12 +17,11 @@ from splitknit.errors import require
 from splitknit.finger.regions import fill_holes, largest_component
 from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import at_500_ppi, is_a_fingers
+from splitknit_match.matching.minutiae import at_500_ppi, disc, is_a_fingers
 from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
-from splitknit_match.prints.ridge_field import disc
 from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
@@ -164,7 +163,7 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
     for row, tiles in enumerate(windows):  # a row at a time bounds the memory
         mean = np.tensordot(tiles, taper, 2) / taper.sum()
         power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2 * counted
-        power[..., 1:] *= np.float32(2.0)  # each wave is there twice, but those of the first column, which are halved
+        power[..., 1:] *= 2.0  # each wave is there twice, but those of the first column, which are halved
         total = power.sum(axis=(1, 2)) + 1e-6
         near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
         near = near.reshape(power[0].size, -1)
@@ -255,7 +254,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
     pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
-    require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
+    require(ridges.any(), "the print has no ridges; check focus and light of the capture.")
     require(not pressed.lacks, f"the picture shows {pressed.lacks}; name a print.")
     ppi = item.resolution_ppi or PPI
     rows, columns = item.image.shape
@@ -296,7 +295,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     whole = fill_holes(largest_component(whole > 0)).astype(np.uint8)
 
     def eroded(radius: int) -> BoolArray:
-        return np.asarray(cv2.erode(whole, disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0)
+        return cv2.erode(whole, disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
 
     middle, rim = eroded(4), (whole > 0) & ~eroded(1) & there
     outside = (cv2.dilate(whole, disc(1)) == 0) & there
@@ -367,9 +366,9 @@ def minutiae_of(view: FingerView) -> Minutiae:
     scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]
     size = max(1, round(view.size[0] * scales[1])), max(1, round(view.size[1] * scales[0]))
     x, y = (
-        np.clip(np.rint(np.asarray(pixels) * scale), 0, side - 1).astype(np.int32)
+        np.clip(np.rint(pixels * scale), 0, side - 1).astype(np.int32)
         for pixels, scale, side in zip((view.x_px, view.y_px), scales, size[::-1], strict=True)
     )
     quality = np.asarray(view.quality, dtype=np.uint8)
     kind = np.asarray(view.type, dtype=np.uint8)
-    return Minutiae(x, y, np.asarray(view.direction_rad, dtype=np.float64), kind, quality, size)
+    return Minutiae(x, y, view.direction_rad, kind, quality, size)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import ink
 from splitknit.model import FloatArray
-from splitknit.settings import Checked, Limits
 from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
@@ -27,21 +26,6 @@ if TYPE_CHECKING:
 
 METHODS = ("relief", "unroll", "curvature", "photo", "specular", "rolled")
 SURFACES = ("plane", *KINDS)
-
-
-@dataclass(frozen=True, slots=True)
-class RolledSettings(Checked):
-    """How the method ``rolled`` combines the views of a capture with mirrors."""
-
-    pitch_mm: Annotated[float, Limits(0.01, 0.2)] = 0.035
-    """Pitch of the chart, finer than the camera resolves."""
-
-
-@dataclass(frozen=True, slots=True)
-class PrintingSettings:
-    """All that the settings of a print can change."""
-
-    rolled: RolledSettings = field(default_factory=RolledSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +77,7 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
 
     if method == "curvature":
         index = curvature(_needed(source.height_mm), source.mask, source.pitch_mm, source.xy_mm).shape_index
-        require(bool(np.isfinite(index).any()), "the finger is too small for a curvature map.")
+        require(np.isfinite(index).any(), "the finger is too small for a curvature map.")
         values, weight = read(index)
         ink(values, weight, ppi)  # refuses what has no ridges
         grey = np.clip((values - 0.25) / 0.5, 0.0, 1.0)  # valleys 0, ridges 1

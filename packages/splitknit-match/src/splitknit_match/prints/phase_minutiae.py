@@ -51,7 +51,7 @@ def by_phase(
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.
     """
-    ridges = -enhanced.wave.astype(np.float64)  # positive on ridges
+    ridges = -enhanced.wave.astype(float)  # positive on ridges
     along, wave_number = _field(enhanced)
     turns, quadratures = _turns(ridges, along, wave_number)
     rows, columns = np.nonzero(np.abs(turns) > 0.5)
@@ -70,7 +70,7 @@ def by_phase(
     size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     pixel = np.rint((place + 0.5) * scale - 0.5).astype(np.int32)
     column, row = (np.clip(pixel[:, k], 0, size[1 - k] - 1) for k in (0, 1))
-    return Minutiae(column, row, np.asarray(towards % (2 * np.pi)), kind, quality, size)
+    return Minutiae(column, row, towards % (2 * np.pi), kind, quality, size)
 
 
 def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> NDArray[np.uint8]:
@@ -79,7 +79,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
         opposite = place_mm[np.cos(towards - turn) < _OPPOSITE]
         apart[k] = min(_APART_MM, *np.hypot(*(opposite - place).T)) if len(opposite) else _APART_MM
-    missing = np.log(np.maximum(1 - like.astype(np.float64), _MIN_MISSING))
+    missing = np.log(np.maximum(1 - like.astype(float), _MIN_MISSING))
     return _probability(np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1))
 
 
@@ -99,7 +99,7 @@ def _field(enhanced: Enhanced) -> tuple[Array, Array]:
     cosine, sine, frequency = (
         cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[:rows, :columns] for part in parts
     )
-    return np.asarray(0.5 * np.arctan2(sine, cosine), dtype=np.float64), 2 * np.pi * frequency.astype(np.float64)
+    return np.asarray(0.5 * np.arctan2(sine, cosine), dtype=float), 2 * np.pi * frequency.astype(float)
 
 
 def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list[Array]]:
@@ -126,7 +126,7 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
     for k in range(4):
         step = phases[(k + 1) % 4] - phases[k]
         total += step - 2 * np.pi * np.round(step / (2 * np.pi))
-    return np.asarray(np.round(total / (2 * np.pi))), quadratures
+    return np.round(total / (2 * np.pi)), quadratures
 
 
 def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:

@@ -70,7 +70,7 @@ class Outline:
     @property
     def middle(self) -> Array:
         """(2,) of the last phalanx."""
-        return np.asarray(self.tip - 0.7 * self.width * self.ahead)
+        return self.tip - 0.7 * self.width * self.ahead
 
     def places(self, vectors: Array) -> Array:
         """Vectors (N, 2) of the model, x to the right and y back from the tip in widths, in the picture."""
@@ -81,7 +81,7 @@ class Outline:
         """(N, 2) pixels of a picture: around the part from the tip to `first` widths behind it."""
         kept = self.points[(self.tip - self.points) @ self.ahead < first * self.width]
         centre = self.tip - _TIP * self.width * self.ahead
-        return np.asarray((centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5)
+        return (centre + (kept - centre) * shrunk) * max(shape[:2]) - 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +113,7 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     margin = 0 if box is None else max(wide, high) // 8  # what lies beside it shows where it ends
     first = max(left - margin, 0), max(top - margin, 0)
     part = pixels[first[1] : top + high + margin, first[0] : left + wide + margin]
-    low, most = (np.array(one, dtype=np.float64) for one in ((left - first[0], top - first[1]), (wide, high)))
+    low, most = (np.array(one, dtype=float) for one in ((left - first[0], top - first[1]), (wide, high)))
     fine, side = _colours(part, _FINE), max(part.shape[:2])
     lab = _reduced(fine, _FITTED)
     bins = _bins(lab)
@@ -130,14 +130,14 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
             rated.append((value * _by_ridges(part, one), one))
     rated.sort(key=lambda item: -item[0])
     require(
-        bool(rated) and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
+        rated and rated[0][0] >= (MIN_LIKENESS if box is None else _IN_BOX),
         "no finger was found in this picture in colour: no part of it, its tip in view, has the shape, the colour and "
         "the ridges of one; photograph one finger from near, pad to the camera, in focus, or save a print in grey.",
     )
     best = rated[0][1]
     beside = (best.tip + best.width * best.places(np.array([[-_BESIDE, 0.4], [_BESIDE, 0.4]]))) * side
     require(
-        box is not None or bool(((beside >= 0) & (beside <= np.array(part.shape[1::-1]))).all(axis=1).any()),
+        box is not None or ((beside >= 0) & (beside <= np.array(part.shape[1::-1]))).all(axis=1).any(),
         "the finger fills the picture from side to side; photograph it from farther, sides and its tip in view.",
     )
     others: list[Outline] = []
@@ -166,14 +166,14 @@ def _colours(pixels: Pixels, side: int) -> FloatArray:
     light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)[_reduced(pixels, side)]
     parts = cv2.transform(light.astype(np.float32), _XYZ)  # OpenCV's own way fills tables for 0.1 s
     parts = np.where(parts > 0.008856, np.cbrt(parts), 7.787 * parts + 16 / 116).astype(np.float32)
-    return np.asarray(cv2.transform(parts, _LAB)) * _WEIGHTS
+    return cv2.transform(parts, _LAB) * _WEIGHTS
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
     while max(picture.shape[:2]) > 4 * side:  # halves are quick
         picture = cv2.resize(picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA)
     factor = min(1.0, side / max(picture.shape[:2]))
-    return np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
+    return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
 
 
 def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
@@ -315,7 +315,7 @@ def _fitted(one: Outline, lab: FloatArray, bins: NDArray[np.intp], length: float
     for k in range(len(gain) - 1, 0, -1):
         path[k - 1] = came[k, path[k]]
     row = np.arange(len(gain))
-    where, shown = places[row, path].astype(np.float64), seen[row, path]
+    where, shown = places[row, path].astype(float), seen[row, path]
     near = shown & (points[:, 1] < 2.5)
     follow = float(edge[row, path][near].mean()) if near.any() else 0.0
     return replace(_moved(one, where, points[:, 1], shown, side), points=(where + 0.5) / side, edges=follow)
@@ -329,7 +329,7 @@ def _moved(one: Outline, where: Array, back: Array, shown: BoolArray, side: int)
         return one
     left, right = where[:count][both], where[::-1][:count][both]
     line = cv2.fitLine((0.5 * (left + right)).astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()[:2]
-    ahead = line.astype(np.float64) * (np.sign(line @ one.ahead) or 1.0)
+    ahead = line.astype(float) * (np.sign(line @ one.ahead) or 1.0)
     ahead = ahead if ahead @ one.ahead > 0.9 else one.ahead
     across = np.array([-ahead[1], ahead[0]])
     front = np.sort(where[shown] @ ahead)[-3:].mean()
@@ -352,11 +352,11 @@ def _resemblance(one: Outline, bins: NDArray[np.intp], length: float, reach: flo
         return _filled((one.tip + one.width * one.places(vectors)) * max(bins.shape), bins.shape)
 
     inside, around = (
-        _smoothed(np.bincount(bins[part], minlength=32**3) / np.float32(max(int(part.sum()), 1)))
+        _smoothed(np.bincount(bins[part], minlength=32**3) / (max(int(part.sum()), 1)))
         for part in (within(1 - reach, 0.0), within(2.4, 0.0) & ~within(1 + reach, 0.2 * reach))
     )
     ratio = np.log((inside + 2e-4) / (around + 2e-4))
-    return np.asarray(np.clip(ratio, -2, 2).ravel()[bins], dtype=np.float32)
+    return np.clip(ratio, -2, 2).ravel()[bins]
 
 
 def _smoothed(histogram: NDArray[Any]) -> FloatArray:
@@ -374,7 +374,7 @@ def _likeness(one: Outline, lab: FloatArray) -> float:
     tip = _tip_at(np.linspace(-1.3, 1.3, 15))[0]
     vectors = np.stack([tip * 0.85 + np.array([0.0, 0.09]), tip * 1.25 - np.array([0.0, 0.15])])
     x, y = ((one.tip + one.width * one.places(vectors.reshape(-1, 2))) * side).astype(np.float32).T
-    seen = np.asarray(cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    seen = cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     within, ahead = seen.reshape(2, len(tip), 3)
     contrast = float(np.clip(np.linalg.norm(within - ahead, axis=1) / 12.0, 0, 1).mean())
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))
@@ -393,7 +393,7 @@ def _by_ridges(pixels: Pixels, one: Outline) -> float:
     low, high = np.maximum(near.min(axis=0).astype(int), 0), near.max(axis=0).astype(int) + 1
     green = pixels[low[1] : high[1], low[0] : high[0], 1].astype(np.float32)
     light = cv2.resize(green, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    light = np.log(light + np.float32(8 * np.iinfo(pixels.dtype).max / 255))
+    light = np.log(light + 8 * np.iinfo(pixels.dtype).max / 255)
     inside = _filled((near - low) * scale, light.shape).astype(np.float32)
     whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
     places = np.argwhere(whole[: max(len(light) - _BLOCK, 0) : 24, : max(light.shape[1] - _BLOCK, 0) : 24]) * 24

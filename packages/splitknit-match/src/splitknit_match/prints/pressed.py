@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import disc, overlap_added, spectra_of
+from splitknit_match.matching.minutiae import disc
+from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8
@@ -108,13 +109,13 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     spectra = _spectra(even)
     rows, columns = spectra.shape[:2]
     power = np.square(spectra.real) + np.square(spectra.imag)
-    power[..., 0] *= np.float32(0.5)  # the only column of the half spectrum that holds each of its waves twice
+    power[..., 0] *= 0.5  # the only column of the half spectrum that holds each of its waves twice
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
-    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
+    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + (1e-6)
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
-    direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)), usual)
+    direction, frequency, agreement, part = _field(weighed / total, total / (total + _WEAK * unit), usual)
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
     wave /= np.sqrt(_mean(wave * wave, 0.7 * reach)) + 0.02
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
@@ -164,7 +165,7 @@ def without_shading(values: FloatArray, known: FloatArray, reach: float) -> tupl
     """
     weight = np.maximum(_mean(known, reach), 1e-3)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the edge
-        values = np.asarray((values - _mean(values * known, reach) / weight) * known, dtype=np.float32)
+        values = (values - _mean(values * known, reach) / weight) * known
     return values, weight
 
 
@@ -181,7 +182,7 @@ def _evened(image: NDArray[np.uint8], reach: float) -> tuple[FloatArray, FloatAr
 
 def _usual(contrast: FloatArray) -> np.float32:
     """Mean contrast, weighted by itself: of the strong places, however few."""
-    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), np.float32(1e-6)))
+    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), 1e-6))
 
 
 def frame(image: NDArray[np.uint8]) -> BoolArray:
@@ -189,7 +190,7 @@ def frame(image: NDArray[np.uint8]) -> BoolArray:
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     level = int(np.bincount(border).argmax())
     padded = cv2.copyMakeBorder((image == level).astype(np.uint8), 9, 9, 9, 9, cv2.BORDER_REPLICATE)
-    found = np.zeros(image.shape, dtype=np.bool_)
+    found = np.zeros(image.shape, dtype=bool)
     if not padded.any() or padded.all():
         return found
     flat = np.ascontiguousarray(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc(4))[9:-9, 9:-9])
@@ -248,7 +249,7 @@ def _bank() -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
 
 def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
     """Angle between two directions, up to a quarter turn."""
-    return np.asarray(np.abs(np.mod(a - b + np.pi / 2, np.pi) - np.pi / 2))
+    return np.abs(np.mod(a - b + np.pi / 2, np.pi) - np.pi / 2)
 
 
 def _field(
@@ -277,7 +278,7 @@ def _field(
         around /= around.sum(axis=2, keepdims=True) + 1e-12
         belief = said * around
         belief *= strength / (belief.sum(axis=2, keepdims=True) + 1e-12)
-    belief = (said + np.float32(0.02 * said.max())) * around
+    belief = (said + 0.02 * said.max()) * around
     belief /= belief.sum(axis=2, keepdims=True) + 1e-12
     number = (belief.argmax(axis=2)[..., None] + np.arange(-3, 4)) % _DIRECTIONS
     peak = np.take_along_axis(belief, number, axis=2)
@@ -321,7 +322,7 @@ def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     """(H, W) where there are ridges: clear ones and what hangs on them, holes filled."""
     clearest = _clearest(confidence)
     if clearest < _CLEAR:
-        return np.zeros(confidence.shape, dtype=np.bool_)
+        return np.zeros(confidence.shape, dtype=bool)
     raw, pad = (confidence > edge * clearest).astype(np.uint8), 2 * _CLOSED_PX
     closed = cv2.copyMakeBorder(raw, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     for kind, radius in ((cv2.MORPH_CLOSE, _CLOSED_PX), (cv2.MORPH_OPEN, _OPENED_PX)):
@@ -330,4 +331,4 @@ def _extent(confidence: FloatArray, edge: float) -> BoolArray:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     sizes = stats[:, cv2.CC_STAT_AREA].copy()
     sizes[0] = 0
-    return fill_holes(np.asarray((sizes > 0.1 * sizes.max())[labels]))
+    return fill_holes((sizes > 0.1 * sizes.max())[labels])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from splitknit import BadInput
 from splitknit.io.photographs import PxPerMm, RidgePeriod, check_scale
-from splitknit.verbs import AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, Settings, check, function_of
+from splitknit.verbs import AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, check, function_of
 from splitknit_match.matching.photo_finger import PhotoBox, PhotoMask
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ class PrintJob(Job):
     mask: PhotoMask = None
     box: PhotoBox = None
     preset: HowReconstructed = "metric"
-    settings: Settings = None
     # fmt: on
 
     def __post_init__(self) -> None:
@@ -104,23 +103,21 @@ class MakePrintJob(Job):
     method: Annotated[Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"], Help(
         "``photo`` needs a capture; ``rolled`` one with mirrors, as a path")] = "unroll"
     ppi: Annotated[float, Help("resolution in pixels per inch")] = 500.0
-    settings: Settings = None
     # fmt: on
 
     def run(self, progress: Progress) -> Print:
         """Make it."""
         from splitknit import Capture, Reconstruction
-        from splitknit.settings import override
-        from splitknit_match.prints.make import PrintingSettings, make_print, make_rolled_print
+        from splitknit_match.prints.make import make_print, make_rolled_print
         from splitknit_match.prints.sources import read_source, source_of, source_of_capture
 
-        finger, chosen, photo = self.finger, override(PrintingSettings(), self.settings or {}), self.method == "photo"
+        finger, photo = self.finger, self.method == "photo"
         if self.method == "rolled":
             from splitknit_match.prints.rolled import read_rolled
 
             if isinstance(finger, Capture | Reconstruction):
                 raise BadInput("a rolled print needs the path of a capture folder.")
-            source, rolled = read_rolled(Path(finger), "metric", chosen.rolled.pitch_mm, progress)
+            source, rolled = read_rolled(Path(finger), "metric", progress)
             return make_rolled_print(rolled, source, "free", self.ppi)
         if isinstance(finger, Reconstruction):
             source = source_of(finger)

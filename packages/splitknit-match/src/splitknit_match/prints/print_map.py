@@ -32,7 +32,7 @@ def _linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArra
     down, across = (
         _weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True)
     )
-    return np.asarray(down @ values @ across.T, dtype=np.float32)
+    return down @ values @ across.T
 
 
 def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
@@ -150,27 +150,27 @@ class PrintMap:
 
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
-        nodes = _moved(np.linalg.inv(self.input_from_grid), np.asarray(points, dtype=np.float64).reshape(-1, 2))
+        nodes = _moved(np.linalg.inv(self.input_from_grid), np.asarray(points, dtype=float).reshape(-1, 2))
         return _cubic(self.print_of_grid, nodes)[0]
 
     def input_from_print(self, points: Array) -> Array:
         """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        points = np.asarray(points, dtype=float).reshape(-1, 2)
         nodes = np.full(points.shape, np.nan)
         there = np.isfinite(points).all(axis=1)
         there &= ((points > -0.5) & (points < [self.size[1] - 0.5, self.size[0] - 0.5])).all(axis=1)
         at = np.rint(points[there]).astype(np.intp)
-        start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(np.float64)
+        start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(float)
         start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
         nodes[there] = _moved(np.linalg.inv(self.input_from_grid), start)
         return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
 
     def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
         """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        points = np.asarray(points, dtype=float).reshape(-1, 2)
         step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
         along = self.print_from_input(points + step) - self.print_from_input(points - step)
-        return np.asarray(np.arctan2(-along[:, 1], along[:, 0]))
+        return np.arctan2(-along[:, 1], along[:, 0])
 
 
 def plane_map(
@@ -184,7 +184,7 @@ def plane_map(
     step = MM_PER_INCH / ppi / pitch_mm
     size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
     input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
-    column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
+    column, row = np.meshgrid(np.arange(size[1], dtype=float), np.arange(size[0], dtype=float))
     columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
     rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]
     # a grid of nodes wider than any input: straight lines are read exactly
@@ -208,7 +208,7 @@ def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: f
     px_per_mm = ppi / MM_PER_INCH
     flat, grid = unrolled.flat_mm, unrolled.grid
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
-    require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
+    require(facing.any(), "the finger hardly faces the camera; capture it again with its pad towards it.")
     used = flat[facing]
     low, high = used.min(axis=0) - _MARGIN_MM, used.max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
@@ -234,10 +234,10 @@ def _checked_size(rows: int, columns: int) -> tuple[int, int]:
 
 def _check_scale(pitch_mm: float, ppi: float) -> None:
     require(
-        bool(np.isfinite(pitch_mm)) and pitch_mm > 0,
+        np.isfinite(pitch_mm) and pitch_mm > 0,
         f"a print needs the scale of its input, but pitch_mm is {pitch_mm}; calibrate the camera.",
     )
-    require(bool(np.isfinite(ppi)) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
+    require(np.isfinite(ppi) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
 
 
 def _dense_inverse(
@@ -248,7 +248,7 @@ def _dense_inverse(
     coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
     near = np.isfinite(print_of_grid).all(axis=2)
     near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    places = np.argwhere(near)[:, ::-1].astype(np.float64)
+    places = np.argwhere(near)[:, ::-1].astype(float)
     distance, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
     gaps = _gaps(print_of_grid)[near]
     start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
@@ -266,7 +266,7 @@ def _dense_inverse(
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
-    at_column, at_row = (np.where(trusted, part, np.float32(NOWHERE)).astype(np.float32) for part in (columns, rows))
+    at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return at_column, at_row
 
 
@@ -317,7 +317,7 @@ def resample(
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
-        (places - np.float32(box.start) + 0.5) / np.float32(factor) - 0.5
+        (places - box.start + 0.5) / factor - 0.5
         for places, box in ((print_map.columns, columns), (print_map.rows, rows))
     )
     return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)

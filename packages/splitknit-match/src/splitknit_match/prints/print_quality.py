@@ -12,8 +12,9 @@ from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.matching.minutiae import disc
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.ridge_field import RidgeField, disc
+from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
@@ -68,26 +69,26 @@ def _quality_figures(
     in_um = min_height_um is not None
     px = ppi / MM_PER_INCH
     finger = _at_nodes(weight, found) > 0.5
-    require(bool(finger.any()), "nothing of the finger lies on the print.")
+    require(finger.any(), "nothing of the finger lies on the print.")
     finger[1::2], finger[:, 1::2] = False, False  # every second node, each way, is enough
     looked = replace(found, mask=found.mask & finger)
     mm = found.step_px / px
     cell = (2.0 * mm) ** 2
-    if not bool(looked.mask.any()):
+    if not looked.mask.any():
         return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
     first, second, purity = _waves(values, weight, looked, px)
     height = 2.0 * np.abs(first)
     strong = looked.mask & (purity > _MIN_PURITY)
     if min_height_um is not None:
         strong &= height > min_height_um
-    period = 1.0 / (found.frequency_px * np.float32(px))
+    period = 1.0 / (found.frequency_px * px)
     typical = float(np.median(period[looked.mask]))
     near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
     return QualityFigures(
         ridge_share=float(strong.sum() / finger.sum()),
         ridge_height_um=float(np.median(height[looked.mask])) if in_um else None,
         coherence=float(np.median(found.coherence[looked.mask])),
-        plausible_share=float(near[strong].mean()) if bool(strong.any()) else 0.0,
+        plausible_share=float(near[strong].mean()) if strong.any() else 0.0,
         period_mm=typical,
         sharpness=_sharpness(first[strong], second[strong]),
         ridge_area_mm2=float(strong.sum()) * cell,
@@ -95,7 +96,7 @@ def _quality_figures(
         ridge_length_mm=_length(strong, finger, 2.0 * mm),
         gap_share=_gaps(strong[::2, ::2], finger[::2, ::2], 2.0 * mm),
         centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - float(np.nonzero(finger)[1].mean())) * mm
-        if bool(strong.any())
+        if strong.any()
         else 0.0,
     )
 
@@ -136,12 +137,12 @@ def _length(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     breadth = finger[::2].sum(axis=1)
     first = int(np.flatnonzero(breadth)[0])
     enough = strong[::2].sum(axis=1) > np.median(breadth[breadth > 0]) / 3.0
-    return float(np.flatnonzero(enough)[-1] - first + 1) * cell_mm if bool(enough.any()) else 0.0
+    return float(np.flatnonzero(enough)[-1] - first + 1) * cell_mm if enough.any() else 0.0
 
 
 def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     """Fraction of the closed area of the ridges (cells) that has none."""
-    if not bool(strong.any()):
+    if not strong.any():
         return 1.0
     reach = max(1, round(_CLOSE_MM / cell_mm))
     raw = cv2.copyMakeBorder(strong.astype(np.uint8), *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.matching.minutiae import disc
 
 # lengths in mm on the print
 _STEP_MM = 0.2
@@ -51,7 +52,7 @@ class RidgeField:
 
     def period_mm(self, ppi: float) -> FloatArray:
         """(n, m) ridge period, NaN where there are no ridges."""
-        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
+        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.nan).astype(np.float32)
 
 
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
@@ -84,7 +85,7 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     if inside is not None:
         padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
         mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
-    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
     sure = [np.hypot(c, s) / np.maximum(e, 1e-6) for e, c, s in (narrow, wide)]
     trust = sure[0] ** 4
     vector = [
@@ -95,7 +96,7 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
     orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
     frequency, peaked = _frequencies(grey, orientation, step, px, mask)
     mask = np.logical_and(mask, peaked)
-    require(bool(mask.any()), "the print has no ridges; check focus and light of the capture.")
+    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
     return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
 
 
@@ -106,14 +107,8 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
 def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps single precision."""
     spectra = np.fft.rfft2(tiles, norm="forward")
-    spectra *= np.float32(tiles.shape[-1] * tiles.shape[-2])
+    spectra *= tiles.shape[-1] * tiles.shape[-2]
     return np.asarray(spectra, dtype=np.complex64)
-
-
-def disc(radius: int) -> NDArray[np.uint8]:
-    """(2 radius + 1, 2 radius + 1) round structuring element."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(kernel, dtype=np.uint8)
 
 
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
@@ -130,7 +125,7 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
     high = float(np.percentile(strength, 90))
     if high < 1.0:  # less than a grey level
-        return np.zeros(strength.shape, dtype=np.bool_)
+        return np.zeros(strength.shape, dtype=bool)
     raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
     size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
     kernel = disc(size // 2)
@@ -143,7 +138,7 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     holes = (~mask).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
     small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
-    return np.asarray(mask | np.isin(labels, small))
+    return mask | np.isin(labels, small)
 
 
 def _frequencies(
@@ -162,7 +157,7 @@ def _frequencies(
     windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
     count = -(-nodes[0] // 2), -(-nodes[1] // 2)
     padded = np.pad(mask, ((0, 2 * count[0] - nodes[0]), (0, 2 * count[1] - nodes[1])))
-    wanted = np.asarray(padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3)))
+    wanted = padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3))
     patches = windows[: count[0], : count[1]][wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
     spectrum = spectra_of((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
@@ -189,14 +184,14 @@ def _frequencies(
     found = np.hypot(near_power @ x / weight, near_power @ y / weight)
     fraction = weight / np.maximum(total, 1e-9)
     sure = (fraction > 0.1) & (found > low) & (found < high)
-    if not bool(sure.any()):
-        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=np.bool_)
+    if not sure.any():
+        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=bool)
     trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
     trust[wanted] = np.where(sure, fraction, 0.0)
     value[wanted] = found
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
-    smooth = np.where(around > 0.01, smooth, np.float32(np.median(found[sure]))).astype(np.float32)
+    smooth = np.where(around > 0.01, smooth, np.median(found[sure])).astype(np.float32)
     large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
     known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
     return np.ascontiguousarray(large[: nodes[0], : nodes[1]]), known[: nodes[0], : nodes[1]] > 0

@@ -19,7 +19,7 @@ from splitknit_match.prints.print_map import PrintMap, unrolled_map
 from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import KINDS, NODES_MM, RINGS, SurfaceGrid, Unrolled, extrapolated, unroll
 from splitknit_match.rolled.chart import Chart
-from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.finger import PITCH_MM, Rolled, rolled_finger
 from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ SIDE_MM, TIP_MM = 14.0, 0.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
-def read_rolled(path: Path, preset: str, pitch_mm: float, progress: Progress) -> tuple[Source, Rolled]:
+def read_rolled(path: Path, preset: str, progress: Progress) -> tuple[Source, Rolled]:
     """A capture folder as one finger around its front.
 
     Raises BadInput if it is not a capture, has no mirrors beside the finger, or fewer than two views can be used.
@@ -43,7 +43,7 @@ def read_rolled(path: Path, preset: str, pitch_mm: float, progress: Progress) ->
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
         rolled = rolled_finger(
-            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), pitch_mm,
+            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), PITCH_MM,
             lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
         )  # fmt: skip
         # the chart takes the part of the input's pixels
@@ -71,7 +71,7 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap
     step = max(1, round(NODES_MM / rolled.chart.pitch_mm))
     room = RINGS + 1  # nodes beyond the chart's ends
     around = ((room, room), (room, room))
-    points = _skin_points(rolled, rolled.points_mm.astype(np.float64))[::step, ::step].astype(np.float64)
+    points = _skin_points(rolled, rolled.points_mm.astype(float))[::step, ::step].astype(float)
     points = np.pad(points, (*around, (0, 0)), constant_values=np.nan)
     inside = np.pad(rolled.blended.known[::step, ::step], around)
     chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
@@ -83,7 +83,7 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap
 def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     """Coverage and views: for ``report.json``."""
     chart = rolled.chart
-    around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(np.float64))
+    around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(float))
     rows = (chart.length_mm <= TIP_MM) & (chart.length_mm >= -SIDE_MM) & (around > 0)
     return {
         **rolled.facts,
@@ -96,12 +96,12 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     facts.
     """
     relief = rolled.blended.relief_mm
-    points = _skin_points(rolled, rolled.points_mm.astype(np.float64) + relief[..., None] * rolled.normals)
+    points = _skin_points(rolled, rolled.points_mm.astype(float) + relief[..., None] * rolled.normals)
     vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
     used = index >= 0
-    normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)
+    normals = (rolled.normals.astype(float) @ rolled.chart.axes.T)[used].astype(np.float32)
     relief = relief[used]
-    shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
+    shade = np.clip(0.5 + relief / (6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
     words = ["rolled-equivalent finger, mm; quality is the relief"]
     write_ply(target / "rolled.ply", (vertices, normals, shade), faces, words)
     return {**rolled_facts(rolled), "mesh_points": len(vertices)}

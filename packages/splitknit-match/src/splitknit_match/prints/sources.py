@@ -118,7 +118,7 @@ def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | Non
     names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
     needed = (*names, "normals") if ridge_period_mm is not None else names
     arrays = read_fields(path, needed, ("x_mm", "y_mm", "specular"), unscaled=unscaled)
-    require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")
+    require(arrays["mask"].any(), f"{path}: the mask is empty; reconstruct the capture again.")
     note, normals = "", arrays.pop("normals", None)
     if unscaled:
         require(not arrays.pop("scale_known"), f"{path} has a scale already: {1 / arrays['pitch_mm']:g} px/mm.")

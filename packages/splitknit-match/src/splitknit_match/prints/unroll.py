@@ -87,9 +87,9 @@ def surface_grid(
     mask = check_mask(mask, (shape_mm.shape[0], shape_mm.shape[1]))
     fields = [shape_mm, *(xy_mm or ())]
     mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
-    require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
+    require(mask.any(), "the surface has no finite height inside its mask; reconstruct the capture again.")
     step = node_mm / pitch_mm
-    upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
+    upright_from_input = np.linalg.inv(input_from_upright)
     # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the frame
     rows, columns = np.nonzero(mask[::4, ::4])
     require(rows.size > 0, _TOO_SMALL)
@@ -187,14 +187,14 @@ def _fits(
     support = normal[:, 0, 0] / float(window.sum()) ** 2
     normal += 1e-6 * normal[:, :1, :1] * np.eye(6)
     monomials = np.stack([rest[:, 0] ** i * rest[:, 1] ** j for i, j in _POWERS], axis=1)
-    supported = np.zeros(size[0] * size[1], dtype=np.bool_)
+    supported = np.zeros(size[0] * size[1], dtype=bool)
     supported[there] = support > 0.25
     results = []
     for field in fields:
         filled = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
         values = np.where(weight, _binned(filled, (height, width), factor), 0.0)
-        middle = float(values[weight].mean()) if bool(weight.any()) else 0.0
-        values = np.where(weight, values - np.float32(middle), 0.0)
+        middle = float(values[weight].mean()) if weight.any() else 0.0
+        values = np.where(weight, values - middle, 0.0)
         right = np.stack([_separable(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
         flat = np.full(supported.size, np.nan)
@@ -205,7 +205,7 @@ def _fits(
 
 def _separable(image: FloatArray, across: AnyArray, down: AnyArray) -> Array:
     filtered = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(filtered, dtype=np.float64)
+    return np.asarray(filtered, dtype=float)
 
 
 def _binned(image: FloatArray, size: tuple[int, int], factor: int) -> FloatArray:
@@ -296,7 +296,7 @@ def _arc_lengths(grid: SurfaceGrid) -> Array:
     v = np.broadcast_to(v_line[:, None], u.shape)
     flat = np.stack([u, v], axis=2)
     flat[~known] = np.nan
-    return np.asarray(flat)
+    return flat
 
 
 def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:

@@ -1,14 +1,12 @@
-"""Finger image records: ISO/IEC 19794-4:2005 and :2011 read, :2005 written.
+"""Finger image records of ISO/IEC 19794-4:2005; the layout stands in ``docs/reference/records.md``.
 
-The layout of 2005 stands in ``docs/reference/records.md``. The record of 2011 ("020") has 16 bytes of header, and
-resolution, depth and compression in each representation.
-
-Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8.
+Source: ISO/IEC 19794-4:2005, clause 7.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,6 @@ from splitknit_match.records.fmr_bytes import Cursor, check_length
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     FINGER_CODES,
-    FINGER_IMPRESSIONS,
     name_of,
     standard_code,
 )
@@ -30,7 +27,7 @@ from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
 MAGIC = b"FIR\0"
 MAX_PIXELS = 64_000_000
 """Pixels of all images of a file together, at most."""
-_V2005, _V2011 = b"010\0", b"020\0"
+_V2005 = b"010\0"
 _PARAMETERS = struct.Struct(">HHBBHHHHBBH")
 """Layout of the header of 2005, from the capture device on."""
 _VIEW = struct.Struct(">IBBBBBHHB")
@@ -38,7 +35,6 @@ _HEADER_BYTES = 14 + _PARAMETERS.size
 WRITTEN = ("none", "png", "wsq", "jp2")
 """Compressions; ``jp2`` is JPEG 2000 without loss."""
 _CODES = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 4, "png": 5}
-_CODES_2011 = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 5, "lossy jp2": 4, "png": 6}
 _LEVELS = {500: 30, 1000: 40}
 """Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41: certified)."""
 _NO_QUALITY = 254
@@ -77,26 +73,20 @@ def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
 
 
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
-    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011.
+    """Read the images of a record of ISO/IEC 19794-4:2005.
 
     Raises BadInput, with `name`, if `data` is another file, truncated or damaged, claims more than 64 million pixels,
     or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
-    if data[4:8] == _V2011:
-        return _read_2011(Cursor(data, name, 8))
-    fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 and 020 are read."
+    fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is read: convert it."
     require(data[4:8] == _V2005, fault)
-    return _read_2005(data, name)
-
-
-def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")
     check_length(data, length, name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
     ppi = _resolution(unit, x, y, name)
-    compression = _compression(code, _CODES, bits, name)
+    compression = _compression(code, bits, name)
     prints: list[PrintFile] = []
     pixels = 0
     while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
@@ -106,47 +96,9 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        prints.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
+        prints.append(_print(image, ppi, finger, impression_of(impression, _IMPRESSIONS), f"{what} of {name}"))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
-    require(len(prints) > 0 and cursor.place == len(data), more)
-    return tuple(prints)
-
-
-_GENERAL_2011 = struct.Struct(">IHBB")
-_BEGIN_2011 = struct.Struct(">I9sBHHB")
-_REST_2011 = struct.Struct(">BBBHHHHBBBHHI")
-
-
-def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
-    data, name = cursor.data, cursor.name
-    length, count, certified, _ = cursor.unpack(_GENERAL_2011, "its header")
-    check_length(data, length, name)
-    require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
-    require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
-    prints: list[PrintFile] = []
-    pixels = 0
-    for number in range(1, count + 1):
-        what, start = f"image {number}", cursor.place
-        length, *_, qualities = cursor.unpack(_BEGIN_2011, f"the header of {what}")
-        cursor.take(5 * qualities, f"the qualities of {what}")
-        if certified:
-            cursor.take(3 * cursor.take(1, f"the certificates of {what}")[0], f"the certificates of {what}")
-        head = cursor.unpack(_REST_2011, f"the header of {what}")
-        finger, _, unit, _, _, x, y, bits, code, impression, columns, rows, size = head
-        pixels = _more(pixels, rows, columns, name)
-        compression = _compression(code, _CODES_2011, bits, name)
-        ppi = _resolution(unit, x, y, name)
-        stored = cursor.take(size, f"the pixels of {what}")
-        require(
-            start + length >= cursor.place,
-            f"{name} is damaged: {what} is longer than its header states; copy it again.",
-        )
-        cursor.take(start + length - cursor.place, f"the extended data of {what}")
-        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        prints.append(_print(image, ppi, finger, _impression(impression, FINGER_IMPRESSIONS), f"{what} of {name}"))
-    require(
-        cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
-    )
+    require(prints and cursor.place == len(data), more)
     return tuple(prints)
 
 
@@ -157,9 +109,9 @@ def _resolution(unit: int, x: int, y: int, name: str) -> float:
     return next((float(usual) for usual in _LEVELS if round(usual / _CM_PER_INCH) == round(ppi / _CM_PER_INCH)), ppi)
 
 
-def _compression(code: int, codes: dict[str, int], bits: int, name: str) -> str:
+def _compression(code: int, bits: int, name: str) -> str:
     require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
-    words = next((words for words, known in codes.items() if known == code), None)
+    words = next((words for words, known in _CODES.items() if known == code), None)
     if words is None:
         raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG, JPEG 2000 and PNG are read.")
     return words
@@ -183,7 +135,7 @@ def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: s
         return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
     if compression == "wsq":
         image = decode_wsq(stored, name).image
-    elif compression.endswith("jp2"):
+    elif compression == "jp2":
         image = decode_jpeg2000(stored, name, rows * columns)
     else:
         pixels = decode_image(stored, name, max_pixels=rows * columns)
@@ -197,7 +149,8 @@ def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, n
     return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
 
 
-def _impression(code: int, codes: dict[str, int]) -> str:
+def impression_of(code: int, codes: Mapping[str, int]) -> str:
+    """Name of an impression type, ``unknown`` where `codes` have none."""
     return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
 
 

@@ -18,7 +18,7 @@ from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.io.images import decode_image
 from splitknit.io.prints import PrintFile, decode_jpeg2000
-from splitknit_match.records.finger_image import MAX_PIXELS, encode_print
+from splitknit_match.records.finger_image import MAX_PIXELS, encode_print, impression_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
 from splitknit_match.records.wsq_image import decode_wsq
 
@@ -97,7 +97,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         document = codec.decode("FingerImageDataBlock", data)
         blocks, version = document["representationBlocks"], document["versionBlock"]
     require(version["generation"] == _GENERATION, f"{name} is of generation {version['generation']}; 3 is read.")
-    require(len(blocks) > 0, f"{name} holds no image.")
+    require(blocks, f"{name} holds no image.")
     prints: list[PrintFile] = []
     left = MAX_PIXELS
     for number, block in enumerate(blocks, start=1):
@@ -109,8 +109,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         image = _image(bytes(block["imageData"]), _code(block["imageDataFormat"]), left, what)
         left -= image.size
         finger = name_of(_code(block["position"]), FINGER_CODES, f"finger position of {what}")
-        code = _code(block["impression"])
-        impression = next((words for words, known_code in _IMPRESSIONS.items() if known_code == code), "unknown")
+        impression = impression_of(_code(block["impression"]), _IMPRESSIONS)
         prints.append(PrintFile(image, float(ppi), {}, finger, impression))
     return tuple(prints)
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import MAX_PIXELS, decode_print
+from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, impression_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -59,7 +59,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
         elif kind in (13, 14):
             prints.append(_type14(_fields(record), left, what, _LATENT if kind == 13 else ""))
         left = MAX_PIXELS - sum(item.image.size for item in prints)
-    require(len(prints) > 0, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
+    require(prints, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
     return tuple(prints)
 
 
@@ -120,7 +120,7 @@ def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     read = ", ".join(_COMPRESSIONS)
     require(compression in _COMPRESSIONS, f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.")
     require(_number(fields, _BITS, name) == 8, f"{name} is not 8-bit grey; convert it.")
-    require(bool(fields.get(_IMAGE)), f"{name} holds no image (field {_IMAGE}).")
+    require(fields.get(_IMAGE), f"{name} holds no image (field {_IMAGE}).")
     unit, x, y = (_number(fields, field, name) for field in (_UNIT, _PPI_X, _PPI_Y))
     require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
@@ -146,7 +146,7 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> PrintFile | N
         require(re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None, f"{name} states no resolution (1.011).")
         ppi = float(text) * _INCH_MM
     image = decode_print(record[_TYPE4.size :], _TYPE4_COMPRESSIONS[compression], (rows, columns), name)
-    impression = next((words for words, known_code in ITL_IMPRESSIONS.items() if known_code == code), "unknown")
+    impression = impression_of(code, ITL_IMPRESSIONS)
     finger = name_of(positions[0], FINGER_CODES, "finger position")
     return _checked(PrintFile(image, ppi, {}, finger, impression), name)
 
@@ -163,7 +163,7 @@ def _checked(item: PrintFile, name: str) -> PrintFile:
 
 def _text(fields: _Fields, field: int, name: str) -> str:
     text = fields.get(field, b"")
-    require(len(text) > 0, f"{name} lacks the field {field}; it does not conform to ANSI/NIST-ITL.")
+    require(text, f"{name} lacks the field {field}; it does not conform to ANSI/NIST-ITL.")
     return text.decode("ascii", "replace")
 
 

@@ -164,8 +164,8 @@ def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[
     """
     table = np.frombuffer(cursor.take(count * _MINUTIA.itemsize, f"the {count} minutiae of {what}"), _MINUTIA)
     name = cursor.name
-    require(not bool((table["x"] >> 14 == 3).any()), f"{name}: a minutia of {what} has the reserved type 3.")
-    require(not bool((table["y"] >> 14).any()), f"{name}: the reserved bits of a minutia of {what} are not zero.")
+    require(not (table["x"] >> 14 == 3).any(), f"{name}: a minutia of {what} has the reserved type 3.")
+    require(not (table["y"] >> 14).any(), f"{name}: the reserved bits of a minutia of {what} are not zero.")
     sound = int(table["direction"].max(initial=0)) < steps
     require(sound, f"{name}: the direction of a minutia of {what} is not one of {steps} steps.")
     return {

@@ -71,7 +71,7 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
     """
     names = [name for name, known in codes.items() if known == code]
     known = ", ".join(str(value) for value in sorted(codes.values()))
-    require(bool(names), f"the {what} {code} is not one of the standard's codes ({known}); correct the record.")
+    require(names, f"the {what} {code} is not one of the standard's codes ({known}); correct the record.")
     return names[0]
 
 
@@ -100,7 +100,7 @@ def pixels_per_cm(ppi: float) -> tuple[int, int]:
     ((197, 197), (394, 394))
     """
     require(
-        bool(np.isfinite(ppi)) and 250 <= ppi <= 25_400,
+        np.isfinite(ppi) and 250 <= ppi <= 25_400,
         f"a print's resolution must lie between 250 and 25400 ppi, but it is {ppi}; resample the print.",
     )
     return (round(ppi / 2.54), round(ppi / 2.54))
@@ -162,7 +162,7 @@ class FingerView:
         require(inside, f"a minutia lies outside the image of {rows} x {width} pixels; correct the record.")
         fault = f"a minutia's coordinate is {max(x, y)}, but {LARGEST_COORDINATE} is the largest; crop the print."
         require(max(x, y) <= LARGEST_COORDINATE, fault)
-        require(bool(np.isfinite(self.direction_rad).all()), "directions of minutiae must be finite.")
+        require(np.isfinite(self.direction_rad).all(), "directions of minutiae must be finite.")
         known = int(np.min(self.type)) >= OTHER and int(np.max(self.type)) <= BIFURCATION
         require(known, "types of minutiae are 0 (other), 1 (ending) and 2 (bifurcation), but there is another.")
         _check_quality(np.asarray(self.quality), "a minutia's quality")

@@ -53,7 +53,7 @@ class Chart:
     def points(self, radius_mm: Any) -> Array:
         """(n, m, 3) points at distances (n, m) along the rays."""
         start, directions = self.rays()
-        return np.asarray(start[:, None] + np.asarray(radius_mm, dtype=np.float64)[..., None] * directions)
+        return np.asarray(start[:, None] + np.asarray(radius_mm, dtype=float)[..., None] * directions)
 
     def locate(self, points_mm: Array) -> tuple[Array, Array, Array]:
         """Angle, length and distance (...) of points (..., 3)."""

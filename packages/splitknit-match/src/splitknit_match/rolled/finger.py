@@ -135,7 +135,7 @@ class Work:
             added = np.sum([match.radius_mm for match in matches], axis=0)
             moves = [(match.pose, match.correlation) for match in matches]
         else:
-            none = np.zeros(chart.shape, dtype=np.bool_)
+            none = np.zeros(chart.shape, dtype=bool)
             seen = [mirror if self.met[name] else replace(mirror, known=none) for name, mirror in mirrors.items()]
             done = align(chart, radius, front, seen)
             added, moves = done.radius_mm, list(zip(done.poses, done.correlations, strict=True))
@@ -276,7 +276,7 @@ def _sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:
     spline = scipy.interpolate.RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
     low, high = chart.length_mm[-1], chart.length_mm[0]
     rows = -np.clip(other.length_mm, low, high)
-    return np.asarray(spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1])))
+    return spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1]))
 
 
 def _radius_of(body: Body, chart: Chart) -> Array:
@@ -314,4 +314,4 @@ def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
     flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
     roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
     turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
-    return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)
+    return -0.5 * flat * roll * turned[None] * radius_mm

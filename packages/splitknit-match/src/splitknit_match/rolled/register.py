@@ -33,14 +33,14 @@ def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArr
 def gaussian_over(values: FloatArray, known: BoolArray, sigma: float) -> FloatArray:
     """Gaussian mean over `known` of values that are zero elsewhere."""
     fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma), 1e-3)
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma) / fraction)
+    return cv2.GaussianBlur(values, (0, 0), sigma) / fraction
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) ridge band over its local standard deviation in 1 mm: two ridges."""
     power = gaussian_over(np.where(known, band * band, 0).astype(np.float32), known, 1.0 / pitch_mm)
     typical = float(np.median(power[known])) if known.any() else 1.0
-    return np.asarray(band / np.sqrt(power + np.float32(0.1 * typical + 1e-20)), dtype=np.float32)
+    return np.asarray(band / np.sqrt(power + (0.1 * typical + 1e-20)), dtype=np.float32)
 
 
 KNOT_MM = 2.5  # distance of the knots of the correction of the surface
@@ -136,7 +136,7 @@ def align(chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[V
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
     poses = tuple(map(tuple, moved[count:].reshape(-1, 3).tolist()))
-    return Correction(np.asarray(smooth, dtype=np.float64), poses, tuple(correlations.tolist()))
+    return Correction(np.asarray(smooth, dtype=float), poses, tuple(correlations.tolist()))
 
 
 class _Part:
@@ -156,7 +156,7 @@ class _Part:
         moved = self.modes[..., 0] * (self.spread @ depths)[:, None] + self.modes[..., 1:] @ pose
         place = [self.rows + moved[:, 1], self.columns + moved[:, 0]]
         seen, across, down = (
-            scipy.ndimage.map_coordinates(field, place, order=1).astype(np.float64) for field in self.fields
+            scipy.ndimage.map_coordinates(field, place, order=1).astype(float) for field in self.fields
         )
         score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
@@ -204,7 +204,7 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(columns))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
-    deviation = np.asarray(DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near)
+    deviation = DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
     sizes = zip((rows, columns), seen.shape, strict=True)
     row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in sizes)
@@ -304,7 +304,7 @@ def search(  # noqa: PLR0915
     # turns, shift and bulges that move all ridges by about so much, as likely as they can be
     count = len(modes[few])
     weight = LIKE_PLACES / count / (MOVE_MM / chart.pitch_mm) ** 2
-    flat = modes[few].reshape(-1, modes.shape[2]).astype(np.float64)
+    flat = modes[few].reshape(-1, modes.shape[2]).astype(float)
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
     for _, guess in sorted(guesses, key=lambda item: -item[0]):
@@ -333,4 +333,4 @@ def search(  # noqa: PLR0915
 
 def _range(reach: float) -> Array:
     count = int(np.floor(reach / STEP_MM + 1e-9))
-    return np.asarray(np.arange(-count, count + 1) * STEP_MM, dtype=np.float64)
+    return np.asarray(np.arange(-count, count + 1) * STEP_MM, dtype=float)

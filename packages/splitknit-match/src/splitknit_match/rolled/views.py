@@ -89,7 +89,7 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     views = views_in(mean, capture.rig, binning)
     seen = [name for name in SIDES if name in views.mirrors]
     cure = "turn the mirrors towards the finger, or print with `method` unroll."
-    require(bool(seen), f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
+    require(seen, f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
     sides = replace(views, mirrors={name: views.mirrors[name] for name in seen})
     shape = mirror_shape(
         sides,
@@ -170,8 +170,8 @@ def view_light(  # noqa: PLR0917
     elsewhere: a line of light that is not known to a tenth of a millimetre would look like a ridge.
     """
     slopes = height_gradients(heights_mm, grid.pitch_mm)
-    normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=np.float64))
-    points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(np.float64) + origin_mm)
+    normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=float))
+    points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(float) + origin_mm)
 
     def in_view(light: _Light) -> Led:
         """A light of the rig's frame in the view's moved frame, with its shade."""
@@ -235,9 +235,9 @@ class ViewRelief:
 
     def sampled(self, sight: Sight, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where `sight` lacks them."""
-        size = np.float32(self.binning)
+        size = self.binning
         column, row = (
-            ((place - np.float32(side.start) + 0.5) / size - 0.5).astype(np.float32)
+            ((place - side.start + 0.5) / size - 0.5).astype(np.float32)
             for place, side in zip(sight.pixels(points_mm), self.window[::-1], strict=True)
         )
         relief = read(self.relief_mm, column, row, cubic=True)
@@ -291,7 +291,7 @@ def view_relief(  # noqa: PLR0915, PLR0917
     filled = refine(height, known, 1, low.shape)
     rig, inner = view_light(capture.rig.select(white.lights), glasses, sight, filled, low, origin)
     smooth = refine(height, known, factor, grid.shape)
-    reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
+    reach = np.kron(known, np.ones((factor, factor), dtype=bool))
     reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
     grid = replace(grid, mask=grid.mask & reach)
     names = ("red", "green", "blue") if has_colour(white) else ("grey",)
@@ -373,13 +373,13 @@ def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, gri
         here = grid.mask[rows]
         if not here.any():
             continue
-        v = light.vectors[:, :, rows][:, :, here].astype(np.float64)  # (L, 3, n)
-        w = weights[:, rows][:, here].astype(np.float64)
-        n = normals[:, rows][:, here].astype(np.float64)  # (3, n)
+        v = light.vectors[:, :, rows][:, :, here].astype(float)  # (L, 3, n)
+        w = weights[:, rows][:, here].astype(float)
+        n = normals[:, rows][:, here].astype(float)  # (3, n)
         across = np.eye(3)[:, :, None] - n[:, None] * n[None]
         hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
         matrix = np.einsum("ln,lin,ljn->nij", w, v, v) + np.moveaxis(hold * across, -1, 0) + 1e-6 * np.eye(3)
-        right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(np.float64), v)
+        right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(float), v)
         solved = np.linalg.solve(matrix, right)  # (n, 3, C)
         for c in range(channels):
             result[c, rows][here] = solved[:, :, c]

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn, get_args, get_origin
 
-from splitknit.verbs import SETTINGS, VERB, Field, fields_of, with_default
+from splitknit.verbs import SETTINGS, Field, fields_of, with_default
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 Outcome = tuple[dict[str, Any], list[str]]
@@ -342,9 +342,7 @@ def run_verb(options: argparse.Namespace) -> Outcome:
     from splitknit.errors import given_folders  # `--help` needs none of it
     from splitknit.io.atomic import GROUP_READABLE
 
-    kind = getattr(options, "kind", None)
     _OUTPUT.set(options.json)
-    VERB.set(f"{options.verb} {kind}" if isinstance(kind, str) else options.verb)
     named = [one for value in vars(options).values() for one in (value if isinstance(value, list) else [value])]
     earlier = os.environ.get(GROUP_READABLE, "")
     os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier

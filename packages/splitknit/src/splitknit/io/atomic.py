@@ -349,19 +349,15 @@ def _swap(new: Path, target: Path, overwrite: bool) -> None:
         UNFINISHED.leave()
 
 
-def append_line(path: Path, line: Mapping[str, Any], begin: bool = False) -> None:
-    """Add a line of JSON to a log, whole or not at all: a regular file, no link. Raises OSError.
-
-    `begin`: whether a missing file is made; else one that others can read becomes private.
+def append_line(path: Path, line: Mapping[str, Any]) -> None:
+    """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file, no link. Raises
+    OSError.
     """
-    made = os.O_CREAT if begin else 0
-    flags = os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    with os.fdopen(os.open(path, flags | made, 0o600), "ab", buffering=0) as stream:
+    flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:
         mode, data = os.fstat(stream.fileno()).st_mode, json.dumps(line).encode("ascii") + b"\n"
         if not stat.S_ISREG(mode):  # a pipe that nobody empties would hold the program
             raise OSError(errno.EINVAL, "it is not a file")
-        if not begin and mode & 0o077 and hasattr(os, "fchmod"):
-            os.fchmod(stream.fileno(), 0o600)
         if (written := stream.write(data)) < len(data):
             stream.truncate(stream.tell() - written)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
