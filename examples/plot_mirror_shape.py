@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         photograph = capture.bands["white"].pixels[1].astype(np.float32)
         bright = np.clip(photograph / np.percentile(photograph, 99.5), 0, 1) ** (1 / 2.2)
         write_image(options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8))
-        above = view_from_above(result, small_fields(result, upright_frame(result, 700)))
+        above = view_from_above(small_fields(result, upright_frame(result, 700)))
         write_image(options.out / "surface.png", above)
     return 0
 

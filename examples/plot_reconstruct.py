@@ -47,7 +47,7 @@ def pictures(capture: splitknit.Capture, result: splitknit.Reconstruction, folde
     write_image(folder / "photograph.png", np.round(255 * shown).astype(np.uint8))
     frame = upright_frame(result, 900)
     relief, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
-    shaded = view_from_above(result, small_fields(result, frame))
+    shaded = view_from_above(small_fields(result, frame))
     flat = on_paper(colour(relief, -40.0, 40.0), weight)
     rows = min(flat.shape[0], shaded.shape[0])
     write_image(folder / "relief-and-surface.png", np.hstack([flat[:rows], shaded[:rows]]))

@@ -82,13 +82,20 @@ def border_px(known: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1])
 
 
+def directions_on_print(laid, points, angles_rad):
+    """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
+    step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
+    along = laid.print_from_input(points + step) - laid.print_from_input(points - step)
+    return np.arctan2(-along[:, 1], along[:, 0])
+
+
 def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, Any]:
     """Record of a print's minutiae; true ones are those whose place in the picture the print shows."""
     border = border_px(made.weight > 0.5)
     there = made.map.print_from_input(truth.places_px)
     angle = np.full(len(there), np.nan)
     known = np.isfinite(truth.directions_rad) & np.isfinite(there).all(axis=1)
-    angle[known] = made.map.directions_on_print(truth.places_px[known], truth.directions_rad[known])
+    angle[known] = directions_on_print(made.map, truth.places_px[known], truth.directions_rad[known])
     on = _sampled(border, there) > 0
     true = {
         "place": there[on], "direction": angle[on], "border": _sampled(border, there)[on],

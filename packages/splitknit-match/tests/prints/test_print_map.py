@@ -61,7 +61,9 @@ def test_directions_are_mirrored(twin: Twin, laid: PrintMap) -> None:
     middle = np.argwhere(twin.seen.mask).mean(axis=0)[None, ::-1]
     angles = np.deg2rad([0.0, 30.0, 135.0])
     points = np.repeat(middle, 3, axis=0)
-    on_print = laid.directions_on_print(points, angles)
+    step = 0.5 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)
+    along = laid.print_from_input(points + step) - laid.print_from_input(points - step)
+    on_print = np.arctan2(-along[:, 1], along[:, 0])
     assert np.abs(np.angle(np.exp(1j * (on_print - (np.pi - angles))))).max() < 0.03
 
 

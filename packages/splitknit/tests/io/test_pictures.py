@@ -52,7 +52,7 @@ def test_paper_shows_outside() -> None:
 
 def test_the_view_from_above_shows_the_light() -> None:
     result, _ = finger()
-    above = view_from_above(result, small_fields(result, upright_frame(result, 240))).astype(int)
+    above = view_from_above(small_fields(result, upright_frame(result, 240))).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
     left, right = above[middle, 40:90].mean(), above[middle, -90:-40].mean()

@@ -165,13 +165,6 @@ class PrintMap:
         nodes[there] = _moved(np.linalg.inv(self.input_from_grid), start)
         return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
 
-    def directions_on_print(self, points: Array, angles_rad: Array) -> Array:
-        """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
-        points = np.asarray(points, dtype=float).reshape(-1, 2)
-        step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
-        along = self.print_from_input(points + step) - self.print_from_input(points - step)
-        return np.arctan2(-along[:, 1], along[:, 0])
-
 
 def plane_map(
     pitch_mm: float, input_from_upright: Array, upright_size: tuple[int, int], ppi: float = 500.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,6 @@ from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
 
-RELIEF_EXAGGERATION = 2.0  # factor on a finger's ridges in shaded views; an opaque thing is drawn to scale
 RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
 
 Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
@@ -45,14 +44,6 @@ class _SmallFields:
     ridge_mm: FloatArray
     shape_mm: FloatArray
     normals: FloatArray  # (h, w, 3)
-
-    def exaggerated(self, factor: float) -> _SmallFields:
-        """The same with the relief in the height multiplied by `factor`, so that ridges of a few hundredths of a
-        millimetre are seen on a finger; less so on steep flanks, where they would overhang.
-        """
-        facing = self.normals[..., 2]
-        extra = (factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
-        return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
 
 
 def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
@@ -213,21 +204,19 @@ FIELD_PICTURES = (_specular_picture, _normals_picture, _relief_picture, _shape_p
 """Each draws a picture of a result and its small fields, or None where the result has no such field."""
 
 
-def view_from_above(result: Reconstruction, small: _SmallFields) -> ColourArray:
+def view_from_above(small: _SmallFields) -> ColourArray:
     """The shaded surface as the camera sees it, upright."""
-    surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
-    covered = surface.weight[..., None]
-    picture = _shade(surface) * covered + _BACKGROUND * (1.0 - covered)
+    covered = small.weight[..., None]
+    picture = _shade(small) * covered + _BACKGROUND * (1.0 - covered)
     return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Picture:
     """Show the surface of :func:`view_from_above`; `pitch_mm` is the size of a pixel."""
-    stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
     good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
     if not finger:
-        stated, good = "Heights are true.", "Good: no bumps or waves that the object does not have."
-    return captioned("From above", view, f"Measured surface, lit from the upper left. {stated} {good}", pitch_mm)
+        good = "Good: no bumps or waves that the object does not have."
+    return captioned("From above", view, f"Measured surface, lit from the upper left. {good}", pitch_mm)
 
 
 def print_picture(prints: NDArray[np.uint8]) -> Picture:

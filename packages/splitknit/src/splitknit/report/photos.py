@@ -69,7 +69,6 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
 
 
 LONGEST_PX = 700  # longer side of a picture
-_THUMBNAIL_PX = 170
 
 
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
@@ -111,24 +110,20 @@ def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
 
 
 def _contact_sheet(capture: Capture) -> Picture:
-    """All photographs, small, in the order of their bands and lights; each as bright as its sensor saw it."""
-    bands = [band for band in capture.bands.values() if len(band.pixels)]
+    """All photographs, small, in the order of their bands and lights, each as bright as its sensor saw it."""
+    images = [image for band in capture.bands.values() for image in band.pixels]
     gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
-    rows, columns = bands[0].pixels.shape[1:3]
-    size = (_THUMBNAIL_PX, max(1, round(_THUMBNAIL_PX * rows / columns)))
-    thumbnails = []
-    for band in bands:
-        for image in band.pixels:
-            small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], -1)
-            level = np.clip(small / float(np.iinfo(image.dtype).max), 0.0, 1.0) ** gamma
-            picture = np.broadcast_to(np.round(255 * level), (size[1], size[0], 3)).astype(np.uint8)
-            thumbnails.append(np.pad(picture, ((0, 4), (0, 4), (0, 0)), constant_values=255))
-    across = min(4, len(thumbnails))
-    thumbnails += [np.full_like(thumbnails[0], 255)] * (-len(thumbnails) % across)
-    lines = [np.hstack(thumbnails[start : start + across]) for start in range(0, len(thumbnails), across)]
-    named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items() if len(band.pixels))
+    across = min(4, len(images))
+    width = LONGEST_PX // across
+    size = (width, max(1, width * images[0].shape[0] // images[0].shape[1]))
+    sheet = np.full((-(-len(images) // across) * size[1], across * width, 3), 255, dtype=np.uint8)
+    for number, image in enumerate(images):
+        level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(np.iinfo(image.dtype).max)
+        top, left = number // across * size[1], number % across * width
+        sheet[top : top + size[1], left : left + width] = np.round(255 * level.reshape(*size[::-1], -1) ** gamma)
+    named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
     caption = f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white."
-    return captioned("Photographs", np.vstack(lines), caption)
+    return captioned("Photographs", sheet, caption)
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:

@@ -90,7 +90,7 @@ def make_report(
         page = pool.submit(template, "report.html")
         frame = upright_frame(result, LONGEST_PX)
         small = figures.small_fields(result, frame)
-        drawn = pool.submit(figures.view_from_above, result, small)
+        drawn = pool.submit(figures.view_from_above, small)
         surfaces = pool.submit(scene_of, result, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
@@ -345,5 +345,5 @@ def write_files(
 def preview_html(result: Reconstruction) -> str:
     """The shaded surface as an image element, small, for notebooks."""
     small = figures.small_fields(result, upright_frame(result, 400))
-    data = data_uri(figures.view_from_above(result, small), photo=True)
+    data = data_uri(figures.view_from_above(small), photo=True)
     return f'<img src="{data}" alt="surface from above">'
