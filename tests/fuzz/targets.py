@@ -693,7 +693,7 @@ def _pattern(folder: Path, files: Files) -> None:
 # --- the surface inside a page -----------------------------------------------------------------------------------
 
 
-def _result() -> list[Files]:
+def _pages() -> list[Files]:
     report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
     return [{"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}]
 
@@ -813,5 +813,5 @@ TARGETS = (
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),
-    Target("result_in_page", _result, _drawn),
+    Target("result_in_page", _pages, _drawn),
 )  # fmt: skip

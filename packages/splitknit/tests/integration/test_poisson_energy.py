@@ -122,6 +122,7 @@ def test_large_weighted_integration_reaches_the_least_energy(caplog):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # four minutes alone
 def test_ten_thousand_weighted_integrations_reach_the_least_energy(caplog):
     assert_least(range(1_000, 10_980), 200, caplog)
     assert_least(range(20_000, 20_020), 600, caplog)

@@ -269,8 +269,9 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
 
 def _jpeg(albedo: _Values) -> str:
     """Brightness for people, black where it is not known."""
-    brightest = max(float(np.nanpercentile(albedo, 99.5)), 1e-6)
-    fraction = np.clip(np.nan_to_num(albedo) / brightest, 0.0, 1.0)
+    known = np.nan_to_num(albedo, posinf=0.0, neginf=0.0)
+    brightest = max(float(np.percentile(known, 99.5)), 1e-6)
+    fraction = np.clip(known / brightest, 0.0, 1.0)
     grey = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
     data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
     return base64.b64encode(data).decode("ascii")
@@ -288,7 +289,8 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
     """A field as PNG: red and green are the high and low byte of its level, zero where it is not known."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     step = max(step, (high - low) / 65_000)
     level = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - low) / step) + 1, 0).astype(np.uint16)
     zero = np.zeros(level.shape, dtype=np.uint8)
