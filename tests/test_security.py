@@ -79,9 +79,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit-match/tests/gallery/test_gallery.py::test_nothing_remains_of_a_removed_finger",
         "packages/splitknit-match/tests/gallery/test_gallery.py::test_second_copies_in_a_page_go_with_a_removal",
     ),
-    "a line of JSON for every program that opens it": (
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_who_opened_a_gallery_is_put_down_where_that_is_wanted",
-    ),
     "The SHA-256 of its templates detects damage": (
         "packages/splitknit-match/tests/gallery/test_gallery.py::test_damage_is_refused",
     ),
@@ -155,7 +152,6 @@ UNTESTED = {
     "and the time of its last change can be seen": "what every file shows",
     "are deleted, not overwritten": "what SQLite and file systems do (read)",
     "use a key, and encrypt the disk": "advice",
-    "whoever may write the log can change it": "nothing in the log is sealed (read)",
     "leftovers of file managers": "held with the list `.splitknit` above",
     "the Docker image below it is a tag": "read in the Dockerfile; no image was built",
     "Caches of optional packages": "what other packages do; not tried again",

@@ -208,12 +208,11 @@ def scene(surfaces: Sequence[PageSurface]) -> Scene:
     """Describe one surface, or two to be compared in one frame, for a page that shows them in three dimensions."""
     described = [_encoded(surface) for surface in surfaces]
     scripts = _scripts()
-    hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
-    allowed = " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in hashes)
+    hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()) for script in scripts)
+    allowed = " ".join(f"'sha256-{digest.decode()}'" for digest in hashes)
     data = json.dumps(described, allow_nan=False).replace("<", "\\u003c")  # ends no script element
-    titles = [surface.title for surface in surfaces]
     minutiae = any(len(surface.minutiae) for surface in surfaces)
-    return Scene(titles, Markup(data), scripts, allowed, minutiae)
+    return Scene([surface.title for surface in surfaces], Markup(data), scripts, allowed, minutiae)
 
 
 def scene_of(result: Reconstruction, title: str) -> Scene:
@@ -224,12 +223,10 @@ def scene_of(result: Reconstruction, title: str) -> Scene:
 
 
 @cache
-def _scripts() -> tuple[Markup, Markup]:
+def _scripts() -> list[Markup]:
     """three.js, and what draws with it."""
-    folder = Path(__file__).parent / "static"
-    three = (folder / "three" / "three.min.js").read_text(encoding="utf-8")
-    own = (folder / "surface.js").read_text(encoding="utf-8")
-    return Markup(three), Markup(own)
+    files = ("three/three.min.js", "surface.js")
+    return [Markup((Path(__file__).parent / "static" / file).read_text(encoding="utf-8")) for file in files]
 
 
 def _encoded(page: PageSurface) -> dict[str, Any]:
@@ -259,7 +256,6 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "pitch": pitch_mm * unit.per_mm,
         "unit": unit.name,
         "small": unit.small,
-        "small_per_unit": unit.small_per_mm / unit.per_mm,
         "shape": _in_16_bits(shape, _SHAPE_STEP),
         "ridge": _in_16_bits(ridge, _RIDGE_STEP),
         "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
@@ -274,7 +270,7 @@ def _jpeg(albedo: _Values) -> str:
     fraction = np.clip(known / brightest, 0.0, 1.0)
     grey = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
     data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
-    return base64.b64encode(data).decode("ascii")
+    return base64.b64encode(data).decode()
 
 
 def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> FloatArray:
@@ -284,7 +280,7 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
     size = (round(side), round(side))
     total = cv2.blur(np.where(known, field, 0.0), size, borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(known.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT)
-    return np.where(known, total / np.maximum(weight, 1e-6), np.nan).astype(np.float32)
+    return np.where(known, total / np.maximum(weight, 1e-6), np.nan)
 
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
@@ -296,4 +292,4 @@ def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
     zero = np.zeros(level.shape, dtype=np.uint8)
     picture = np.dstack([zero, (level & 255).astype(np.uint8), (level >> 8).astype(np.uint8)])  # OpenCV: blue first
     png = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
-    return {"png": base64.b64encode(png).decode("ascii"), "low": low, "step": step}
+    return {"png": base64.b64encode(png).decode(), "low": low, "step": step}

@@ -247,7 +247,8 @@ function drawSection() {
   }
   const places = cut();
   const alone = byId("alone").checked;
-  const { unit, small, small_per_unit: factor } = views[0].surface;
+  const { unit, small } = views[0].surface;
+  const factor = unit === small ? 1 : 1000; // um in a mm
   const curves = views.map(({ surface }) => {
     const heights = places.map(({ x, y }) => {
       const shape = alone ? 0 : surface.at(surface.shape, x, y);
