@@ -176,7 +176,7 @@ def test_names_in_the_lights_file(folder: Path) -> None:
     found = capture_from_photographs(folder)
     assert files_of(found) == ["p12.png", "p11.png", "p10.png"]
     assert found.skipped == ("p8.png (not in lights.txt)", "p9.png (not in lights.txt)")
-    (folder / "lights.txt").write_text("\n".join([*lines[1:], "p99.png 0 0 1"]))
+    (folder / "lights.txt").write_text("\n".join([*lines, "p99.png 0 0.3 1"]))
     with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
         capture_from_photographs(folder)
     (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
