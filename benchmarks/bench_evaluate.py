@@ -116,7 +116,7 @@ def score_file(impostor: np.ndarray) -> Any:
         path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
         started = time.process_time()
         found = read_scores(path)
-        count = found.systems[0].score.size
+        count = found.scores.score.size
         print(f"\nA file of {count:,} lines with fingers: read in {time.process_time() - started:.1f} s.")
 
 
