@@ -17,7 +17,7 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.results import write_picture
 from splitknit.report import template
 from splitknit.report.photos import Picture, captioned, colour_bar
-from splitknit.report.surface import PageSurface, ResultSurface, scene
+from splitknit.report.surface import PageSurface, scene, upright_surface
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, PairComparison
 
 FORMAT = "splitknit-comparison"
@@ -67,13 +67,8 @@ def write_comparison(
 def _side(pair: PairComparison, number: int) -> PageSurface:
     """A or B in A's frame, so that one section cuts both in one place."""
     height_mm, ridge_mm = pair.height_mm[number], pair.relief_um[number] / 1000
-    rows, columns = np.indices(height_mm.shape, dtype=np.float32)
-    x_mm, y_mm = pair.pitch_mm * columns, -pair.pitch_mm * rows
     known = np.isfinite(height_mm)
-    box = bounding_box(known)
-    x_mm, y_mm = (np.where(known, part, np.nan)[box] for part in (x_mm, y_mm))
-    corner = pair.pitch_mm * np.array([box[1].start, -box[0].start])
-    surface = ResultSurface(x_mm, y_mm, height_mm[box], ridge_mm[box], pair.pitch_mm, np.eye(2), corner)
+    surface = upright_surface((height_mm, ridge_mm), known, pair.pitch_mm, np.eye(3), xy_mm=None)
     return PageSurface("AB"[number], surface)
 
 

@@ -123,7 +123,10 @@ def _page(  # noqa: PLR0917
     start, end = (surface.places_mm(made.map.input_from_print(each)) for each in (places, places + 4.0 * ahead))
     minutiae = np.stack([*start, np.arctan2(*(end - start)[::-1])], axis=1)
     minutiae = minutiae[np.isfinite(minutiae).all(axis=1)]
-    words = {"print": "As ink on paper: ridges dark, mirrored against the camera image.", "enhanced": "Enhanced."}
+    words = {
+        "print": "As ink on paper: ridges dark, mirrored against the camera image.",
+        "enhanced": "Ridges made even.",
+    }
     return str(
         template(Path(__file__).with_name("print.html")).render(
             scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, minutiae)]),

@@ -53,18 +53,14 @@ class Surface {
     const points = new THREE.BufferAttribute(new Float32Array(3 * this.cells.length), 3);
     this.geometry.setAttribute("position", points);
     this.geometry.setIndex(this.triangles());
-    const range = [0.03, 0.97].map((fraction) => this.ridgeQuantile(fraction));
+    const sorted = Float32Array.from(this.cells, (k) => ridge[k]).sort();
+    const range = [0.03, 0.97].map((fraction) => sorted[Math.floor(fraction * (sorted.length - 1))]);
     this.paints = {
       matt: () => [0.9, 0.8, 0.7],
       brightness: (k) => Array(3).fill((brightness[4 * k] / 255) ** 2.2),
       relief: (k) => reliefColour((ridge[k] - range[0]) / (range[1] - range[0])).map((level) => level ** 2.2),
     };
     this.paint("matt");
-  }
-
-  ridgeQuantile(fraction) {
-    const known = Float32Array.from(this.cells, (k) => this.ridge[k]).sort();
-    return known[Math.floor(fraction * (known.length - 1))];
   }
 
   triangles() {
