@@ -141,7 +141,7 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     for method in ("unroll", "relief", "curvature"):
         run("print", folder / "result_metric", "--method", method, "--out", folder / f"print_{method}")
         found[f"print {method}"] = prints_of(folder / f"print_{method}")
-    run("print", mirrors, "--method", "rolled", "--out", folder / "rolled", "--set", "rolled.pitch_mm=0.07")
+    run("print", mirrors, "--method", "rolled", "--out", folder / "rolled")
     found["print rolled"] = prints_of(folder / "rolled")
     run("simulate", "--bench", "--scale", 0.1, "--seed", 2, "--out", folder / "bench")
     run("calibrate", "camera", folder / "bench" / "board", "--out", folder / "rig.json")

@@ -467,11 +467,11 @@ def _transactions() -> list[Files]:
     )
 
 
-SCORES = b"""system,label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b
-a,1,0.9,right_index,right_index,S01,S01,1,2
-a,0,0.1,right_index,right_index,S01,S02,1,2
-a,1,0.7,left_index,left_index,S01,S01,1,2
-a,0,0.2,left_index,left_index,S02,S01,1,2
+SCORES = b"""label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b
+1,0.9,right_index,right_index,S01,S01,1,2
+0,0.1,right_index,right_index,S01,S02,1,2
+1,0.7,left_index,left_index,S01,S01,1,2
+0,0.2,left_index,left_index,S02,S01,1,2
 """
 
 
