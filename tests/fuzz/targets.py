@@ -45,7 +45,7 @@ from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, 
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.jobs import read_photographs
+from splitknit.folders import read_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
