@@ -41,7 +41,7 @@ PYTHON_ONLY = Parameter(parse=False)
 """Marks an argument without an option; it needs a default."""
 SEVERAL = Parameter(consume_multiple=True)
 """Marks an option that takes all words up to the next option."""
-Natural = Annotated[int, Limits(0, 2**63 - 1)]
+Natural = Annotated[int, Limits(0, 2**63 - 1), Parameter(converter=lambda _, tokens: whole_number(tokens[0].value))]
 Scale = Annotated[float, Limits(0.05, 1.0)]
 Fraction = Annotated[float, Limits(0.0, 1.0)]
 Positive = Annotated[float, Limits(0.0, above=True)]
@@ -57,6 +57,12 @@ def silent(stage: str, fraction: float) -> None:
 def given_settings(tokens: Sequence[Any]) -> tuple[tuple[str, str], ...]:
     """What ``--set`` and ``--settings`` were given, as pairs of option and word; the command line reads them."""
     return tuple((token.keyword, token.value) for token in tokens)
+
+
+def whole_number(word: str) -> int:
+    """The number that a word of the command line is; cyclopts would round 1.5. Raises BadInput."""
+    require(word.isascii() and word.removeprefix("-").isdigit(), f"'{word}' must be a whole number")
+    return int(word)
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:

@@ -49,7 +49,8 @@ class Limits:
             return f"{'above' if self.above else 'at least'} {self.min:g}"
         if math.isinf(self.min):
             return f"{'below' if self.below else 'at most'} {self.max:g}"
-        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{self.max:g}"
+        largest = "2^63 - 1" if self.max == 2**63 - 1 else f"{self.max:g}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{largest}"
 
 
 class Checked:
@@ -115,8 +116,9 @@ def _rules_in(hint: Any) -> list[Limits | tuple[Any, ...]]:
         return [*ranges, *_rules_in(hint.__origin__)]
     if typing.get_origin(hint) is typing.Literal:
         return [typing.get_args(hint)]
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return [rule for part in typing.get_args(hint) for rule in _rules_in(part)]
+    kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
+    if typing.get_origin(hint) in (typing.Union, types.UnionType) and len(kinds) == 1:
+        return _rules_in(kinds[0])
     return []
 
 

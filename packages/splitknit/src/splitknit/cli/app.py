@@ -114,8 +114,19 @@ def build_app(verb: str | None = None) -> App:
     return app
 
 
+def words_of_verbs(app: App) -> list[list[str]]:
+    """The words of all verbs, groups before what is in them."""
+    words: list[list[str]] = []
+    for name in verbs_known():
+        words.append([name])
+        words += [[name, last] for last in app[name] if not last.startswith("-")]
+    return words
+
+
 def run(words: Sequence[str]) -> int:
     """Run the verb that the words name, and return the exit code."""
+    if "--version" in words:
+        return say(f"{_version()}\n", DONE)
     app = build_app(next((word for word in words if not word.startswith("-")), ""))
     code = DONE
 
@@ -127,6 +138,7 @@ def run(words: Sequence[str]) -> int:
         nonlocal code
         code = _guarded(app, rest, how)
 
+    app.meta.suppress_keyboard_interrupt = False
     if not words or _HELP & set(words):
         return _help(app, words)
     try:
