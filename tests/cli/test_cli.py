@@ -236,7 +236,9 @@ import splitknit.io.results
 splitknit.io.results.read_result = run
 sys.exit(cli.main())
 """
-    run = subprocess.run([sys.executable, "-c", code, "profile", "a", "1,1", "2,2"], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"], capture_output=True, text=True, check=False
+    )
     assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
 
 

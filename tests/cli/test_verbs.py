@@ -13,7 +13,17 @@ import pytest
 from cyclopts import Parameter
 
 from splitknit import registry
-from splitknit.arguments import PYTHON_ONLY, SEVERAL, AnyPath, Natural, Progress, Settings, checked, refuse_given, silent
+from splitknit.arguments import (
+    PYTHON_ONLY,
+    SEVERAL,
+    AnyPath,
+    Natural,
+    Progress,
+    Settings,
+    checked,
+    refuse_given,
+    silent,
+)
 from splitknit.cli.app import build_app, help_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput, require
@@ -103,7 +113,7 @@ def test_words_become_arguments() -> None:
     assert list(call["scores"]) == [Path("x"), Path("y")]
     assert (call["out"], call["colour"], call["size"], call["seed"]) == (Path("c"), "blue", 0.5, 0)
     assert (call["shadows"], call["settings"], call["lamp"]) == (False, {"a.b": 1, "c": "x"}, Lamp(3.0))
-    assert main("shine a --out c --marks x --marks y".split()) == 0
+    assert main(["shine", "a", "--out", "c", "--marks", "x", "--marks", "y"]) == 0
     assert list(CALLS[-1]["marks"]) == ["x", "y"]
     assert (CALLS[-1]["shadows"], CALLS[-1]["memory"]) == (True, None)
 

@@ -34,6 +34,7 @@ from png_files import png_of
 from splitknit.accuracy import read_truth
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
+from splitknit.folders import read_photographs
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
@@ -45,7 +46,6 @@ from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, 
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.folders import read_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
