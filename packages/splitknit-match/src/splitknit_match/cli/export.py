@@ -10,7 +10,7 @@ from splitknit_match.prints.export_job import ExportJob
 
 if TYPE_CHECKING:
     from splitknit.cli.import_photos import ImportJob
-    from splitknit.verbs import Progress
+    from splitknit.model import Progress
 
 
 def _show(facts: dict[str, Any], job: ExportJob) -> Outcome:

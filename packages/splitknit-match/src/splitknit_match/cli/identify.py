@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from splitknit.cli.verb import Outcome, Verb, count
-from splitknit.verbs import Progress
+from splitknit.model import Progress
 from splitknit_match.cli.match import Raw, basis_words, decided_at, one_in
 from splitknit_match.cli.pad import Refusal, refuse_attacks
 from splitknit_match.gallery.identify_job import IdentifyJob

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.io.provenance import file_hash
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order

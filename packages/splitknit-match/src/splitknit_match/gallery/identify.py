@@ -10,8 +10,7 @@ from functools import partial
 from splitknit import BadInput
 from splitknit.errors import naming
 from splitknit.io.provenance import settings_hash
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import Entry, GalleryFile, People, check_person, known_finger, session_order
 from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.gallery.minutia_index import each, unpacked

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, open_file, require
 from splitknit.io.fields import read_json
-from splitknit.model import Surface, no_progress, surface_of
-from splitknit.verbs import Progress
+from splitknit.model import Progress, Surface, no_progress, surface_of
 from splitknit_match.matching.minutiae import at_500_ppi
 from splitknit_match.matching.minutiae_record import (
     PPI,

@@ -18,8 +18,7 @@ from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.matching.minutiae_record import PPI
 from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto

@@ -20,9 +20,8 @@ from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.plain import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file
-from splitknit.model import Array, PixelArray, default_rig, no_progress
+from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress
 from splitknit.plausible import CAMERA_HEIGHT
-from splitknit.verbs import Progress
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board

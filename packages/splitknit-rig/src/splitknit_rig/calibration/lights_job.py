@@ -21,8 +21,7 @@ from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.plain import natural_order
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.targets import check_file, check_rig_file
-from splitknit.model import Array, FloatArray, camera_without_scale, no_progress, side_lights
-from splitknit.verbs import Progress
+from splitknit.model import Array, FloatArray, Progress, camera_without_scale, no_progress, side_lights
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Circle, Tip, combine, listed, read_tips
 from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, Rules, find_leds, rig_of
 from splitknit_rig.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos

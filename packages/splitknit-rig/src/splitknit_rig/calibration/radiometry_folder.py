@@ -18,8 +18,7 @@ from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.targets import check_picture, check_rig_file
-from splitknit.model import Array, FloatArray, PixelArray, no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.radiometry import (
     DRIFT_PERCENT,

@@ -179,7 +179,9 @@ def options_of(app: App, words: Sequence[str]) -> dict[str, str]:
         return {}
     options = {}
     for argument in apps[-1].assemble_argument_collection():
-        options[argument.field_info.name] = argument.names[0] if argument.names else argument.field_info.name.upper()
+        field = argument.field_info
+        names = argument.negatives if field.default is True else argument.names
+        options[field.name] = names[0] if names else field.name.upper()
     return options
 
 
