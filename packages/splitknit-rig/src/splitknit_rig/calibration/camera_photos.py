@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
+from splitknit.arguments import text_of
 from splitknit.errors import naming, read_bytes, require
 from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.plain import natural_order
@@ -25,6 +26,7 @@ from splitknit.plausible import CAMERA_HEIGHT
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
+from splitknit_rig.calibration.words import camera_lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,14 @@ class MeasuredCamera:
     """Whether the rig file's LEDs are the drawing's, as no rig was given."""
     boardless: tuple[str, ...] = ()
     """Photographs in which no board is in full view."""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All that was measured, as plain JSON."""
+        return camera_facts(self)
+
+    def __str__(self) -> str:
+        return text_of(camera_lines(self.facts))
 
 
 def calibrate_to_rig(

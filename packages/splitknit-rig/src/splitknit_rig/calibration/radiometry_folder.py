@@ -76,7 +76,8 @@ def calibrate_to_file(
         write_image(residuals, _residual_picture(found))
     write_rig(rig, out)
     progress("done", 1.0)
-    return replace(found, rig=rig, facts=facts)
+    files = [str(file) for file in (out, residuals) if file is not None]
+    return replace(found, rig=rig, facts={**facts, "out": str(out), "files": files}, base_tilt=card_tilt_deg is None)
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:

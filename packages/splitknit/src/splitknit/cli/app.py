@@ -20,7 +20,7 @@ from inspect import BoundArguments
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import HelpEntry
 from rich.console import Console
 
@@ -32,8 +32,14 @@ from splitknit.io.atomic import GROUP_READABLE
 from splitknit.registry import VERBS, objects_of, verbs_known
 
 _ABOUT = "Metric 3D fingerprints from photographs of a finger under one light after another."
-_CODES = "Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
-_FLAG = Parameter(group=Group("Of every verb", sort_key=9))
+_ENDING = (
+    "Of every verb: --json prints one JSON object on stdout and nothing else; --traceback shows where an error came "
+    "from; --group-readable lets your group read what is written (0640, 0750), where by default only you can (0600, "
+    "0700); --exit-code answers by the exit code: 0 a match or live, 10 no match or an attack, 11 undecided or "
+    "unknown, 12 not acquired.\n\n"
+    "Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
+)
+_FLAG = Parameter(show=False)
 _HELP = {"--help", "-h"}
 
 
@@ -42,14 +48,9 @@ class How:
     """What every verb can be told."""
 
     json: Annotated[bool, _FLAG] = False
-    """Print one JSON object on stdout and nothing else."""
     traceback: Annotated[bool, _FLAG] = False
-    """Show where an error came from."""
     group_readable: Annotated[bool, _FLAG] = False
-    """Let your group read what is written (0640, 0750); by default only you can (0600, 0700)."""
     exit_code: Annotated[bool, _FLAG] = False
-    """Answer by the exit code: 0 a match or live, 10 no match or an attack, 11 undecided or unknown, 12 not
-    acquired."""
 
 
 class _Help:
@@ -92,7 +93,7 @@ def build_app(verb: str | None = None) -> App:
     app = App(
         name="splitknit",
         help=_ABOUT,
-        help_epilogue=_CODES,
+        help_epilogue=_ENDING,
         help_format="plaintext",
         help_formatter=_Help(),
         version=_version,

@@ -1,25 +1,16 @@
-"""``splitknit calibrate``: a rig's camera, the brightness of its LEDs, where they are, and films before them."""
+"""What calibrations say to people: lines out of their facts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-from splitknit.cli.verb import Outcome, Verb
-from splitknit.verbs import AnyPath, Help, Progress, path, refuse_given
-from splitknit_rig.calibration.jobs import CameraJob, LightsJob, PolarisersJob, RadiometryJob
-
-if TYPE_CHECKING:
-    from splitknit_rig.calibration.camera_photos import MeasuredCamera
-    from splitknit_rig.calibration.radiometry import RadiometricCalibration
+from splitknit_rig.calibration.camera import TERMS
 
 
-def _show_camera(found: MeasuredCamera, job: CameraJob) -> Outcome:
-    from splitknit_rig.calibration.camera_photos import camera_facts  # only this verb pays
-
-    facts = camera_facts(found)
-    return facts, [
+def camera_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Of a camera."""
+    return [
         *(_fit_lines(facts) if facts["fit"] else []),
         *(_plane_lines(facts["plane"]) if facts["plane"] else []),
         *(f"Please note: {words}" for words in facts["warnings"]),
@@ -43,8 +34,6 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
         f"  focal length {focal} +- {deviations['fx']:.2f} px, "
         f"principal point ({cx:.2f}{around[0]}, {cy:.2f}{around[1]}) px",
     ]
-    from splitknit_rig.calibration.camera import TERMS  # only this verb pays
-
     terms = zip(TERMS, facts["distortion"], strict=True)
     free = [f"{name} = {value:.4g} +- {deviations[name]:.2g}" for name, value in terms if name in fit["fitted"]]
     lines.append(f"  distortion {', '.join(free) or 'none'}")
@@ -65,46 +54,8 @@ def _plane_lines(plane: Mapping[str, Any]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class _CalibrateOrCheck(RadiometryJob):
-    __doc__ = RadiometryJob.__doc__
-
-    # fmt: off
-    out: Annotated[AnyPath | None, Help("rig file to write", "RIG2", either="what", required=True)] = None  # type: ignore[assignment]
-    _: KW_ONLY
-    check: Annotated[AnyPath | None, Help(
-        "compare with the calibration in RIG, to within `limit_percent` (default: 3); writes nothing", "RIG",
-        either="what", required=True)] = None
-    # fmt: on
-
-    def run(self, progress: Progress) -> RadiometricCalibration | dict[str, Any]:  # type: ignore[override]
-        """Calibrate, or compare with an earlier calibration."""
-        from splitknit_rig.calibration.radiometry_folder import check_folder
-
-        if self.check is None:
-            return RadiometryJob.run(self, progress)
-        own = ("rig", "card_height_mm", "card_tilt_deg", "residuals")
-        refuse_given(self, own, "does not go with `check`: the calibration is RIG's; leave it out.")
-        return check_folder(path(self.folder), path(self.check), limit_percent=self.limit_percent, progress=progress)
-
-
-def _show_radiometry(found: RadiometricCalibration | dict[str, Any], job: RadiometryJob) -> Outcome:
-    if isinstance(found, dict):
-        own = [100 * led["own_ratio"] for led in found["leds"]]
-        lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
-        if None in found["common_ratio"].values():
-            lines.append(
-                "Only LEDs of one band are compared with each other: the exposures are not known on both days."
-            )
-        lines += [f"Please note: {sentence}" for sentence in found["warnings"]]
-        if not found["warnings"]:
-            lines.append(f"All LEDs are as calibrated, within {found['limit_percent']:g} %.")
-        return found, lines
-    facts = {**found.facts, "out": str(job.out), "files": [str(file) for file in (job.out, job.residuals) if file]}
-    return facts, _radiometry_lines(facts, job.card_tilt_deg is None)
-
-
-def _radiometry_lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
+def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
+    """Of the lights' brightness; `base_tilt`: the card is taken to lie as the base does."""
     lines = ["LED        intensity  beam   aim off  residuals rms, largest"]
     for led in facts["leds"]:
         lines.append(
@@ -133,7 +84,8 @@ def _radiometry_lines(facts: dict[str, Any], base_tilt: bool) -> list[str]:
     return lines
 
 
-def _light_lines(facts: Mapping[str, Any]) -> list[str]:
+def light_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Of the lights' places."""
     if facts["method"] == "geometry":
         return [f"{len(facts['leds'])} LEDs where the drawing has them, not measured; written to {facts['out']}."]
     written = f"Written to {facts['out']}."
@@ -174,7 +126,8 @@ def _led_lines(facts: Mapping[str, Any]) -> list[str]:
     return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
 
 
-def _film_lines(facts: Mapping[str, Any]) -> list[str]:
+def film_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Of polarising films."""
     films = facts["films"]
     lines = ["LED   specular light left  crossed / parallel: red, green, blue  residuals rms"]
     for k, led in enumerate(films["leds"]):
@@ -190,9 +143,3 @@ def _film_lines(facts: Mapping[str, Any]) -> list[str]:
     )
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     return [*lines, f"Written: {', '.join(facts['files'])}."]
-
-
-CAMERA = Verb(CameraJob, _show_camera)
-LIGHTS = Verb(LightsJob, lambda found, job: (dict(found.facts), _light_lines(found.facts)))
-RADIOMETRY = Verb(_CalibrateOrCheck, _show_radiometry)
-POLARISERS = Verb(PolarisersJob, lambda facts, job: (facts, _film_lines(facts)))
