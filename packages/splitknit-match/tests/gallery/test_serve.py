@@ -26,10 +26,10 @@ from splitknit.io.prints import encode_print_png
 pytest.importorskip("starlette")
 httpx = pytest.importorskip("httpx")
 
-from splitknit_match.cli.serve import server_of  # noqa: E402
 from splitknit_match.gallery import serve  # noqa: E402
 from splitknit_match.gallery.gallery import Gallery  # noqa: E402
 from splitknit_match.gallery.serve import ACTS, make_app, openapi  # noqa: E402
+from splitknit_match.gallery.verbs import server_of  # noqa: E402
 
 from test_open_gallery import press  # noqa: E402  isort: skip
 

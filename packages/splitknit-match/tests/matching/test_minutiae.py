@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
 
 BORDER = 20

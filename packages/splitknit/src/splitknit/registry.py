@@ -48,6 +48,8 @@ VERBS = {
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 _SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
+    "match --raw": "scores are always printed; leave it out.",
+    "identify --raw": "scores are always printed; leave it out.",
     "enroll --set": "templates are made in one way; leave it out.",
     "identify --set": "templates are made in one way; leave it out.",
     "completion": "the options of a verb are in its '--help', and a typo is answered by what was meant.",

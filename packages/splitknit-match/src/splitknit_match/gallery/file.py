@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import re
 import select
@@ -20,15 +21,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
+from splitknit.arguments import AnyPath
 from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
-from splitknit.io.atomic import private_modes
+from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit.verbs import AnyPath
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import MinutiaIndex
 
+_LOG = logging.getLogger(__name__)
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
 VERSION = 4
@@ -172,6 +174,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     if isinstance(file, Key):
         return file
     if file is not None:
+        warn_of_readers(Path(file), "key file")
         content, where = b"", f"the key file {shown_path(file)}"
         try:
             with open(file, "rb", opener=open_at_once) as stream:
@@ -190,6 +193,12 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
     require(sound, f"{where} holds no key: {expected}")
     return Key(text)
+
+
+def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
+    """Log a warning of a secret file that others can read."""
+    if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
+        _LOG.warning("the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file)
 
 
 class People:
@@ -238,6 +247,7 @@ class GalleryFile:
     def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
         """Remember path and key; the file is read with the first call that needs it."""
         self.path, self.key = Path(path), key_of(key)
+        warn_of_readers(self.path, "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
         self._driver = sqlite3 if self.key is None else _sqlcipher()
         self._was_there = _stamp_of(self.path) is not None
         self._sound: tuple[int, ...] | None = None

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
+from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae_record import (
+from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
     ENDING,
     LARGEST_MM2,
@@ -60,12 +61,6 @@ def _to_outline(area: BoolArray) -> FloatArray:
     return pixels * (25.4 / PPI)
 
 
-def disc(radius: int) -> NDArray[np.uint8]:
-    """(2 radius + 1, 2 radius + 1) round structuring element."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(kernel, dtype=np.uint8)
-
-
 NFIQ2_FAILED = 255
 """What ISO/IEC 29794-1 gives for a quality that could not be computed."""
 MIN_SIDE_PX = 64
@@ -83,7 +78,7 @@ def extract(
     None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are resampled first. `enhance`:
     whether the print is enhanced first, or its enhancement, for prints pressed on glass or paper; relief prints of
     reconstructions, whose contrast is even, are taken as they are. Minutiae nearer to the print's outline than
-    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit_match.matching.minutiae.EDGE_MM`,
+    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit_match.prints.minutiae.EDGE_MM`,
     and half of it after `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
     another kind, or `nbis-py` is not installed.
 
