@@ -91,6 +91,7 @@ from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
+from splitknit_match.records.what import what
 from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips

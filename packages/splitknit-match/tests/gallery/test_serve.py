@@ -334,7 +334,7 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
         said = (tmp_path / "said").read_text()
         assert said.count("\n") == 1 and "name PEM files" in said, said
     with served(tmp_path, "--token-file", str(token), tls=False) as (first, port):
-        assert "Please note: the token" in (tmp_path / "said").read_text()
+        assert "note: the token" in (tmp_path / "said").read_text()
         (tmp_path / "second").mkdir()
         with served(tmp_path / "second", "--port", str(port), tls=False) as (second, _):
             assert second.wait(20) == 2

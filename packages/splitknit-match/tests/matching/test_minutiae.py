@@ -195,7 +195,7 @@ def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> No
 
 
 def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from splitknit_match.matching import minutiae
+    from splitknit_match.prints import minutiae
 
     real = builtins.__import__
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 GROUP = "splitknit.verbs"
 IMPORTS, DEVICES = "splitknit.imports", "splitknit.devices"
 CORE, SIMULATOR, RIG, MATCH = "splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match"
+MEMBERS = (CORE, SIMULATOR, RIG, MATCH)
 VERBS = {
     "demo": (SIMULATOR, "simulate a finger, reconstruct it, compare it with the truth"),
     "simulate": (
@@ -48,8 +49,6 @@ VERBS = {
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
 _SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
-    "match --raw": "scores are always printed; leave it out.",
-    "identify --raw": "scores are always printed; leave it out.",
     "enroll --set": "templates are made in one way; leave it out.",
     "identify --set": "templates are made in one way; leave it out.",
     "completion": "the options of a verb are in its '--help', and a typo is answered by what was meant.",

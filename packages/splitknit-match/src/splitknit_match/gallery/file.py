@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -156,6 +156,8 @@ class Key:
     """64 hexadecimal digits, or a passphrase. Is never shown."""
 
     text: str
+    file: Path | None = field(default=None, compare=False)
+    """Where it was read from."""
 
     @property
     def pragma(self) -> str:
@@ -174,7 +176,6 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     if isinstance(file, Key):
         return file
     if file is not None:
-        warn_of_readers(Path(file), "key file")
         content, where = b"", f"the key file {shown_path(file)}"
         try:
             with open(file, "rb", opener=open_at_once) as stream:
@@ -192,7 +193,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     sound = len(content) <= _MAX_KEY_BYTES and text.isprintable() and "\ufffd" not in text and len(text) >= 8
     expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
     require(sound, f"{where} holds no key: {expected}")
-    return Key(text)
+    return Key(text, None if file is None else Path(file))
 
 
 def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
@@ -247,7 +248,6 @@ class GalleryFile:
     def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
         """Remember path and key; the file is read with the first call that needs it."""
         self.path, self.key = Path(path), key_of(key)
-        warn_of_readers(self.path, "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
         self._driver = sqlite3 if self.key is None else _sqlcipher()
         self._was_there = _stamp_of(self.path) is not None
         self._sound: tuple[int, ...] | None = None
@@ -258,7 +258,11 @@ class GalleryFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *unused: object) -> None:
+    def __exit__(self, kind: object, *unused: object) -> None:
+        if kind is None:
+            warn_of_readers(self.path, "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
+            if self.key is not None and self.key.file is not None:
+                warn_of_readers(self.key.file, "key file")
         self.close()
 
     def close(self) -> None:

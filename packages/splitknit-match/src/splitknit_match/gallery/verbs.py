@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import socket
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from splitknit.arguments import (
-    PYTHON_ONLY,
     AnyPath,
     Natural,
     Preset,
@@ -40,17 +39,15 @@ LOCAL = ("127.0.0.1", "::1", "localhost")
 def identify(
     gallery: AnyPath,
     probe: Finger,
-    key: Annotated[GivenKey | None, PYTHON_ONLY] = None,
+    key: GivenKey | None = None,
     *,
-    key_file: AnyPath | None = None,
     top: Natural = 10,
     person: str | None = None,
     finger: str | None = None,
     fmr: float = 1e-4,
     merge: Literal["person", "finger", "none"] = "person",
-    pad: bool = False,
     input_ppi: float | None = None,
-    resolution_ppi: Annotated[float | None, PYTHON_ONLY] = None,
+    resolution_ppi: float | None = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Identification:
@@ -60,32 +57,16 @@ def identify(
 
     Parameters
     ----------
-    gallery
+    gallery : path
         File of the gallery.
-    probe
-        Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of a finger in colour.
-    key
+    probe : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
+    key : Key or path, optional
         Key, or file with the key, of an encrypted gallery.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
-    top
-        Candidates that are reported.
-    person
-        Verification: whose finger it is said to be.
-    finger
-        Which finger it is; others are left out.
-    fmr
-        False match rate of one comparison at which is decided.
-    merge
-        One candidate for each person (default), each finger, or each enrolled capture (none).
-    pad
-        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
-    resolution_ppi
+    top, person, finger, fmr, merge, input_ppi, preset : optional
+        See :func:`identify_in_gallery`.
+    resolution_ppi : float, optional
         Pixels per inch of a print that comes as an array.
-    preset
-        How captures are reconstructed.
+    progress : called with the name of a stage and the fraction done, optional
 
     Returns
     -------
@@ -103,18 +84,87 @@ def identify(
     >>> import splitknit_match
     >>> splitknit_match.identify("people.skg", "captures/unknown", top=3).candidates  # doctest: +SKIP
     """
-    from dataclasses import replace
-
     from splitknit_match.gallery.gallery import Gallery
-    from splitknit_match.pad import refuse_attacks
 
-    presentation = refuse_attacks(pad, [probe], preset, progress)
-    with Gallery(gallery, key if key is not None else key_file) as opened:
-        identification = opened.identify(
+    with Gallery(gallery, key) as opened:
+        return opened.identify(
             probe, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
             resolution_ppi=resolution_ppi, preset=preset, progress=progress,
         )  # fmt: skip
-    return replace(identification, presentation=presentation)
+
+
+@checked
+def identify_in_gallery(
+    gallery: AnyPath,
+    probe: AnyPath,
+    *,
+    key_file: AnyPath | None = None,
+    top: Natural = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float = 1e-4,
+    merge: Literal["person", "finger", "none"] = "person",
+    pad: bool = False,
+    raw: bool = False,
+    input_ppi: float | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Identification | Report:
+    """Find a finger in a gallery, or check whose it is said to be.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    probe
+        Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of a finger in colour.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    top
+        Candidates that are reported.
+    person
+        Verification: whose finger it is said to be.
+    finger
+        Which finger it is; others are left out.
+    fmr
+        False match rate of one comparison at which is decided.
+    merge
+        One candidate for each person (default), each finger, or each enrolled capture (none).
+    pad
+        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
+    raw
+        Print the method's own scores too (--json always has them).
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    preset
+        How captures are reconstructed.
+
+    Returns
+    -------
+    Identification, or Report with its scores (`raw`)
+
+    Raises
+    ------
+    BadInput
+        As :func:`identify`, or if the probe is an attack (`pad`).
+
+    Examples
+    --------
+    >>> identify_in_gallery("people.skg", "captures/unknown", top=3).facts["answer"]  # doctest: +SKIP
+    'match'
+    """
+    from splitknit_match.gallery.words import identification_lines
+    from splitknit_match.pad import refuse_attacks
+
+    presentation = refuse_attacks(pad, [probe], preset, progress)
+    identification = identify(
+        gallery, probe, key_file, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
+        preset=preset, progress=progress,
+    )  # fmt: skip
+    identification = replace(identification, presentation=presentation)
+    if not raw:
+        return identification
+    return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
 def list_gallery(gallery: AnyPath, *, key_file: AnyPath | None = None, person: str | None = None) -> Report:
@@ -390,15 +440,15 @@ def serve(
     cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
     require(host in LOCAL or certificate is not None, f"'{host}' is not this machine alone; {cure}")
     token = read_token(None if token_file is None else Path(token_file))
-    for what, file in (("token", token_file), ("key", certificate_key)):
-        if file is not None:
-            warn_of_readers(Path(file), what)
     scheme = "http" if certificate is None else "https"
     with Gallery(gallery, key_file) as opened:
         if opened.there:
             opened.people()
         app = make_app(opened, token, None if audit is None else Path(audit))
         server = server_of(app, certificate, certificate_key)
+        for what, file in (("token", token_file), ("key", certificate_key)):
+            if file is not None:
+                warn_of_readers(Path(file), what)
         with _listening(host, port) as door, contextlib.suppress(KeyboardInterrupt):
             words = f"Serving {gallery} at {scheme}://{host}:{port}; Ctrl-C ends it."
             print(printable(words), file=sys.stderr, flush=True)

@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from splitknit_match.gallery.identify import Identification
 
 
-def identification_lines(search: Identification) -> list[str]:
-    """Of an identification."""
+def identification_lines(search: Identification, *, scores: bool = False) -> list[str]:
+    """Of an identification; `scores`: also the method's own, whose scale few know."""
     lines, basis, decision = [_verdict(search)], search.fmr_basis, search.decision
     for candidate in search.candidates:
         who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
         rate = "not known" if basis is None or candidate.fmr is None else one_in(candidate.fmr, basis)
-        score = f", score {candidate.similarity:.5g}"
+        score = f", score {candidate.similarity:.5g}" if scores or basis is None else ""
         lines.append(f"{candidate.rank:>3}. {who}: estimated false match rate {rate}{score}")
     if search.candidates and basis is not None:
         lines.append(f"Rates were measured on {basis_words(basis)}.")
-    if decision is not None:
+    if scores and decision is not None:
         lines.append(f"A match has a score of {decision.threshold:.5g} or more.")
     searched = search.searched
     how = {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched.compared_by, "ridge by ridge")

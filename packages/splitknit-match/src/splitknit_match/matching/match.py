@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splitknit.arguments import AnyPath, Preset, Progress, Settings, checked, refuse_given, silent
+from splitknit.arguments import AnyPath, Preset, Progress, Report, Settings, checked, refuse_given, silent
 from splitknit.errors import BadInput
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
@@ -168,9 +168,10 @@ def match_or_make_template(
     input_ppi: float | None = None,
     mask: AnyPath | None = None,
     box: str | None = None,
+    raw: bool = False,
     settings: Settings = None,
     progress: Progress = silent,
-) -> Match | TemplateMade:
+) -> Match | TemplateMade | Report:
     """Report how similar two fingers are.
 
     Parameters
@@ -199,6 +200,8 @@ def match_or_make_template(
         The finger of a photograph: an image of its size, white on the finger; of two, A's.
     box
         The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left; of two, A's.
+    raw
+        Print the method's own scores too (--json always has them).
     settings
         Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
 
@@ -217,10 +220,15 @@ def match_or_make_template(
     14321
     """
     if b is not None:
-        return match(
+        comparison = match(
             a, b, method, preset, settings, fmr=fmr, decision=decision, template=template, input_ppi=input_ppi,
             mask=mask, box=box, progress=progress,
         )  # fmt: skip
+        if not raw:
+            return comparison
+        from splitknit_match.matching.words import match_lines
+
+        return Report(comparison.facts, tuple(match_lines(comparison, scores=True)))
     if template is None:
         raise BadInput("name a second finger to compare with, or `template` to write.")
     refuse_given("is of a comparison; name a second finger.", fmr=fmr, decision=decision)

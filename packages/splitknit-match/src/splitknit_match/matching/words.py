@@ -43,13 +43,13 @@ def basis_words(basis: FmrBasis) -> str:
     return f"{basis.impostors:,} impostor comparisons, {basis.population}"
 
 
-def match_lines(match: Match) -> list[str]:
-    """Of a comparison."""
+def match_lines(match: Match, *, scores: bool = False) -> list[str]:
+    """Of a comparison; `scores`: also the method's own, whose scale few know."""
     lines = [_verdict(match)]
     if match.fmr is not None and match.fmr_basis is not None:
         rate, basis = one_in(match.fmr, match.fmr_basis), basis_words(match.fmr_basis)
         lines.append(f"Estimated false match rate: {rate} (measured on {basis}).")
-    if match.compared and (match.fmr is not None or match.answer != "undecided"):  # else the verdict has the score
+    if scores:
         lines += _score_lines(match)
     lines += [f"{side.path}: {side.note}" for side in (match.a, match.b) if side.note]
     lines += _how(match) + failure_notes(match.method, match.a, match.b)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     Finger = Reconstruction | Capture | AnyPath
 else:
     Finger = AnyPath
+    Print = Any
 
 Method = Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"]
 PrintFormat = Literal[
