@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from splitknit import Band, Camera, Capture, Led, Rig, write_capture, write_rig
-from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_capture
 from splitknit.model import Films, PixelArray, Progress, no_progress, nominal_rig
+from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
     BenchSettings,
     SightLines,
@@ -45,24 +45,15 @@ _LONGER = 64.0  # the ball behind a crossed analyser is exposed longer, up to so
 
 
 @dataclass(frozen=True, slots=True)
-class BenchPhotos:
+class BenchPhotos(Checked):
     """How many photographs of what."""
 
-    boards: int = 15
+    boards: Annotated[int, Limits(3)] = 15
     """Photographs of the checkerboard that is held in the hand, at least 3."""
-    nails: int = 4
+    nails: Annotated[int, Limits(1, 4)] = 4
     """Places of the nail, 1 to 4; at each it is photographed under every LED."""
     polarisers: bool = False
     """Also a printed card and a glossy black ball behind polarising films."""
-
-    def __post_init__(self) -> None:
-        require(
-            self.boards >= 3, f"a bench needs at least 3 photographs of the board, but {self.boards} were asked for."
-        )
-        require(
-            1 <= self.nails <= len(NAIL_PLACES_MM),
-            f"the nail can stand in 1 to {len(NAIL_PLACES_MM)} places, but {self.nails} were asked for.",
-        )
 
 
 def bench_to_folder(

@@ -28,15 +28,13 @@ from splitknit_simulator.light.renderer import (
 )
 from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.mirror_view import Coverage, Light, ReflectedView, lights_of, outline_coverage
-from splitknit_simulator.rigs import MirrorSettings, holder_profile, holder_quad
+from splitknit_simulator.rigs import holder_profile, holder_quad
 from splitknit_simulator.scene import (
     BACKGROUND_MM,
-    BackgroundSettings,
     Scene,
     Taken,
     TwinSettings,
     ambient_level,
-    background_albedo,
     brightest,
     finger_depth,
 )
@@ -65,7 +63,7 @@ class MirrorScene:
         settings: TwinSettings,
         seed: np.random.SeedSequence,
     ) -> None:
-        """Lay the background and the holders; `seed` draws the dust on them."""
+        """Lay the background, whose dust `seed` draws, and the holders."""
         surface, rig, skin = subject
         self.views, self.rig, self.skin, self.settings = tuple(seen), rig, skin, settings
         self.front = Scene(subject, settings, np.random.default_rng(seed))
@@ -78,11 +76,10 @@ class MirrorScene:
             self.front.blur = self.front.blur_by(depth, top)
         self.mirrors = [view.mirror for view in seen]
         self.free = ~surface.mask
-        rngs = [np.random.default_rng(child) for child in seed.spawn(len(self.views))]
         self.frames: list[_Frame] = []
         self.masks: list[BoolArray] = []
-        for view, rng in zip(self.views, rngs, strict=True):
-            self.frames.append(_mirror_frame(view, self.mirrors, rig.camera, settings.mirrors, rng))
+        for view in self.views:
+            self.frames.append(_mirror_frame(view, self.mirrors, rig.camera))
             mask = view.mask & self.free  # not the lip, not the lip in the mirror, not the finger itself
             for plate in (*self.frames[-1].reflected_lip, *self.frames[-1].lip):
                 mask[plate.coverage.window] &= plate.coverage.fraction < 0.5
@@ -141,7 +138,7 @@ class MirrorScene:
                 _blend(content, cover, np.float32(_LID_SHARE * wall))
             inside = content
             _put(inside, view.surface, light.window, light.diffuse[k] + light.glare[k])
-            self._over(frame, (view, plates), inside, lambda plate: plate.radiance(led), card)
+            self._over(frame, (view, plates), inside, lambda plate: plate.radiance(led), self.front.shade)
         return frame
 
     def _over(
@@ -150,17 +147,15 @@ class MirrorScene:
         seen: tuple[ReflectedView, _Frame],
         inside: FloatArray,
         radiance: Callable[[_Plate], float],
-        card: FloatArray | None = None,
+        shade: FloatArray | None = None,
     ) -> None:
-        """Lay a mirror that shows `inside` (H, W, 3), and its holder, over `frame`; `card` (H, W) lights its dust."""
+        """Lay a mirror that shows `inside` (H, W, 3), and its holder, over `frame`; `shade` (H, 1): the hand's."""
         view, plates = seen
         for plate in plates.reflected_lip:
             _blend(inside, plate.coverage, np.float32(radiance(plate)))
         inside *= np.float32(view.mirror.reflectance)
-        if card is not None:
-            if plates.dust.any():
-                inside += (plates.dust * card)[..., None]
-            inside *= self.front.shade[..., None]
+        if shade is not None:
+            inside *= shade[..., None]
         for plate in plates.holder:
             _blend(frame, plate.coverage, np.float32(radiance(plate)), self.free)
         _blend(frame, view.coverage, inside, self.free)
@@ -208,7 +203,7 @@ def _put(frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slic
     np.copyto(frame[window], colours, where=surface.mask[window][..., None])
 
 
-# What stands around the finger where there are mirrors: holders, glass, the tube behind it, dust.
+# What stands around the finger where there are mirrors: holders, glass, the tube behind it.
 
 
 _PLASTIC_ALBEDO = 0.04  # albedo of holders and tube: black print
@@ -242,12 +237,9 @@ class _Frame:
     reflected_lip: tuple[_Plate, ...]
     opposite: tuple[Coverage, ...]  # where it shows the other mirrors
     wall: _Plate  # the tube on the far side of the finger
-    dust: FloatArray  # (H, W) albedo of the specks on the face
 
 
-def _mirror_frame(
-    view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera, views: MirrorSettings, rng: np.random.Generator
-) -> _Frame:
+def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror; the holders stand where the drawing has them."""
     name, profile = view.mirror.name, holder_profile()
     inwards = {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
@@ -271,9 +263,8 @@ def _mirror_frame(
     )
     middle = np.append(_TUBE_MM * inwards[:2], -5.0)
     wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
-    specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
     holder = plate("glass", _GLASS_ALBEDO), plate("back")
-    return _Frame(holder, lip, shown, opposite, wall, background_albedo(camera, specks, rng))
+    return _Frame(holder, lip, shown, opposite, wall)
 
 
 def _face_normal(corners: Array, inwards: Array) -> Array:

@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
@@ -25,9 +24,7 @@ from splitknit.model import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array
 
 SIDE_ARC_DEG, SIDE_MM = (-25.0, 205.0), (90.0, 30.0)
 """Azimuths of the first and the last light to the side; distance from the axis, and height above the finger plane."""
@@ -213,8 +210,6 @@ class MirrorSettings(Checked):
     """Whether the rig has its NIR LEDs: mirrors can do without."""
     ridges_to_deg: Annotated[float, Limits(60.0, 180.0)] = 112.0
     """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all around."""
-    dust_per_cm2: Annotated[float, Limits(0.0, 1000.0)] = 0.0
-    """Bright specks on the mirrors."""
     truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Spacing of the grid around the finger in the truth."""
 

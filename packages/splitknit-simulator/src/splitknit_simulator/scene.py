@@ -131,22 +131,15 @@ class TwinSettings(Checked):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        moving, coloured = self.motion.amplitude_mm > 0, self.background.colour is not None
         require(
-            not self.condition.active or (self.motion.amplitude_mm == 0 and not self.between_mirrors),
-            "a finger in some condition lies still and without mirrors in the twin; leave out motion and mirrors, or "
-            "condition.",
+            not (self.condition.active and moving),
+            "a finger in some condition lies still in the twin; leave out motion, or condition.",
         )
         require(
-            self.motion.amplitude_mm == 0 or not self.between_mirrors,
-            "a moving finger has no mirrors beside it in the twin; leave out motion or mirrors.",
-        )
-        require(
-            self.background.colour is None or not self.between_mirrors,
-            "the background between mirrors is black in the twin; leave out mirrors, or background.colour.",
-        )
-        require(
-            self.films.kind == "none" or not self.between_mirrors,
-            "mirrors turn polarised light, which the twin does not follow; leave out mirrors, or films.kind.",
+            not self.between_mirrors or not (self.condition.active or moving or coloured or self.films.kind != "none"),
+            "between mirrors the twin's finger is clean, lies still and on black, without films; leave out mirrors, or "
+            "condition, motion, background.colour and films.kind.",
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -163,23 +164,34 @@ def simulate(
         require(lights == "white", together)
         return _bench(Path(out), seed, scale or 0.5, changes, overwrite=overwrite, progress=progress)
 
-    from splitknit_simulator.twin import simulate_to_folder
+    from splitknit import write_capture
+    from splitknit.io.atomic import atomic_folder
+    from splitknit.io.targets import check_capture
+    from splitknit_simulator.twin import finger_of_print, rig_settings, simulate_capture, twin_settings
 
-    facts = simulate_to_folder(
-        Path(out),
-        seed=seed,
-        pattern=pattern,
-        scale=scale,
-        rig=None if rig is None else Path(rig),
-        lights=lights,
-        impression=impression,
-        print_file=None if print_file is None else Path(print_file),
-        rolled=rolled,
-        changes=changes,
-        overwrite=overwrite,
-        progress=progress,
-    )
-    rows, columns = facts["image_size"]
+    started, folder = time.perf_counter(), Path(out)
+    require(rig is None or scale is None, "the rig file says how large the images are; leave out the scale.")
+    twin = rig_settings(twin_settings(scale, changes), None if rig is None else Path(rig), lights)
+    require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
+    require(print_file is None or pattern is None, "a print has a pattern of its own; leave out the pattern.")
+    finger = None if print_file is None else finger_of_print(Path(print_file), seed, rolled=rolled)
+    check_capture(folder, overwrite=overwrite)
+    with atomic_folder(folder, overwrite=overwrite) as target:
+        progress("simulating", 0.0)
+        capture, truth = simulate_capture(seed, pattern, twin, impression=impression, finger=finger)
+        progress("writing", 0.8)
+        write_capture(capture, target, truth, overwrite=True)
+    progress("done", 1.0)
+    facts = {
+        "out": str(out),
+        "seed": seed,
+        "pattern": str(truth.get("landmark_pattern", pattern or "finger")),
+        "images": sum(len(band.leds) for band in capture.bands.values()),
+        "image_size": list(capture.shape),
+        "px_per_mm": capture.rig.camera.px_per_mm,
+        "total_s": time.perf_counter() - started,
+    }
+    rows, columns = capture.shape
     images = f"{facts['images']} images of {columns} x {rows} pixels, with truth."
     preset = " --preset lin" if lights != "white" else ""
     return Report(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,12 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Capture, Led, Rig, read_rig, write_capture
+from splitknit import Capture, Led, Rig, read_rig
 from splitknit.errors import require
-from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import read_image
-from splitknit.io.targets import check_capture
-from splitknit.model import BoolArray, FloatArray, PixelArray, Progress, default_rig, no_progress
+from splitknit.model import BoolArray, FloatArray, PixelArray, default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
@@ -53,60 +50,25 @@ def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> Twi
     return settings
 
 
-def simulate_to_folder(
-    out: Path,
-    *,
-    seed: int = 0,
-    pattern: str | None = None,
-    scale: float | None = None,
-    rig: Path | None = None,
-    lights: str = "white",
-    impression: int = 0,
-    print_file: Path | None = None,
-    rolled: bool = False,
-    changes: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-    progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Simulate a capture and write its folder with the truth; return what was made.
-
-    `print_file`: a print of 500 pixels an inch, whose ridges the finger has; `rolled`: it was rolled from nail to nail,
-    and its outline gives the finger's size; `overwrite`: replace an earlier capture.
-    """
-    started = time.perf_counter()
-    settings = twin_settings(scale, changes)
+def rig_settings(settings: TwinSettings, rig: Path | None, lights: str) -> TwinSettings:
+    """The settings with the rig of a file, or with coloured `lights`: ``coloured`` or ``coloured9``."""
     if rig is not None:
-        require(scale is None, "the rig file says how large the images are; leave out the scale.")
         settings = replace(settings, rig=read_rig(rig))
     if lights != "white":
         require(settings.rig is None, "a rig file says which LEDs there are; leave out `lights`, or `rig`.")
         require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out `mirrors` or `lights`.")
-        coloured = coloured_rig(settings.scale, settings.rig_seed, EXPOSURES[lights])
-        settings = replace(settings, rig=coloured)
-    finger = None
-    require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
-    if print_file is not None:
-        require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
-        grey = _grey_print(print_file)
-        finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
-        if rolled:
-            finger = replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_MM, finger.shape))
-    check_capture(out, overwrite=overwrite)
-    with atomic_folder(out, overwrite=overwrite) as target:
-        progress("simulating", 0.0)
-        capture, truth = simulate_capture(seed, pattern, settings, impression=impression, finger=finger)
-        progress("writing", 0.8)
-        write_capture(capture, target, truth, overwrite=True)
-    progress("done", 1.0)
-    return {
-        "out": str(out),
-        "seed": seed,
-        "pattern": str(truth.get("landmark_pattern", pattern or "finger")),
-        "images": sum(len(band.leds) for band in capture.bands.values()),
-        "image_size": list(capture.shape),
-        "px_per_mm": capture.rig.camera.px_per_mm,
-        "total_s": time.perf_counter() - started,
-    }
+        exposures = {"coloured": 2, "coloured9": 3}[lights]
+        settings = replace(settings, rig=coloured_rig(settings.scale, settings.rig_seed, exposures))
+    return settings
+
+
+def finger_of_print(path: Path, seed: int, *, rolled: bool) -> SimulatedFinger:
+    """The finger that left a print of 500 pixels an inch; the outline of a print that was `rolled` gives its size."""
+    grey = _grey_print(path)
+    finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
+    if not rolled:
+        return finger
+    return replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_MM, finger.shape))
 
 
 def master_of_print_file(
@@ -136,9 +98,6 @@ def _inked(grey: NDArray[np.uint8]) -> BoolArray:
 
 
 _PRINT_MM = 25.4 / 500
-
-
-EXPOSURES = {"coloured": 2, "coloured9": 3}
 
 
 def simulate_capture(

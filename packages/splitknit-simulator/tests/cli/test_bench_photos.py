@@ -64,7 +64,7 @@ def test_a_finger_by_that_rig_and_its_reconstruction_with_another(bench: Path, t
     ("call", "words"),
     [
         (["simulate", "--bench", "--pattern", "loop"], "--pattern does not go with --bench"),
-        (["simulate", "--bench", "--set", "nails=9"], "1 to 4 places"),
+        (["simulate", "--bench", "--set", "nails=9"], "nails must be from 1 to 4"),
         (["simulate", "--rig", "RIG", "--scale", "0.5"], "leave out the scale"),
     ],
 )

@@ -31,7 +31,7 @@ def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
         (["--severity", "0.5"], "--severity sets how bad a --condition is"),
         (["--condition", "wet", "--severity", "1.5"], "condition.severity must be from 0 to 1"),
         (["--condition", "wet", "--bench"], "--condition does not go with --bench"),
-        (["--condition", "wet", "--motion", "0.3"], "lies still and without mirrors"),
+        (["--condition", "wet", "--motion", "0.3"], "lies still in the twin"),
         (["population", "--condition", "wet"], "--condition does not go with a population"),
         (["--set", 'condition.kind="mud"'], "condition.kind' must be one of 'none', 'wet', 'dry'"),
     ],

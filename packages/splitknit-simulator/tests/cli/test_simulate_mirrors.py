@@ -45,8 +45,8 @@ def test_a_mirror_capture_is_written_read_and_taken_again_with_another_roll(
         (["--no-nir"], "--no-nir needs --mirrors"),
         (["--mirrors", "right", "--bench"], "--mirrors does not go with --bench"),
         (["--impression", "2", "--bench"], "--impression does not go with --bench"),
-        (["--mirrors", "right", "--motion", "0.2"], "moving finger has no mirrors"),
-        (["--mirrors", "right", "--condition", "wet"], "without mirrors"),
+        (["--mirrors", "right", "--motion", "0.2"], "leave out mirrors, or condition, motion"),
+        (["--mirrors", "right", "--condition", "wet"], "leave out mirrors, or condition"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(

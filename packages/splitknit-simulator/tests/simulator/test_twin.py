@@ -127,7 +127,7 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
     added, level = other - one, truth["normals"][..., 2]
     flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
     assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
-    with pytest.raises(BadInput, match="between mirrors is black"):
+    with pytest.raises(BadInput, match="on black, without films"):
         TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
 

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray
-
-Array = NDArray[np.float64]
-
+from splitknit_simulator.surface import Array
 
 Numbers = NDArray[np.float64] | NDArray[np.intp]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import Camera
-from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
@@ -264,7 +263,6 @@ def conditioned_surface(  # noqa: PLR0917
     *is* different: the truth's relief is that of the changed skin. Water and dust lie on the skin: the truth stays the
     skin below them.
     """
-    require(condition.active, "there is no condition to show; use finger_surface.")
     master = finger.master()
     finger = replace(finger, printed=master)
     plain = skin_map(master, finger.skin)

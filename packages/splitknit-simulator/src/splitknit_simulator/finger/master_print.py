@@ -270,15 +270,15 @@ def ridge_profile(rng: np.random.Generator, wave: FloatArray, settings: MasterPr
 
 
 def master_of_print(
-    image: NDArray[np.uint8], seed: int = 0, resolution_ppi: float = 500.0, settings: MasterPrintSettings | None = None
+    image: NDArray[np.uint8], seed: int = 0, settings: MasterPrintSettings | None = None
 ) -> MasterPrint:
     """The master print of a finger that left a real print: its own forks, breaks, scars, pores and widths.
 
-    `image` (H, W): as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark; `seed`: of the
-    ridges' profile, which a print does not show; `settings`: profile, extent, and about the period; ridges lie where
-    the print has them. The print's middle lies where a pad is pressed down, 13.5 mm above the first crease. Beyond the
-    print the skin is smooth, at the mean height of its ridges. Class, cores, deltas and minutiae are not known and left
-    empty. Raises BadInput if the image is not grey, shows no ridges, or is larger than a finger.
+    `image` (H, W): 500 pixels an inch, as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark;
+    `seed`: of the ridges' profile, which a print does not show; `settings`: profile, extent, and about the period;
+    ridges lie where the print has them. The print's middle lies where a pad is pressed down, 13.5 mm above the first
+    crease. Beyond the print the skin is smooth, at the mean height of its ridges. Class, cores, deltas and minutiae are
+    not known and left empty. Raises BadInput if the image is not grey, shows no ridges, or is larger than a finger.
 
     Examples
     --------
@@ -288,8 +288,7 @@ def master_of_print(
     """
     settings = settings or MasterPrintSettings()
     require(image.ndim == 2, f"a print is a grey image, but this one has the shape {image.shape}.")
-    require(50 <= resolution_ppi <= 5000, f"a print has 50 to 5000 pixels an inch, not {resolution_ppi:g}.")
-    step = settings.pitch_mm * resolution_ppi / 25.4
+    step = settings.pitch_mm * 500.0 / 25.4
     rows, columns = (round(length / step) for length in image.shape)
     u_mm, v_mm = _fine_axes(settings)
     require(
@@ -332,12 +331,12 @@ _NOISE_MM = 0.05  # standard deviation of the Gaussian mean that takes a scanner
 _FAINTEST = 0.02  # contrast of ridges, relative to white, below which an image shows none
 
 
-def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:
-    """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit.
+def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:
+    """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit, 500 pixels an inch.
 
     The contact patch is an ellipse from 3 to 24 mm above the first crease, as a finger laid flat leaves it.
     """
-    step = 25.4 / resolution_ppi
+    step = 25.4 / 500.0
     top, bottom = 24.0, 3.0
     rows, columns = round((top - bottom) / step), round(2 * half_width_mm / step)
     v = top - (np.arange(rows) + 0.5) * step

@@ -185,13 +185,7 @@ def checkerboard_stack(
     settings: RenderSettings | None = None,
 ) -> FloatArray:
     """(N, C, h, w) noise-free radiance under all shifts of `pattern`: :func:`checkerboard_images` in one array."""
-    images = checkerboard_images(surface, led, skin, pattern, settings)
-    first = next(images)
-    stack = np.empty((pattern.steps**2, *first.shape), dtype=np.float32)
-    stack[0] = first
-    for place, image in zip(stack[1:], images, strict=True):
-        place[...] = image
-    return stack
+    return np.stack(list(checkerboard_images(surface, led, skin, pattern, settings)))
 
 
 def _check_size(check_mm: float, surface: SimulatedSurface) -> None:

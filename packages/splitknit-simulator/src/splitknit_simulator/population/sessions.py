@@ -56,6 +56,11 @@ _READ_NOISE_E: Range = (2.5, 4.0)  # standard deviation of the noise of reading 
 _PARTIAL_INSERTION_MM = (18.0, 22.0)  # from the lower image border to the tip of a finger that is laid down too short
 _SWELLING_COMMON, _MOISTURE_COMMON, _BLOOD_COMMON = 0.8, 0.6, 0.8
 """Fractions of the variances that a person's fingers have in common in a session."""
+_YAW_SD_DEG, _PITCH_SD_DEG = 5.0, 2.0
+"""Standard deviations of the turn about the camera's axis and of the lift of the tip; at most twice as much."""
+SWELLING_SD = 0.015
+"""Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
+DEFORMATION_MM: Range = (0.2, 0.5)  # largest shift of the skin against the body
 _BLOOD_SD = 0.25  # logarithmic standard deviation of the blood content (warmth, pressure)
 _LED_DRIFT_SD = (
     0.007  # relative change of each LED's intensity since it was calibrated, which the rig file does not know
@@ -68,18 +73,11 @@ class SessionRanges(Checked):
 
     _group = "sessions"
 
-    yaw_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 5.0
-    """Standard deviation of the finger's turn about the camera's axis; no turn is beyond twice that. 0 to 10."""
-    pitch_sd_deg: Annotated[float, Limits(0.0, 4.0)] = 2.0
-    """The same for the lift of the tip towards the camera; 0 to 4."""
     roll_sd_deg: Annotated[float, Limits(0.0, 12.0)] = 6.0
-    """The same for the turn about the finger's own axis, on top of the finger's habit; 0 to 12."""
+    """Standard deviation of the finger's turn about its own axis, on top of its habit; no turn is beyond twice that.
+    0 to 12."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
     """Fraction of impressions that show too little of the finger."""
-    swelling_sd: Annotated[float, Limits(0.0, 0.03)] = 0.015
-    """Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
-    deformation_mm: Annotated[Range, Limits(0.0, 0.6)] = (0.2, 0.5)
-    """Largest shift of the skin against the body."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,21 +137,21 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
         both = np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
         return float(np.clip(both, -2.0, 2.0))
 
-    swelling = ranges.swelling_sd * shared(_SWELLING_COMMON)
+    swelling = SWELLING_SD * shared(_SWELLING_COMMON)
     moisture = float(ndtr(shared(_MOISTURE_COMMON)))
     full_well, read_noise = (between(limits, day.random()) for limits in (_FULL_WELL_E, _READ_NOISE_E))
     partial = bool(rng.random() < ranges.partial_share)
     full, short = even(_INSERTION_MM), even(_PARTIAL_INSERTION_MM)
     _, lower, upper = picture_on_plane(camera)
     return _Impression(
-        yaw_deg=ranges.yaw_sd_deg * normal(),
-        pitch_deg=ranges.pitch_sd_deg * normal(),
+        yaw_deg=_YAW_SD_DEG * normal(),
+        pitch_deg=_PITCH_SD_DEG * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
         insertion_mm=min(short if partial else full, upper - lower - 0.6),
         partial=partial,
         swelling=swelling,
         **{name: even(_EVEN[name]) for name in ("x_mm", "height_mm", "flattening")},
-        deformation_mm=even(ranges.deformation_mm),
+        deformation_mm=even(DEFORMATION_MM),
         moisture=moisture,
         **{name: between(limits, moisture) for name, limits in _BY_MOISTURE.items()},
         blood_factor=float(np.exp(_BLOOD_SD * shared(_BLOOD_COMMON))),

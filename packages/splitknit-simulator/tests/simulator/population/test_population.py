@@ -12,7 +12,9 @@ from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit_simulator.population.people import FINGERS, class_fractions, draw_person
 from splitknit_simulator.population.sessions import (
+    DEFORMATION_MM,
     LARGE,
+    SWELLING_SD,
     PopulationSettings,
     SessionRanges,
     draw_impression,
@@ -94,13 +96,12 @@ def test_a_hand_mirrors_the_other(people):
 
 
 def test_impressions_keep_to_their_ranges(impressions):
-    ranges = SessionRanges()
-    low, high = ranges.deformation_mm
+    low, high = DEFORMATION_MM
     values = np.array([one.deformation_mm for both in impressions for one in both])
     assert low <= values.min() < low + 0.1 * (high - low)
     assert high - 0.1 * (high - low) < values.max() <= high
     swelling = np.array([[one.swelling for one in both] for both in impressions])
-    assert 0.02 < np.abs(swelling).max() <= 2 * ranges.swelling_sd
+    assert 0.02 < np.abs(swelling).max() <= 2 * SWELLING_SD
     assert _correlation(*swelling.T) > 0.65
     moist, rough = (np.array([getattr(both[0], name) for both in impressions]) for name in ("moisture", "roughness"))
     assert _correlation(moist, rough) < -0.99
