@@ -70,11 +70,6 @@ from splitknit_match.matching.inputs import Pixels, read_side
 from splitknit_match.matching.inputs import read_surface as read_matched
 from splitknit_match.matching.match_job import make_template as template_of
 from splitknit_match.matching.match_job import match
-from splitknit_match.matching.minutiae_record import (
-    Minutiae,
-    pack_minutiae,
-    unpack_minutiae,
-)
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
@@ -89,6 +84,11 @@ from splitknit_match.prints.from_file import (
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
+from splitknit_match.records.minutiae import (
+    Minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template

@@ -15,7 +15,6 @@ from splitknit.presets import preset_settings
 from splitknit_match.prints.rolled import rolled_facts
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import (
-    PITCH_MM,
     STEEPEST_DEG,
     Blended,
     Rolled,
@@ -33,12 +32,12 @@ STEP = 2
 """Every so many of the chart's pixels."""
 
 
-def measure(folder: Path, pitch_mm: float = PITCH_MM) -> dict[str, Any]:
+def measure(folder: Path) -> dict[str, Any]:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
     views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-    rolled = rolled_finger(capture, views, ReliefSettings(), pitch_mm)
+    rolled = rolled_finger(capture, views, ReliefSettings())
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {

@@ -7,7 +7,7 @@ from splitknit_match.gallery.gallery import enroll as enroll
 from splitknit_match.gallery.identify_job import identify as identify
 from splitknit_match.matching.match_job import make_template as make_template
 from splitknit_match.matching.match_job import match as match
-from splitknit_match.prints.print_job import make_print as make_print
+from splitknit_match.prints.print_finger import make_print as make_print
 
 __version__: str
 

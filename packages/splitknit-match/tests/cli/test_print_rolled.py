@@ -13,7 +13,7 @@ import rolled_scene as scene
 from splitknit.cli.main import main
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
-from splitknit_match.cli.print import _words
+from splitknit_match.prints.print_finger import Printed
 from written_files import read_ply
 
 
@@ -37,7 +37,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     write_capture(capture, tmp_path / "capture")
     views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
-    monkeypatch.setattr("splitknit_match.prints.rolled.PITCH_MM", 0.07)  # quicker
+    monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
     arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), "--json"]
     assert main(["print", *arguments]) == 0
@@ -47,7 +47,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
     assert rolled["warnings"] == ["the left view is cut off."]
-    assert "Please note: the left view is cut off." in _words(facts)
+    assert "Please note: the left view is cut off." in str(Printed(facts)).splitlines()
     assert 150 < rolled["coverage_deg"]["median"] < 200
     # the skin's true size: the width of the print is the length around the finger
     around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)

@@ -22,7 +22,7 @@ from splitknit.verbs import (
     refuse_given,
 )
 from splitknit_match.cli.pad import Refusal, refuse_attacks
-from splitknit_match.matching.photo_finger import PhotoBox, PhotoFinger, PhotoMask
+from splitknit_match.prints.photo_finger import PhotoBox, PhotoFinger, PhotoMask
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.gallery import EnrolledCapture, Enrolling

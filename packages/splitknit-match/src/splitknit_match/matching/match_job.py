@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from splitknit.verbs import FINGER, AnyPath, Help, HowReconstructed, InputPpi, Job, Progress, Settings, function_of
-from splitknit_match.matching.photo_finger import PhotoBox, PhotoMask
+from splitknit_match.prints.photo_finger import PhotoBox, PhotoMask
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
     import numpy as np

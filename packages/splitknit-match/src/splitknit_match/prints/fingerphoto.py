@@ -29,16 +29,16 @@ from splitknit.io.photos import SUFFIXES, Photo, read_photo
 from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray
 from splitknit.plausible import FINGER_WIDTH
-from splitknit_match.matching.minutiae import disc
-from splitknit_match.matching.minutiae_record import PPI
-from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.nist import disc
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.prints.sources import Source
+from splitknit_match.records.minutiae import PPI
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""

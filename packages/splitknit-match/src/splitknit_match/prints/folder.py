@@ -12,30 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
-from splitknit.errors import naming, require
+from splitknit.errors import naming
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
-from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
-from splitknit_match.matching.minutiae_record import PPI
-from splitknit_match.matching.photo_finger import PhotoFinger
-from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
+from splitknit_match.prints.fingerphoto import USUAL_RIDGES
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
-from splitknit_match.prints.make import (
-    Print,
-    checked_surface,
-    enhance,
-    make_print,
-    make_rolled_print,
-    measured,
-    minutiae_by_phase,
-)
+from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
 from splitknit_match.prints.pressed import pressed_ridges
-from splitknit_match.prints.print_job import PrintJob
 from splitknit_match.prints.print_quality import PrintQuality
-from splitknit_match.prints.sources import Source, read_source
+from splitknit_match.prints.sources import Source
+from splitknit_match.records.minutiae import PPI
 from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 
@@ -43,17 +32,23 @@ if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
 
 
-def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
-    """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
+def write_print(
+    out: Path,
+    path: Path,
+    source: Source,
+    made: Print,
+    *,
+    method: str,
+    ppi: float,
+    around: Rolled | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Enhance a print and write all its files; return the facts of ``report.json``.
 
-    A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
-    shape. Raises BadInput, naming the input at fault.
+    `path`: of the finger; `around`: the finger of a rolled print. Raises BadInput, naming `path`, without ridges.
     """
-    path, out, ppi = job.path, Path(job.out), float(job.ppi)
-    method, place = _how(job)
-    check_target(out, "map.npz", "an earlier print", keep=path)
+    place = made.map.surface
     with atomic_folder(out) as target:
-        source, made, around = _printed(job, method, place, progress)
         chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
         origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
         progress("enhancing", 0.85)
@@ -64,7 +59,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         for name, picture in pictures.items():
             write_print_png(target / f"{name}.png", picture, ppi, texts)
         arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
-        write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(made.map.surface)})
+        write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(place)})
         periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
         facts: dict[str, Any] = {
             "method": method,
@@ -79,8 +74,8 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
             "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
         }
-        if made.unrolled is not None:
-            facts["distortion"] = made.unrolled.distortion
+        if made.distortion is not None:
+            facts["distortion"] = made.distortion
         if around is not None:
             from splitknit_match.prints.rolled import write_rolled  # slow to import
 
@@ -88,20 +83,42 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         quality = measured(made, enhanced, ppi)
         facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
         score = quality.score if source.quality is None else source.quality
-        view = finger_view(
-            minutiae_by_phase(made, enhanced, ppi), round(score), source.subject.get("finger"),
-            "live_plain" if method == "file" else "contactless",
-        )  # fmt: skip
-        facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
+        impression = "live_plain" if method == "file" else "contactless"
+        minutiae = minutiae_by_phase(made, enhanced, ppi)
+        view = finger_view(minutiae, round(score), source.subject.get("finger"), impression)
+        facts["minutiae"] = {"count": view.count, "finger": view.finger}
         write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        if source.height_mm is not None and method != "rolled":
+        if source.height_mm is not None and around is None:
             page = _page(source, made, view, pictures, facts, score)
             write_file(target / "report.html", page.encode("utf-8"))
         facts["provenance"] = origin
-        facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
+        facts["files"] = sorted([file.name for file in target.iterdir()] + ["report.json"])
         write_file(target / "report.json", json_text(facts).encode("ascii"))
     progress("done", 1.0)
-    return {**facts, "out": str(out)}
+    return facts
+
+
+def print_of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
+    """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no ridges."""
+    item = read_one_finger(path, input_ppi)
+    if not isinstance(item, PrintFile):
+        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+    source = Source(
+        "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+        item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+        scale=" ".join(filter(None, (item.doubt, item.note))),
+    )  # fmt: skip
+    return source, naming(path, lambda: pressed_print(item))
+
+
+def print_of_photo(path: Path, source: Source, place: str, ppi: float) -> Print:
+    """Print of a photograph of a finger, with its ridges made even: noise is as strong as they are."""
+    made = naming(path, lambda: make_print(source, "photo", place, ppi))
+    if ppi != PPI:
+        return made
+    sure = pressed_ridges(made.image, USUAL_RIDGES)
+    weight = np.where(sure.inside, made.weight, 0)
+    return replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
 
 
 def _page(  # noqa: PLR0917
@@ -137,70 +154,6 @@ def _page(  # noqa: PLR0917
     )
 
 
-def _how(job: PrintJob) -> tuple[str, str]:
-    """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
-    path = job.path
-    photo = None if path.suffix.lower() == ".npz" else fingerphoto(path)
-    require(
-        photo is not None or (job.mask, job.box) == (None, None),
-        f"`mask` and `box` choose the finger of a photograph in colour, and '{path}' is none.",
-    )
-    if not path.is_file() or path.suffix.lower() == ".npz":
-        method = job.method or "unroll"
-        return method, checked_surface(method, job.surface)
-    if photo is not None:
-        method = job.method or "photo"
-        require(
-            (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
-            f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
-        )
-        return method, checked_surface(method, job.surface or "free")
-    require(
-        (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
-        f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
-    )
-    return "file", "paper"
-
-
-def _printed(job: PrintJob, method: str, place: str, progress: Progress) -> tuple[Source, Print, Rolled | None]:
-    """What the print is made from, the print, and the finger around its front where it is rolled."""
-    path, ppi = job.path, float(job.ppi)
-    if method == "file":
-        item = read_one_finger(path, job.input_ppi)
-        if not isinstance(item, PrintFile):
-            raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
-        made = naming(path, lambda: pressed_print(item))
-        source = Source(
-            "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
-            item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
-            scale=" ".join(filter(None, (item.doubt, item.note))),
-        )  # fmt: skip
-        return source, made, None
-    if method == "rolled":
-        unscaled = job.px_per_mm is None and job.ridge_period_mm is None
-        require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
-        from splitknit_match.prints.rolled import read_rolled  # slow to import
-
-        source, around = read_rolled(path, job.preset, progress)
-        progress("printing", 0.75)
-        return source, naming(path, lambda: make_rolled_print(around, source, place, ppi)), around
-    photo = method == "photo"
-    if photo and path.is_file():
-        source = read_fingerphoto(path, job.px_per_mm, PhotoFinger(job.mask, job.box))
-    else:
-        source = read_source(
-            path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
-            px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
-        )  # fmt: skip
-    progress("printing", 0.75)
-    made = naming(path, lambda: make_print(source, method, place, ppi))
-    if source.quality is not None and ppi == PPI:
-        sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
-        weight = np.where(sure.inside, made.weight, 0)
-        made = replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
-    return source, made, None
-
-
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
 
 MAX_SENTENCES = 3
@@ -214,7 +167,7 @@ def _quality_facts(
     found: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
 ) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality of a photograph."""
-    from splitknit_match.matching.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
+    from splitknit_match.prints.nist import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
         return {name: None if value is None else round(value, 3) for name, value in values.items()}

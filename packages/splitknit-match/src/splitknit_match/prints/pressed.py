@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import disc
+from splitknit_match.prints.nist import disc
 from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi

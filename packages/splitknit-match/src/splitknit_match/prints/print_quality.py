@@ -12,8 +12,8 @@ from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import disc
 from splitknit_match.prints.enhance import node_amplitudes
+from splitknit_match.prints.nist import disc
 from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.

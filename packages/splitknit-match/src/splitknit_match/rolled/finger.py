@@ -191,10 +191,9 @@ def rolled_finger(
     capture: Capture,
     views: MirrorViews,
     settings: ReliefSettings,
-    pitch_mm: float = PITCH_MM,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Rolled:
-    """One finger from its front and its mirrors. `capture`: with the white band; `pitch_mm`: of the chart. Raises
+    """One finger from its front and its mirrors. `capture`: with the white band. Raises
     BadInput if the front or every mirror beside the finger is missing, or they do not show the same part of it.
     """
     require("front" in [view.name for view in views], "the front view of the finger is missing.")
@@ -207,7 +206,7 @@ def rolled_finger(
     for coarse in (True, False, False, False):
         work.register(coarse)
     progress("fusion", 0.5)
-    chart, _, points, normals = work.surface(pitch_mm)
+    chart, _, points, normals = work.surface(PITCH_MM)
     sights = work.sights()
     reliefs, deviations, weights, places = [], [], [], []
     for name, sight in sights.items():
