@@ -28,7 +28,6 @@ from splitknit_match.prints.from_file import (
     read_print_file,
 )
 from splitknit_match.prints.make import enhance, minutiae_by_phase
-from splitknit_match.records.minutiae_record import pixels_per_cm
 
 
 def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:
@@ -235,7 +234,7 @@ def test_other_files_are_refused_in_one_sentence(tmp_path: Path, data: Data, wor
 def test_minutiae_of_records_lie_on_the_grid_of_500_ppi() -> None:
     same = minutiae_of(three_minutiae())
     np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
-    fine = three_minutiae(resolution_ppcm=pixels_per_cm(1000), quality=np.array([80, 0, 0]))
+    fine = three_minutiae(resolution_ppcm=(394, 394), quality=np.array([80, 0, 0]))
     half = minutiae_of(fine)
     assert np.abs(half.x_px - fine.x_px / 2).max() <= 0.51
     assert half.size == (round(fine.size[0] / 2), round(fine.size[1] / 2))

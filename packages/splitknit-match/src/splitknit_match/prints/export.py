@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from splitknit import BadInput, Led, read_capture, read_result, reconstruct
 from splitknit.errors import naming, require
@@ -269,7 +269,8 @@ def _picture_bytes(item: _Finger, form: PrintFormat, writing: Writing, hashes: d
         facts["quality"] = _minutiae_in(picture, "none", item.made).finger_quality
     text = provenance_texts(provenance({"to": form.name}, hashes))
     writing = replace(writing, text=text, quality=facts.get("quality"))
-    return cast(Any, form.encode)(picture, writing), facts
+    assert form.encode is not None
+    return form.encode(picture, writing), facts
 
 
 def _minutiae_bytes(item: _Finger, form: PrintFormat, writing: Writing, how: str) -> tuple[bytes, Facts]:
@@ -278,7 +279,8 @@ def _minutiae_bytes(item: _Finger, form: PrintFormat, writing: Writing, how: str
         assert item.picture is not None
         view = _minutiae_in(item.picture, how, item.made)
     facts = _facts_of(item) | {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
-    return cast(Any, form.encode)(view, writing), facts
+    assert form.encode is not None
+    return form.encode(view, writing), facts
 
 
 def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:

@@ -21,10 +21,9 @@ from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.nist import at_500_ppi, disc, is_a_fingers
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
-from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae import PPI, Minutiae, no_minutiae
 from splitknit_match.records.minutiae_files import read_minutiae_record
-from splitknit_match.records.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
+from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
 from splitknit_match.records.print_formats import read_prints
 
 USUAL_PERIOD_MM = 0.46
@@ -106,7 +105,7 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     """
     picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
     require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
-    return picture, read_minutiae_record(record, ISO_2005)[0] if record.is_file() else None
+    return picture, read_minutiae_record(record)[0] if record.is_file() else None
 
 
 def print_at_500_ppi(item: PrintFile) -> PrintFile:
@@ -339,7 +338,7 @@ def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impre
     """Minutiae of 500 ppi as a record has them; a finger that records have no code for is ``unknown``."""
     return FingerView(
         found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=quality,
-        finger=coded_finger(finger), impression=impression, resolution_ppcm=pixels_per_cm(PPI),
+        finger=coded_finger(finger), impression=impression,
     )  # fmt: skip
 
 
@@ -362,7 +361,7 @@ def minutiae_of(view: FingerView) -> Minutiae:
 
     Raises BadInput if its image is larger than any print.
     """
-    usual = pixels_per_cm(PPI)[0]
+    usual = RESOLUTION_500_PPI[0]
     scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]
     size = max(1, round(view.size[0] * scales[1])), max(1, round(view.size[1] * scales[0]))
     x, y = (
