@@ -175,8 +175,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 
     photo = fingerphoto(path)
     if photo is not None:
-        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo, shaped=False)
-        assert source.flat is not None
+        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo)
         template = print_template(source.flat, pressed=source.pressed)
         return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
     finger = read_one_finger(path, input_ppi)

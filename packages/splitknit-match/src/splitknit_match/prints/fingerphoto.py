@@ -1,14 +1,15 @@
-"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a source of prints.
+"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a print.
 
-The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as
-wide as the outline. Its print is made by unrolling each cross-section, or as that of a capture's photograph is. The
-camera is taken to look straight at the pad from afar; nothing is known of the relief.
+The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as wide as the
+outline. Its print is made by unrolling each cross-section. The camera is taken to look straight at the pad from afar;
+nothing is known of the relief.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,6 @@ from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
-from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae import PPI
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
@@ -83,34 +83,48 @@ def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
     return photo if suffix not in PRINTS or is_coloured(photo.pixels) else None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerPhoto:
+    """A photograph of a finger, its skin laid flat row by row."""
+
+    flat: NDArray[np.uint8]
+    """(h, w) print at 500 ppi, ridges dark."""
+    pressed: PressedRidges
+    """Its ridges."""
+    map: PrintMap
+    """Where its pixels lie in the photograph, reduced where the finger is wide."""
+    pitch_mm: float
+    """Of that photograph."""
+    scale: str
+    """What was taken for what, and how well the scale is known; sentences."""
+    quality: float
+    """0 to 100."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
 def read_fingerphoto(
     path: str | os.PathLike[str],
     px_per_mm: float | None = None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
-    shaped: bool = True,
-) -> Source:
+) -> FingerPhoto:
     """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
 
     `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
-    finger; `photo`: the file, if it was read; `shaped`: with the finger's mean shape, which prints of its surface need.
-    Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
-    :func:`splitknit_match.prints.make.make_print` prints with the method ``photo``; its `scale` says what was taken for
-    what.
+    finger; `photo`: the file, if it was read. Raises BadInput as :func:`finger_of_photo`, naming the file.
     """
     read, where = photo or read_photo(path), where or PhotoFinger()
-    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped))
-    return replace(found, hashes={Path(path).name: read.sha256})
+    flat = naming(path, lambda: finger_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
+    return replace(flat, hashes={Path(path).name: read.sha256})
 
 
-def source_of_photo(
+def finger_of_photo(
     pixels: NDArray[np.uint8] | NDArray[np.uint16],
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
-    shaped: bool = True,
-) -> Source:
-    """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
+) -> FingerPhoto:
+    """Find the finger in a photograph (H, W, 3) and unroll it; `px_per_mm` as of :func:`read_fingerphoto`.
 
     `mask`: (H, W) of the finger; `box`: left, top, width and height in pixels of where it lies. Raises BadInput if the
     photograph is not in colour, no part of it looks like a finger, the finger is too small or has an impossible width
@@ -177,11 +191,12 @@ def source_of_photo(
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
-    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale) if shaped else None
-    return Source(
-        "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
-        scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
-    )  # fmt: skip
+    columns, rows = (
+        cv2.resize(places, scaled(image, 255).shape[::-1], interpolation=cv2.INTER_NEAREST)
+        for places in (unrolled.columns, unrolled.rows)
+    )
+    places = replace(unrolled, columns=columns, rows=rows)
+    return FingerPhoto(scaled(image, 255), pressed, places, 1.0 / scale, f"{taken} {note}", round(quality, 1))
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
@@ -240,14 +255,6 @@ def _cross_sections(inside: BoolArray, upright: Upright) -> tuple[slice, FloatAr
     size, sigma = (2 * round(0.12 * upright.width_px) + 1, 1), 0.03 * upright.width_px
     left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)
     return slice(known[0], known[-1] + 1), 0.5 * (left + right), np.maximum(0.5 * (right - left), 1.0)
-
-
-def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright: Upright) -> FloatArray:
-    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
-    middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
-    aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
-    height = _THICKNESS * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
-    return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), 0.0)
 
 
 def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Upright, step: float) -> PrintMap:

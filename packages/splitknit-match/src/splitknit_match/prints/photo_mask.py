@@ -26,9 +26,6 @@ _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
-_XYZ = np.array([[0.43395, 0.37622, 0.18983], [0.21267, 0.71516, 0.07217], [0.01776, 0.10948, 0.87277]], np.float32)
-"""CIE 1931 of linear sRGB, each over that of its white, D65."""
-_LAB = np.array([[0, 116, 0, -16], [500, -500, 0, 0], [0, 200, -200, 0]], np.float32)
 _TIP = 0.6
 """Length of the tip's half ellipse, in widths of the finger."""
 _TRIED = 7
@@ -162,11 +159,8 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
 
 def _colours(pixels: Pixels, side: int) -> FloatArray:
     """The picture in weighted CIELAB, (H, W, 3), reduced to a longer side."""
-    value = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
-    light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)[_reduced(pixels, side)]
-    parts = cv2.transform(light.astype(np.float32), _XYZ)  # OpenCV's own way fills tables for 0.1 s
-    parts = np.where(parts > 0.008856, np.cbrt(parts), 7.787 * parts + 16 / 116).astype(np.float32)
-    return cv2.transform(parts, _LAB) * _WEIGHTS
+    coded = (_reduced(pixels, side) / np.iinfo(pixels.dtype).max).astype(np.float32)
+    return cv2.cvtColor(coded, cv2.COLOR_RGB2Lab) * _WEIGHTS
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:

@@ -96,7 +96,7 @@ def print_finger(
         polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors).
     surface
         Where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least
-        distortion, default for unroll) or arc (row by row).
+        distortion, default for unroll) or arc (row by row, as photographs of fingers are).
     ppi
         Pixels per inch.
     px_per_mm
@@ -146,10 +146,13 @@ def print_finger(
             method=method, surface=surface, ppi=fine, **scales,
         )  # fmt: skip
     if photo is not None:
-        taken = f"is not for '{path}', a photograph of a finger: its `method` is photo, its scale `px_per_mm`."
-        other = None if method == "photo" else method
-        refuse_given(taken, method=other, ridge_period_mm=ridge_period_mm, input_ppi=input_ppi)
-        method, surface = "photo", surface or "free"
+        refuse_given(
+            f"is not for '{path}', a photograph of a finger: its `method` is photo, its `surface` arc, its `ppi` 500, "
+            "its scale `px_per_mm`.",
+            method=None if method == "photo" else method, surface=None if surface == "arc" else surface, ppi=fine,
+            ridge_period_mm=ridge_period_mm, input_ppi=input_ppi,
+        )  # fmt: skip
+        method, surface = "photo", "arc"
     method = method or "unroll"
     place = "paper" if is_file and photo is None else make.checked_surface(method, surface)
     check_target(target, "map.npz", "an earlier print", keep=path)
@@ -162,8 +165,7 @@ def print_finger(
         refuse_given("is measured in a rig with mirrors; leave it out.", **scales)
         source, made, around = print_around(path, preset, place, ppi, progress)
     elif photo is not None:
-        source = read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo)
-        made = folder.print_of_photo(path, source, place, ppi)
+        source, made = folder.print_of_photo(read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo))
     else:
         of_photo = method == "photo"
         source = read_source(

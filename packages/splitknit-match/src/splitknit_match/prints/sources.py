@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, require
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
-from splitknit_match.prints.pressed import PressedRidges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +42,6 @@ class Source:
     """How the scale was found in the ridges, where it was."""
     quality: float | None = None
     """Of a photograph of a finger, 0 to 100."""
-    flat: NDArray[np.uint8] | None = None
-    """(h, w) print of a photograph of a finger at 500 ppi, on the skin laid flat."""
-    pressed: PressedRidges | None = None
-    """Its ridges."""
 
     @property
     def xy_mm(self) -> tuple[FloatArray, FloatArray] | None:
