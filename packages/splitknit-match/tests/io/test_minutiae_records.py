@@ -109,7 +109,7 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
 def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
     sample = SAMPLES[standard]
     for length in range(1, len(sample)):
-        with pytest.raises(BadInput, match="truncated|but a record of minutiae is expected") as refused:
+        with pytest.raises(BadInput, match=r"truncated|but a record of minutiae is expected") as refused:
             decode_minutiae_record(sample[:length], "cut.iso")
         assert "cut.iso" in str(refused.value)
     for place in range(len(sample)):

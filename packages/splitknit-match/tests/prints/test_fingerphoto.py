@@ -53,7 +53,7 @@ def spacings(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("turn_deg", [0.0, 35.0, -80.0])
 def test_the_finger_is_found_and_turned_upright(turn_deg: float) -> None:
-    photo, inside = drawn(turn_deg)
+    photo, _ = drawn(turn_deg)
     source = finger_of_photo(photo, PX_PER_MM)
     frame = source.map.input_from_grid
     assert np.rad2deg(np.arctan2(frame[0, 1], frame[1, 1])) == pytest.approx(turn_deg, abs=2.0)

@@ -23,7 +23,6 @@ from splitknit_match.prints.from_file import (
     minutiae_of,
     pressed_print,
     print_at_500_ppi,
-    print_minutiae,
     read_one_finger,
     read_print_file,
 )
@@ -108,30 +107,6 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
         assert one.resolution_ppi == pytest.approx(500, rel=1e-3) and "375 by 500 ppi were made square" in one.note
         known, others = found_in(one.image)
         assert known >= len(PLACES) - 1 and others <= 3
-
-
-def paper(*places: tuple[int, int], size: tuple[int, int] = (1400, 1500)) -> NDArray[np.uint8]:
-    """A white page with a print of 380 x 500 pixels at each place."""
-    page = np.full(size, 255, dtype=np.uint8)
-    for row, column in places:
-        page[row : row + 500, column : column + 380] = spiral_print()
-    return page
-
-
-def test_a_page_is_cut_to_its_prints(tmp_path: Path) -> None:
-    file = tmp_path / "page.png"
-    file.write_bytes(saved(paper((600, 900)), "PNG", 500))
-    one = read_one_finger(file)
-    assert isinstance(one, PrintFile) and one.image.size < 2.2 * spiral_print().size
-    assert "cut out of a picture of 1500 x 1400 pixels" in one.note
-    alone = print_minutiae(spiral_print())
-    assert abs(print_minutiae(one.image).count - alone.count) <= 2 and alone.count >= len(PLACES) - 1
-    file.write_bytes(saved(paper((100, 100), (800, 1000)), "PNG", 500))
-    assert len(read_print_file(file)) == 2
-    with pytest.raises(BadInput, match="holds 2 prints"):
-        read_one_finger(file)
-    file.write_bytes(saved(np.pad(spiral_print(), 60, constant_values=255), "PNG", 500))  # no page
-    assert read_one_finger(file).note == ""
 
 
 def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:

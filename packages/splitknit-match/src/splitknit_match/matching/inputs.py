@@ -190,9 +190,10 @@ def _held_side(given: Held, preset: str, progress: Progress) -> Side:
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
         return _surface_side(Path("reconstruction"), "result", surface_of(result))
     if isinstance(given, Pixels):
-        from splitknit_match.prints.from_file import pixels_as_print  # a template needs none of it
+        from splitknit.io.prints import PrintFile
+        from splitknit_match.prints.from_file import prepared  # a template needs none of it
 
-        item = pixels_as_print(given.image, given.resolution_ppi)
+        item = prepared(PrintFile(given.image, given.resolution_ppi, {}))
         return _print_side(Path("array"), item, item.doubt)
     return _template_side(Path("template"), given)
 

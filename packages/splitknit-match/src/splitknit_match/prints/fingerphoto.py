@@ -32,12 +32,11 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
-from splitknit_match.prints.nist import disc
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
-from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
 from splitknit_match.records.minutiae import PPI
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
@@ -134,16 +133,7 @@ def finger_of_photo(
     require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
     require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
     require(min(pixels.shape[:2]) >= _NARROWEST, "the photograph is too small to show the ridges of a finger.")
-    taken, direction_deg = "taken for a photograph of a finger;", None
-    if mask is None:
-        chosen = finger_in_photo(pixels, box)
-        mask, direction_deg, width = chosen.mask, chosen.direction_deg, chosen.width_px
-        if chosen.others:
-            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
-    else:
-        mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
-        check_borders(mask)
-        width = find_upright(mask).width_px
+    mask, direction_deg, width, taken = _segmented(pixels, mask, box)
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -156,7 +146,7 @@ def finger_of_photo(
     to = upright.upright_from_input[1]
     inside &= to[0] * column + (to[1] * row + to[2])[:, None] < upright.tip_row + _LENGTH * upright.width_px
     sections = _cross_sections(inside, upright)
-    scale = by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
+    by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
     unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
@@ -177,12 +167,9 @@ def finger_of_photo(
         scale, note = _usual_scale(field, clear, by_width, upright.width_px)
     else:
         scale = px_per_mm * reduction
-        note = " ".join(
-            [
-                f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
-                *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale"),
-            ]
-        )
+        width_mm = upright.width_px / scale
+        words = f"by the given scale it is {width_mm:.1f} mm wide.", *FINGER_WIDTH.notes(width_mm, "check the scale")
+        note = " ".join(words)
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
@@ -191,12 +178,27 @@ def finger_of_photo(
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
+    size = pressed.image.shape[::-1]
     columns, rows = (
-        cv2.resize(places, scaled(image, 255).shape[::-1], interpolation=cv2.INTER_NEAREST)
-        for places in (unrolled.columns, unrolled.rows)
+        cv2.resize(part, size, interpolation=cv2.INTER_NEAREST) for part in (unrolled.columns, unrolled.rows)
     )
-    places = replace(unrolled, columns=columns, rows=rows)
-    return FingerPhoto(scaled(image, 255), pressed, places, 1.0 / scale, f"{taken} {note}", round(quality, 1))
+    there = replace(unrolled, columns=columns, rows=rows)
+    return FingerPhoto(scaled(image, 255), pressed, there, 1.0 / scale, f"{taken} {note}", round(quality, 1))
+
+
+def _segmented(
+    pixels: NDArray[Any], mask: BoolArray | None, box: tuple[int, int, int, int] | None
+) -> tuple[BoolArray, float | None, float, str]:
+    """Mask (H, W) of the finger, direction of its tip in degrees where it is known, width in pixels, and a note."""
+    taken = "taken for a photograph of a finger;"
+    if mask is None:
+        chosen = finger_in_photo(pixels, box)
+        if chosen.others:
+            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
+        return chosen.mask, chosen.direction_deg, chosen.width_px, taken
+    mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
+    check_borders(mask)
+    return mask, None, find_upright(mask).width_px, taken
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:

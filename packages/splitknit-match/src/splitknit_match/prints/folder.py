@@ -25,6 +25,7 @@ from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae import PPI
 from splitknit_match.records.minutiae_files import encode_minutiae_record
+from splitknit_match.records.minutiae_record import FingerView
 
 if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
@@ -118,6 +119,39 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
     )  # fmt: skip
     weight, light = ridges.inside.astype(np.float32), (255.0 - photo.flat).astype(np.float32)
     return source, Print(photo.flat, weight, photo.map, light, False, None, ridges.image, ridges.confidence)
+
+
+def _page(  # noqa: PLR0917
+    source: Source, made: Print, view: FingerView, pictures: Mapping[str, NDArray[np.uint8]], facts: Any, quality: float
+) -> str:
+    """The surface in three dimensions with the print's minutiae on it, and the print."""
+    from splitknit.report import template
+    from splitknit.report.photos import captioned
+    from splitknit.report.surface import PageSurface, scene, upright_surface
+
+    assert source.height_mm is not None and source.ridge_mm is not None
+    known = source.mask & np.isfinite(source.height_mm)
+    heights = source.height_mm, source.ridge_mm
+    frame = source.pitch_mm, source.input_from_upright
+    surface = upright_surface(heights, known, *frame, xy_mm=source.xy_mm)
+    places = np.stack([view.x_px, view.y_px], axis=1).astype(np.float64)
+    ahead = np.stack([np.cos(view.direction_rad), -np.sin(view.direction_rad)], axis=1)  # rows run downwards
+    start, end = (surface.places_mm(made.map.input_from_print(each)) for each in (places, places + 4.0 * ahead))
+    minutiae = np.stack([*start, np.arctan2(*(end - start)[::-1])], axis=1)
+    minutiae = minutiae[np.isfinite(minutiae).all(axis=1)]
+    words = {
+        "print": "As ink on paper: ridges dark, mirrored against the camera image.",
+        "enhanced": "Ridges made even.",
+    }
+    return str(
+        template(Path(__file__).with_name("print.html")).render(
+            scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, minutiae)]),
+            pictures=[captioned(name.capitalize(), picture, words[name]) for name, picture in pictures.items()],
+            facts=facts,
+            count=len(view.x_px),
+            quality=quality,
+        )
+    )
 
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.

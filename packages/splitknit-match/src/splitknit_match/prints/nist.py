@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.prints.ridge_field import disc
 from splitknit_match.records.minutiae import (
     BIFURCATION,
     ENDING,
@@ -58,12 +59,6 @@ def _to_outline(area: BoolArray) -> FloatArray:
     """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
     pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return pixels * (25.4 / PPI)
-
-
-def disc(radius: int) -> NDArray[np.uint8]:
-    """(2 radius + 1, 2 radius + 1) round structuring element."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(kernel, dtype=np.uint8)
 
 
 NFIQ2_FAILED = 255

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.nist import disc
-from splitknit_match.prints.ridge_field import overlap_added, spectra_of
+from splitknit_match.prints.ridge_field import disc, overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8

@@ -13,8 +13,7 @@ from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.nist import disc
-from splitknit_match.prints.ridge_field import RidgeField
+from splitknit_match.prints.ridge_field import RidgeField, disc
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
