@@ -194,49 +194,37 @@ def advice(found: PrintQuality) -> tuple[str, ...]:
 
     Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
     """
+    figures = {name: value or 0.0 for name, value in asdict(found.figures).items()}
     sentences: dict[str, None] = {}
-    causes: set[str] = set()
     for name, rating in sorted(found.worth.items(), key=lambda item: item[1]):
-        cause = _CAUSES[name]
-        if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
+        if name == "sharpness" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if rating < MIN_WORTH and cause not in causes and len(sentences) < MAX_SENTENCES:
-            causes.add(cause)
-            sentences[_sentence(cause, name, found)] = None
-    return tuple(sentences)
+        if rating < MIN_WORTH:
+            sentences[_ADVICE[name].format(**figures)] = None
+    return tuple(sentences)[:MAX_SENTENCES]
 
 
-_CAUSES = {
-    "ridge_height_um": "weak",
-    "ridge_share": "lost",
-    "gap_share": "gaps",
-    "coherence": "noise",
-    "plausible_share": "noise",
-    "sharpness": "soft",
-    "ridge_area_mm2": "partial",
-    "ridge_length_mm": "partial",
-    "centre_offset_mm": "beside",
+_NOISE = (
+    "The picture is noisy or the finger dusty (directions or distances of ridges disagree); wipe it, lengthen the "
+    "exposure, keep the finger still, and capture again."
+)
+_PARTIAL = (
+    "Only {ridge_length_mm:.0f} mm of ridges ({ridge_area_mm2:.0f} mm2) are in view; push the finger further in, its "
+    "pad to the camera, and capture again."
+)
+_ADVICE = {
+    "ridge_height_um": "Ridges are weak ({ridge_height_um:.0f} um): dry, worn, wet or out of focus; moisten the finger "
+    "if it is dry, dry it if it is wet, check the focus, and capture again.",
+    "ridge_share": "Ridges cover {ridge_share:.0%} of the finger's area; check focus and exposure, clean finger and "
+    "lens, and capture again.",
+    "gap_share": "{gap_share:.0%} of the skin between ridges shows none: glare, a crease, a scar, water, dirt or blur; "
+    "wipe the finger and the lens, check the focus, and capture again.",
+    "coherence": _NOISE,
+    "plausible_share": _NOISE,
+    "sharpness": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
+    "ridge_area_mm2": _PARTIAL,
+    "ridge_length_mm": _PARTIAL,
+    "centre_offset_mm": "The ridges lie {centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
+    "camera and capture again.",
 }
-
-
-def _sentence(cause: str, name: str, found: PrintQuality) -> str:
-    figures = found.figures
-    lost = 100 * (1 - figures.ridge_share)
-    noise = "directions of ridges disagree" if name == "coherence" else "distances of ridges are not plausible"
-    sentences = {
-        "weak": f"Ridges are weak ({figures.ridge_height_um or 0:.0f} um), missing over {lost:.0f} % of the area: dry, "
-        "worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture "
-        "again.",
-        "lost": f"Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
-        "and lens, and capture again.",
-        "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, "
-        "water, dirt or blur; wipe the finger and the lens, check the focus, and capture again.",
-        "noise": f"The picture is noisy or the finger dusty ({noise}); wipe it, lengthen the exposure, keep the finger "
-        "still, and capture again.",
-        "soft": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
-        "partial": f"Only {figures.ridge_length_mm:.0f} mm of ridges ({figures.ridge_area_mm2:.0f} mm2) are in view; "
-        "push the finger further in, its pad to the camera, and capture again.",
-        "beside": f"The ridges lie {figures.centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
-        "camera and capture again.",
-    }
-    return sentences[cause]
+"""Sentences by the figure that is rated low."""
