@@ -25,9 +25,9 @@ from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import print_band, ridge_band
 from splitknit_match.matching.template import Template, make_template, pack, unpack
 from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
-from splitknit_match.prints.nist import extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae import extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
-from splitknit_match.records.minutiae import pack_minutiae
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.surface import SimulatedSurface
 from timing import machine, print_table, race

@@ -27,7 +27,7 @@ from splitknit.model import default_rig
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.make import Print, enhance, make_print
-from splitknit_match.prints.nist import nfiq2
+from splitknit_match.prints.minutiae import nfiq2
 from splitknit_match.prints.sources import Source
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race

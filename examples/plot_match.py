@@ -21,8 +21,8 @@ from splitknit.model import surface_of
 from splitknit_match.matching.methods import rate
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
-from splitknit_match.prints.nist import extract, minutiae_match
-from splitknit_match.records.minutiae import Minutiae
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

@@ -81,14 +81,14 @@ from splitknit_match.prints.from_file import (
     read_print_file,
     read_print_folder,
 )
-from splitknit_match.prints.sources import read_source
-from splitknit_match.records.finger_image import encode_finger_image
-from splitknit_match.records.iso39794 import encode_finger_image_block
-from splitknit_match.records.minutiae import (
+from splitknit_match.prints.minutiae_record import (
     Minutiae,
     pack_minutiae,
     unpack_minutiae,
 )
+from splitknit_match.prints.sources import read_source
+from splitknit_match.records.finger_image import encode_finger_image
+from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template

@@ -34,7 +34,7 @@ from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import Template, pack, unpack
 from splitknit_match.prints.folder import advice
 from splitknit_match.prints.make import enhance, make_print, measured
-from splitknit_match.prints.nist import nfiq2
+from splitknit_match.prints.minutiae import nfiq2
 from splitknit_match.prints.sources import source_of
 from splitknit_simulator.finger.conditions import Condition
 from splitknit_simulator.light.renderer import RenderSettings

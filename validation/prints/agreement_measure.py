@@ -18,9 +18,9 @@ from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
 from splitknit_match.batch.store import Store
 from splitknit_match.prints.make import Print, enhance, make_print
-from splitknit_match.prints.nist import extract, nfiq2
+from splitknit_match.prints.minutiae import extract, nfiq2
+from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.sources import Source
-from splitknit_match.records.minutiae import Minutiae, pack_minutiae
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

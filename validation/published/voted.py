@@ -29,9 +29,9 @@ from splitknit.io.capture import read_capture
 from splitknit.model import Capture, FloatArray
 from splitknit.photometric.lambertian import left_out
 from splitknit.presets import preset_settings
-from splitknit_match.prints.nist import extract, minutiae_match
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_map import plane_map, resample
-from splitknit_match.records.minutiae import PPI, Minutiae
 
 REACH_MM, TURN_DEG = 0.3, 40.0
 """Minutiae of two pictures are the same if they lie no further apart, and their directions differ by no more."""

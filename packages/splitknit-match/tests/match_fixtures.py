@@ -13,8 +13,7 @@ import pytest
 
 import enrolled
 from splitknit_match.matching import methods
-from splitknit_match.prints import from_file
-from splitknit_match.prints import nist as minutiae
+from splitknit_match.prints import from_file, minutiae
 from splitknit_match.prints.pressed import pressed_ridges
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit_match.prints.nist import extract
+from splitknit_match.prints.minutiae import extract
+from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
-from splitknit_match.records.minutiae import Minutiae
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 

@@ -19,8 +19,8 @@ from splitknit_match.matching.thesis import (
     thesis_match,
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
-from splitknit_match.prints.nist import EDGE_MM, minutiae_match
-from splitknit_match.records.minutiae import Minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import EDGE_MM, minutiae_match
+from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")

@@ -21,8 +21,8 @@ from splitknit_match.gallery.file import GalleryFile, Key, session_order
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import unpack
-from splitknit_match.prints.nist import minutiae_match
-from splitknit_match.records.minutiae import holds_minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
 _BLOCK = 32  # fingers kept ready at a time: 2 to 9 MB each
 

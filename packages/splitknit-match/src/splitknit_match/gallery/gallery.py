@@ -39,8 +39,8 @@ from splitknit_match.matching.inputs import Held, Pixels, Side, held, is_of_minu
 from splitknit_match.matching.match_job import Finger
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.template import mirrored
+from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.records.minutiae import pack_minutiae
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _DISSIMILAR_FMR = 0.01

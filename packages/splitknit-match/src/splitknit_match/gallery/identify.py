@@ -31,8 +31,8 @@ from splitknit_match.matching.methods import (
 )
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.nist import minutiae_match
-from splitknit_match.records.minutiae import MINUTIAE_VERSION, Minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared."""

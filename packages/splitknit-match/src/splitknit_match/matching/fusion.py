@@ -38,7 +38,7 @@ from splitknit_match.matching.ridge import (
     starts_by_ridges,
 )
 from splitknit_match.matching.template import Template, scaled
-from splitknit_match.records.minutiae import pack_minutiae
+from splitknit_match.prints.minutiae_record import pack_minutiae
 
 _BENDS = 2
 """Times that the shifts of patches are smoothed and followed."""

@@ -28,9 +28,8 @@ from splitknit_match.matching.template import (
     unpack,
     with_minutiae,
 )
-from splitknit_match.prints.nist import at_500_ppi
-from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.records.minutiae import (
+from splitknit_match.prints.minutiae import at_500_ppi
+from splitknit_match.prints.minutiae_record import (
     PPI,
     Minutiae,
     holds_minutiae,
@@ -38,6 +37,7 @@ from splitknit_match.records.minutiae import (
     pack_minutiae,
     unpack_minutiae,
 )
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings, surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
-from splitknit_match.prints.nist import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.records.minutiae import PPI, Minutiae
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:

@@ -32,9 +32,9 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
 )
 from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
-from splitknit_match.prints.nist import extract
+from splitknit_match.prints.minutiae import extract
+from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
-from splitknit_match.records.minutiae import PPI, no_minutiae
 from splitknit_match.records.minutiae_record import FINGER_CODES, IMPRESSIONS, VENDOR_UNKNOWN, FingerView
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
 

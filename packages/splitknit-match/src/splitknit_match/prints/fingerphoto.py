@@ -32,12 +32,12 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
-from splitknit_match.records.minutiae import PPI
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""

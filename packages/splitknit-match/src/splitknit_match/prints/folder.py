@@ -21,9 +21,9 @@ from splitknit.model import Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
+from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
-from splitknit_match.records.minutiae import PPI
 from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 
@@ -167,7 +167,7 @@ def _quality_facts(
     found: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
 ) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality of a photograph."""
-    from splitknit_match.prints.nist import NFIQ2_FAILED, nfiq2  # large, and not everywhere
+    from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
         return {name: None if value is None else round(value, 3) for name, value in values.items()}

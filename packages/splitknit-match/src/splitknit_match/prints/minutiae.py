@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import disc
-from splitknit_match.records.minutiae import (
+from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
     ENDING,
     LARGEST_MM2,
@@ -26,6 +25,7 @@ from splitknit_match.records.minutiae import (
     Minutiae,
     no_minutiae,
 )
+from splitknit_match.prints.ridge_field import disc
 
 # How far inside a print its minutiae lie.
 #
@@ -78,7 +78,7 @@ def extract(
     None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are resampled first. `enhance`:
     whether the print is enhanced first, or its enhancement, for prints pressed on glass or paper; relief prints of
     reconstructions, whose contrast is even, are taken as they are. Minutiae nearer to the print's outline than
-    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit_match.prints.nist.EDGE_MM`,
+    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit_match.prints.minutiae.EDGE_MM`,
     and half of it after `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
     another kind, or `nbis-py` is not installed.
 
