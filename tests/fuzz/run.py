@@ -59,7 +59,7 @@ READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
     "light.skin.load_walks": "reads a table of the package",
-    "prints.export_fingers.import_prints": "reads what prints.from_file.read_print_file reads",
+    "prints.verbs.import_prints": "reads what prints.from_file.read_print_file reads",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 GROUP = "splitknit.verbs"
 IMPORTS, DEVICES = "splitknit.imports", "splitknit.devices"
 CORE, SIMULATOR, RIG, MATCH = "splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match"
+MEMBERS = (CORE, SIMULATOR, RIG, MATCH)
 VERBS = {
     "demo": (SIMULATOR, "simulate a finger, reconstruct it, compare it with the truth"),
     "simulate": (

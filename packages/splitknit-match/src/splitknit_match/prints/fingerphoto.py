@@ -25,6 +25,7 @@ from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 from splitknit.finger.regions import largest_component, reduce_image
 from splitknit.finger.ridge_period import PEOPLE
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.photos import SUFFIXES, Photo, read_photo
 from splitknit.io.prints import is_coloured
@@ -37,7 +38,7 @@ from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
-from splitknit_match.prints.ridge_field import RidgeField, disc, ridge_field
+from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.regions import fill_holes, largest_component
+from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
@@ -22,7 +23,6 @@ from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
-from splitknit_match.prints.ridge_field import disc
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
 from splitknit_match.records.print_formats import read_prints

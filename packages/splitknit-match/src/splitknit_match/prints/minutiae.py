@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
+from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
@@ -25,7 +26,6 @@ from splitknit_match.prints.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
-from splitknit_match.prints.ridge_field import disc
 
 # How far inside a print its minutiae lie.
 #

@@ -1,25 +1,16 @@
-"""Which finger of a photograph is meant: what `match`, `print` and `enroll` ask, each option declared once."""
+"""Which finger of a photograph is meant: what `match`, `print` and `enroll` ask."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from splitknit import BadInput
+from splitknit.arguments import AnyPath
 from splitknit.errors import require
 from splitknit.model import BoolArray
-from splitknit.verbs import AnyPath, Help
-
-PhotoMask = Annotated[
-    AnyPath | None, Help("the finger of a photograph: an image of its size, white on the finger; of two, A's", "FILE")
-]
-PhotoBox = Annotated[
-    str | None,
-    Help("the part of a photograph in which the finger lies, pixels from its upper left; of two, A's", "X,Y,W,H"),
-]
 
 
 @dataclass(frozen=True, slots=True)

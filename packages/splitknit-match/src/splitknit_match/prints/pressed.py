@@ -17,9 +17,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import blur, fill_holes
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import disc, overlap_added, spectra_of
+from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
 _WINDOW_PX, _STEP_PX = 32, 8

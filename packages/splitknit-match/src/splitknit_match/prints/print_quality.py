@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.pressed import without_shading
-from splitknit_match.prints.ridge_field import RidgeField, disc
+from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray
 
 # lengths in mm on the print
@@ -118,12 +119,6 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
         part = tiles[:, :, i * step : (i + 1) * step, j * step : (j + 1) * step].transpose(0, 2, 1, 3)
         total[i * step : (i + n) * step, j * step : (j + m) * step] += part.reshape(n * step, m * step)
     return total
-
-
-def disc(radius: int) -> NDArray[np.uint8]:
-    """(2 radius + 1, 2 radius + 1) round structuring element."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(kernel, dtype=np.uint8)
 
 
 def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:

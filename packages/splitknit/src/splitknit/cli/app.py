@@ -97,7 +97,7 @@ def build_app(verb: str | None = None) -> App:
         help_format="plaintext",
         help_formatter=_Help(),
         version=_version,
-        default_parameter=Parameter(negative=""),
+        default_parameter=Parameter(negative="", allow_repeating=True),  # the last one counts
         result_action="return_value",
         exit_on_error=False,
         print_error=False,

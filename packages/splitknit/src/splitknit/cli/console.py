@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from splitknit.errors import printable
+from splitknit.registry import MEMBERS
 
 
 def one_line(error: object, options: Mapping[str, str]) -> str:
@@ -48,12 +49,14 @@ def warnings_shown(options: Mapping[str, str]) -> Iterator[None]:
 
     handler = logging.Handler(logging.WARNING)
     handler.emit = emit  # type: ignore[method-assign]
-    logger = logging.getLogger("splitknit")
-    logger.addHandler(handler)
+    loggers = [logging.getLogger(member.replace("-", "_")) for member in MEMBERS]
+    for logger in loggers:
+        logger.addHandler(handler)
     try:
         yield
     finally:
-        logger.removeHandler(handler)
+        for logger in loggers:
+            logger.removeHandler(handler)
 
 
 class ProgressBar:

@@ -111,11 +111,7 @@ class GivenPhotographs(PhotographOptions):
 
     def __post_init__(self) -> None:
         PhotographOptions.__post_init__(self)
-        scale = self.px_per_mm
-        both = scale is not None and self.ridge_period_mm is not None
-        require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
-        usual = scale is None or 1e-3 <= scale <= 1e5
-        require(usual, f"`px_per_mm` must be a number from 0.001 to 100000, not {scale}.")
+        check_scale(self.px_per_mm, self.ridge_period_mm)
 
     def refuse_without_images(self) -> None:
         """Refuse what only photographs have where there are none. Raises BadInput."""
@@ -134,6 +130,14 @@ class GivenPhotographs(PhotographOptions):
             why, tip_direction_deg=self.tip_direction_deg, light_frame=self.light_frame, px_per_mm=self.px_per_mm,
             ridge_period_mm=self.ridge_period_mm,
         )  # fmt: skip
+
+
+def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
+    """Refuse two scales, and numbers that are none. Raises BadInput."""
+    both = px_per_mm is not None and ridge_period_mm is not None
+    require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
+    usual = px_per_mm is None or 1e-3 <= px_per_mm <= 1e5
+    require(usual, f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.")
 
 
 AllPhotographs = Annotated[GivenPhotographs, Parameter("*", group="Photographs")]

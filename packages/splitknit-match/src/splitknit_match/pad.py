@@ -1,45 +1,47 @@
-"""``splitknit pad CAPTURE``: is it live skin?"""
+"""Presentation attacks: was live skin photographed, or a copy, or is that unknown?"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from splitknit import BadInput
-from splitknit.cli.verb import Outcome, Verb
-from splitknit.errors import require
-from splitknit.verbs import AnyPath, Help, HowReconstructed, Job, Progress, path
+from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, silent
+from splitknit.errors import BadInput, require
 
 _LOG = logging.getLogger(__name__)
-Refusal = Annotated[bool, Help("refuse presentation attacks; where it is unknown whether it is one, a note says so")]
 
 
-@dataclass(frozen=True, slots=True)
-class PadJob(Job):
-    """Detect presentation attacks: was live skin photographed, or a copy, or is that unknown."""
+@checked
+def pad(capture: AnyPath, *, preset: Preset = "metric", progress: Progress = silent) -> Report:
+    """Detect presentation attacks: was live skin photographed, or a copy, or is that unknown.
 
-    capture: Annotated[AnyPath, Help("capture folder (with capture.json)", "CAPTURE", positional=True)]
-    preset: HowReconstructed = "metric"
+    Parameters
+    ----------
+    capture
+        Capture folder (with capture.json).
+    preset
+        How it is reconstructed.
 
-    def run(self, progress: Progress) -> dict[str, Any]:
-        """Judge a capture."""
-        return _presented(path(self.capture), self.preset, progress)
+    Returns
+    -------
+    Report
+        ``answer``: ``live``, ``attack`` or ``unknown``.
 
+    Raises
+    ------
+    BadInput
+        If `capture` is no capture folder.
 
-@dataclass(frozen=True, slots=True)
-class _Ending:
-    """How the program ends."""
-
-    exit_code: Annotated[bool, Help("end with 0 for live skin, 10 for an attack, 11 unknown (without it always 0)")] = (
-        False
-    )
-
-
-def _show(facts: dict[str, Any], job: PadJob, how: _Ending) -> Outcome:
-    suspected = sorted((facts["suspicion"] or {}).items(), key=lambda one: -one[1])
+    Examples
+    --------
+    >>> pad("capture").facts["answer"]  # doctest: +SKIP
+    'live'
+    """
+    facts = _presented(Path(capture), preset, progress)
+    suspected = sorted((facts["suspicion"] or {}).items(), key=lambda item: -item[1])
     unlike = [name for name, value in suspected if value > 1.0]
     words = {"live": "Live skin", "attack": "Presentation attack", "unknown": f"Unknown: {facts['reason']}"}
     lines = [words[facts["answer"]].rstrip(".") + "."]
@@ -48,10 +50,7 @@ def _show(facts: dict[str, Any], job: PadJob, how: _Ending) -> Outcome:
         live = f"Probability of live skin {facts['probability']:.3g}"
         lines.append(f"{live}; {distance}, covered up to {facts['covered']:.2f}.")
         lines.append(f"Unlike live skin: {', '.join(unlike) or 'nothing'}.")
-    return facts, [*lines, f"Please note: {facts['basis']}"]
-
-
-PAD = Verb(PadJob, _show, _Ending)
+    return Report(facts, (*lines, f"Please note: {facts['basis']}"))
 
 
 def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Progress) -> str | None:

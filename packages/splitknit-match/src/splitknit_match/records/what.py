@@ -11,7 +11,7 @@ from splitknit.errors import BadInput
 _FIRST_BYTES = 4096
 
 
-def what_file(file: AnyPath) -> Report:
+def what(file: AnyPath) -> Report:
     """Tell what a record, a picture or a template is, and what it holds.
 
     Parameters
@@ -22,7 +22,7 @@ def what_file(file: AnyPath) -> Report:
     Returns
     -------
     Report
-        That a file cannot be read is a result, where it is known what it is.
+        That it cannot be read is a result, where it is known what it is.
 
     Raises
     ------
@@ -31,8 +31,8 @@ def what_file(file: AnyPath) -> Report:
 
     Examples
     --------
-    >>> what_file("finger.fmr").facts["what"]  # doctest: +SKIP
-    'ANSI/INCITS 378-2004'
+    >>> what("print.wsq").facts["what"]  # doctest: +SKIP
+    'a picture (WSQ)'
     """
     from splitknit.errors import open_file
     from splitknit.io.prints import PrintFile
@@ -43,26 +43,25 @@ def what_file(file: AnyPath) -> Report:
     path = Path(file)
     with open_file(path, 1 << 50) as (stream, size):
         first = stream.read(_FIRST_BYTES)
-    form = next((form for form in FORMATS.values() if first.startswith(form.starts)), None)
-    what = standard_of(first) or (form.words if form else what_bytes_are(first, "of an unknown kind"))
-    facts: dict[str, Any] = {"file": str(path), "bytes": size, "sha256": file_hash(path), "what": what, "holds": []}
-    lines = [f"{path}: {what}, {size:,} bytes."]
+    form = next((known for known in FORMATS.values() if first.startswith(known.starts)), None)
+    kind = standard_of(first) or (form.words if form else what_bytes_are(first, "of an unknown kind"))
+    facts: dict[str, Any] = {"file": str(path), "bytes": size, "sha256": file_hash(path), "what": kind, "holds": []}
+    lines = [f"{path}: {kind}, {size:,} bytes."]
     try:
         prints = read_prints(path) if form is not None else ()
     except BadInput as error:
         return Report({**facts, "damage": str(error)}, (*lines, f"It cannot be read: {error}"))
     for number, item in enumerate(prints, start=1):
         about: dict[str, Any] = {"finger": item.finger, "impression": item.impression}
+        rows, columns = item.image.shape if isinstance(item, PrintFile) else item.size
+        about |= {"rows": rows, "columns": columns}
         if isinstance(item, PrintFile):
-            rows, columns = item.image.shape
-            about |= {"rows": rows, "columns": columns, "ppi": item.resolution_ppi}
-            words = "resolution unknown" if item.resolution_ppi is None else f"{item.resolution_ppi:.0f} ppi"
+            ppi = about["ppi"] = item.resolution_ppi
+            words = "resolution unknown" if ppi is None else f"{ppi:.0f} ppi"
         else:
-            rows, columns = item.size
-            about |= {"rows": rows, "columns": columns, "ppcm": list(item.resolution_ppcm)}
-            about |= {"minutiae": item.count, "quality": item.finger_quality}
+            about |= {"ppcm": list(item.resolution_ppcm), "minutiae": item.count, "quality": item.finger_quality}
             words = f"{count(item.count, 'minutia', 'minutiae')}, quality {item.finger_quality}"
         facts["holds"].append(about)
-        finger = item.finger.replace("_", " ")
-        lines.append(f"{number}. {finger}, {item.impression}: {columns} x {rows} pixels, {words}.")
+        who = item.finger.replace("_", " ")
+        lines.append(f"{number}. {who}, {item.impression}: {columns} x {rows} pixels, {words}.")
     return Report(facts, tuple(lines))
