@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
+from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import rolled_facts
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import (
@@ -21,7 +22,7 @@ from splitknit_match.rolled.finger import (
     rolled_finger,
 )
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.views import find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""
@@ -37,7 +38,7 @@ def measure(folder: Path) -> dict[str, Any]:
     capture = read_capture(folder)
     chosen = preset_settings("metric")
     views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-    rolled = rolled_finger(capture, views, ReliefSettings())
+    rolled = rolled_finger(capture, views, MetricSettings())
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {

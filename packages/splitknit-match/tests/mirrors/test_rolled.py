@@ -13,10 +13,11 @@ from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Capture
+from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.views import find_mirror_views
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -29,7 +30,7 @@ def quick() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def finger() -> Rolled:
     capture, masks = scene.capture()
-    return rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings())
+    return rolled_finger(capture, scene.views_of(capture, masks), MetricSettings())
 
 
 def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +64,7 @@ def test_a_perspective_camera_is_rolled_as_well() -> None:
     capture, masks = scene.perspective()
     known = scene.views_of(*scene.capture())  # under spreading rays outlines leave the height open by a millimetre
     views = replace(known, views=tuple(replace(view, mask=masks[view.name]) for view in known))
-    finger = rolled_finger(capture, views, ReliefSettings())
+    finger = rolled_finger(capture, views, MetricSettings())
     ridges_are_right(finger, 0.5)  # a mirror's view is of 14.8 pixels a millimetre, not of 18
     test_it_reaches_further_than_the_front(finger)
 
@@ -93,7 +94,7 @@ def test_the_surface_is_the_finger(finger: Rolled) -> None:
 @pytest.mark.slow
 def test_one_mirror_is_enough_and_none_is_refused() -> None:
     capture, masks = scene.capture()
-    settings = ReliefSettings()
+    settings = MetricSettings()
     # the left mirror's light counts, its view does not
     whole = scene.views_of(capture, masks)
     views = replace(whole, views=tuple(replace(view, mask=None) if view.name == "left" else view for view in whole))

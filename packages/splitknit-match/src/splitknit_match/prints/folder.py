@@ -195,12 +195,13 @@ def advice(found: PrintQuality) -> tuple[str, ...]:
     Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
     """
     figures = {name: value or 0.0 for name, value in asdict(found.figures).items()}
+    percent = {"lost": 100.0 * (1.0 - found.figures.ridge_share), "gaps": 100.0 * found.figures.gap_share}
     sentences: dict[str, None] = {}
     for name, rating in sorted(found.worth.items(), key=lambda item: item[1]):
         if name == "sharpness" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
         if rating < MIN_WORTH:
-            sentences[_ADVICE[name].format(**figures)] = None
+            sentences[_ADVICE[name].format(**figures, **percent)] = None
     return tuple(sentences)[:MAX_SENTENCES]
 
 
@@ -213,11 +214,11 @@ _PARTIAL = (
     "pad to the camera, and capture again."
 )
 _ADVICE = {
-    "ridge_height_um": "Ridges are weak ({ridge_height_um:.0f} um): dry, worn, wet or out of focus; moisten the finger "
-    "if it is dry, dry it if it is wet, check the focus, and capture again.",
-    "ridge_share": "Ridges cover {ridge_share:.0%} of the finger's area; check focus and exposure, clean finger and "
-    "lens, and capture again.",
-    "gap_share": "{gap_share:.0%} of the skin between ridges shows none: glare, a crease, a scar, water, dirt or blur; "
+    "ridge_height_um": "Ridges are weak ({ridge_height_um:.0f} um), missing over {lost:.0f} % of the area: dry, worn, "
+    "wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture again.",
+    "ridge_share": "Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
+    "and lens, and capture again.",
+    "gap_share": "{gaps:.0f} % of the skin between ridges shows none: glare, a crease, a scar, water, dirt or blur; "
     "wipe the finger and the lens, check the focus, and capture again.",
     "coherence": _NOISE,
     "plausible_share": _NOISE,

@@ -211,16 +211,12 @@ def _sought(lab: FloatArray) -> list[Outline]:
     pairs = ((right, right), (right, down), (down, down))
     xx, xy, yy = (cv2.GaussianBlur((one * two).sum(-1), (0, 0), 1.0) for one, two in pairs)
     tensor = [part / (xx + yy + 1.0) for part in (xx, xy, yy)]
-    found: list[tuple[float, Outline, Array, float]] = []
-    for width in _WIDTHS:
-        found += _of_width(width, tensor, _skin(smooth))
+    skin = _skin(smooth)
+    rated = [item for width in _WIDTHS for item in _of_width(width, tensor, skin)]
     kept: list[Outline] = []
-    for _, turned, tip, width in sorted(found, key=lambda item: -item[0]):
-        one = replace(turned, tip=tip, width=width)
-        if not any(_alike(one, two) for two in kept):
-            kept.append(one)
-        if len(kept) == _TRIED:
-            break
+    for _, outline in sorted(rated, key=lambda item: -item[0]):
+        if len(kept) < _TRIED and not any(_alike(outline, earlier) for earlier in kept):
+            kept.append(outline)
     return kept
 
 
@@ -229,10 +225,8 @@ def _alike(one: Outline, two: Outline) -> bool:
     return near and bool(one.ahead @ two.ahead > 0.5) and 0.66 < one.width / two.width < 1.5
 
 
-def _of_width(
-    width: float, tensor: list[FloatArray], skin: FloatArray
-) -> Iterator[tuple[float, Outline, Array, float]]:
-    """The best places of each turn of a width: rating, an outline of that turn, its tip and width."""
+def _of_width(width: float, tensor: list[FloatArray], skin: FloatArray) -> Iterator[tuple[float, Outline]]:
+    """The best places of each turn of a width, rated."""
     shape, side = skin.shape, max(skin.shape)
     px = width * side
     pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
@@ -248,11 +242,12 @@ def _of_width(
             maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
             for b, (x, y) in zip(looked, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
         ]
-        tip, left, right, inner = (sum(seen[k : k + n]) / n for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
-        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
+        front, left, right, inner = (sum(seen[k : k + n]) / n for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
+        value = (front + left + right) / 3 + np.minimum(np.minimum(front, left), right) + inner
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
-            yield float(value[i, j]), one, np.array([j * step + 0.5, i * step + 0.5]) / side, width
+            tip = np.array([j * step + 0.5, i * step + 0.5]) / side
+            yield float(value[i, j]), replace(one, tip=tip, width=width)
 
 
 @lru_cache(maxsize=1)

@@ -14,7 +14,6 @@ from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.pressed import without_shading
 from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
@@ -107,8 +106,12 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    centred, _ = without_shading(np.where(inside > 0, values, 0.0), inside, _SMOOTH_MM * px)
-    centred = centred.astype(np.float32)
+    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
+    centred = np.where(inside > 0, values, 0.0).astype(np.float32)
+    for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
+        mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
+        centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
+    centred = (centred * inside).astype(np.float32)
     twice = replace(looked, frequency_px=2.0 * looked.frequency_px)
     first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)

@@ -21,7 +21,7 @@ from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import NODES_MM, RINGS, SurfaceGrid, extrapolated, unroll
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.views import find_mirror_views
 
 Array = NDArray[np.float64]
 SIDE_MM, TIP_MM = 14.0, 0.0
@@ -45,7 +45,7 @@ def print_around(path: Path, preset: str, place: str, ppi: float, progress: Prog
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
         rolled = rolled_finger(
-            capture, views, ReliefSettings(chosen.metric, chosen.shapelets),
+            capture, views, chosen.metric,
             lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
         )  # fmt: skip
         # the chart takes the part of the input's pixels

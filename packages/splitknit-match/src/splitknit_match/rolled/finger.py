@@ -16,9 +16,10 @@ from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, FloatArray
+from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, surface_normals
 from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
-from splitknit_match.rolled.views import MirrorViews, ReliefSettings, ViewRelief, view_relief
+from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 Array = NDArray[np.float64]
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
@@ -74,7 +75,7 @@ _DEVIATION_FLOOR_UM = 4.0  # added to the relief's standard deviation, so that n
 class Work:
     """A finger between its mirrors while it is put together."""
 
-    def __init__(self, capture: Capture, views: MirrorViews, settings: ReliefSettings) -> None:  # noqa: D107
+    def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:  # noqa: D107
         self.capture, self.notes = capture, views.notes
         masks = {view.name: view.mask for view in views if view.mask is not None}
         glasses = {view.name: view.glass for view in views if view.glass is not None}
@@ -190,7 +191,7 @@ class Rolled:
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
-    settings: ReliefSettings,
+    settings: MetricSettings,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Rolled:
     """One finger from its front and its mirrors. `capture`: with the white band. Raises
