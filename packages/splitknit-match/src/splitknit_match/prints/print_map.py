@@ -224,12 +224,14 @@ def _dense_inverse(
     filled[holes] = 0.0
     input_of_coarse = _moved(grid.input_from_grid, filled)
     input_of_coarse[holes] = 0.0
-    columns, rows = (_dense(input_of_coarse[..., d].astype(np.float32), size, step) for d in range(2))
+    columns, rows = (_dense(part.astype(np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0))
     trusted = _dense(found.astype(np.float32), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        trusted &= _dense(cosine, size, step, linear=True) > np.float32(np.cos(np.deg2rad(slant_deg)))
+        trusted &= _dense(np.asarray(cosine, dtype=np.float32), size, step, linear=True) > np.float32(
+            np.cos(np.deg2rad(slant_deg))
+        )
     at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return at_column, at_row
 

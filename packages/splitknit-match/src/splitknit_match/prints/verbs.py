@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, Limits, Preset, Progress, Report, checked, count, refuse_given, silent
+from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, count, refuse_given, silent
 from splitknit.errors import BadInput, naming, require
+from splitknit.settings import Limits
 
 if TYPE_CHECKING:
     from splitknit import Capture, Reconstruction
