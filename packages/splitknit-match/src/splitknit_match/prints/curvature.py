@@ -14,7 +14,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, require
+from splitknit.errors import check_mask
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 
@@ -59,11 +59,10 @@ def curvature(
     """Principal curvatures and shape index of a surface.
 
     `height_mm`: (H, W) float32, ridges and shape together, ignored outside `mask`; `xy_mm`: x and y (H, W) of the
-    surface points, for perspective cameras; `degree`: of the fitted polynomial. Raises BadInput if shapes disagree, the
-    mask is empty, or the pitch is not positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the
+    surface points, for perspective cameras; `degree`: of the fitted polynomial. Raises BadInput if shapes disagree, or
+    the mask is empty. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the
     first fundamental form's inverse times the second (do Carmo 1976, section 3.3).
     """
-    require(np.isfinite(pitch_mm) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
     mask = check_mask(mask, (height_mm.shape[0], height_mm.shape[1]))
     side = window_side(1.0 / pitch_mm, window_px)
     box = bounding_box(mask, side // 2 + 1)

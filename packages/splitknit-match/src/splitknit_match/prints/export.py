@@ -5,6 +5,7 @@ One table of formats (:mod:`splitknit_match.records.print_formats`) says what ca
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -161,11 +162,8 @@ def _write_facts(folder: Path, out: Path, rows: list[Facts], parameters: Facts, 
 
 
 def _fingers(source: Path, hashes: dict[str, str], input_ppi: float | None, preset: str) -> Iterator[_Finger]:
-    try:
-        there, folder = source.exists(), source.is_dir()
-    except (OSError, ValueError):
-        there, folder = False, False
-    require(there, f"there is no '{source}'; name a capture, a result, a print or a record.")
+    require(os.path.exists(source), f"there is no '{source}'; name a capture, a result, a print or a record.")  # noqa: PTH110
+    folder = source.is_dir()
     name = _safe(source.resolve().name if folder else source.stem)
     if folder and (source / "print.png").is_file() and (source / "map.npz").is_file():
         yield _of_print_folder(source, name, hashes)

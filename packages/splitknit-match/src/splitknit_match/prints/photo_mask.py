@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
@@ -164,8 +165,6 @@ def _colours(pixels: Pixels, side: int) -> FloatArray:
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
-    while max(picture.shape[:2]) > 4 * side:  # halves are quick
-        picture = cv2.resize(picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA)
     factor = min(1.0, side / max(picture.shape[:2]))
     return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
 
@@ -341,18 +340,11 @@ def _resemblance(one: Outline, bins: NDArray[np.intp], length: float, reach: flo
         return _filled((one.tip + one.width * one.places(vectors)) * max(bins.shape), bins.shape)
 
     inside, around = (
-        _smoothed(np.bincount(bins[part], minlength=32**3) / (max(int(part.sum()), 1)))
+        gaussian_filter((np.bincount(bins[part], minlength=32**3) / max(int(part.sum()), 1)).reshape(32, 32, 32), 1.0)
         for part in (within(1 - reach, 0.0), within(2.4, 0.0) & ~within(1 + reach, 0.2 * reach))
     )
     ratio = np.log((inside + 2e-4) / (around + 2e-4))
-    return np.clip(ratio, -2, 2).ravel()[bins]
-
-
-def _smoothed(histogram: NDArray[Any]) -> FloatArray:
-    """(32, 32, 32) a histogram (32^3,), blurred by one bin."""
-    flat = cv2.GaussianBlur(histogram.astype(np.float32).reshape(1024, 32), (9, 1), 1.0, borderType=cv2.BORDER_REFLECT)
-    cube = cv2.GaussianBlur(flat.reshape(32, 32, 32), (9, 9), 1.0, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(cube)
+    return np.clip(ratio, -2, 2).astype(np.float32).ravel()[bins]
 
 
 def _likeness(one: Outline, lab: FloatArray) -> float:

@@ -146,9 +146,9 @@ def plane_map(
 ) -> PrintMap:
     """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
 
-    Raises BadInput if pitch or resolution are not positive.
+    Raises BadInput if the resolution is not positive.
     """
-    _check_scale(pitch_mm, ppi)
+    _check_ppi(ppi)
     step = MM_PER_INCH / ppi / pitch_mm
     size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
     input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
@@ -171,7 +171,7 @@ def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: f
     Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
     the resolution is not positive.
     """
-    _check_scale(unrolled.grid.pitch_mm, ppi)
+    _check_ppi(ppi)
     px_per_mm = ppi / MM_PER_INCH
     flat, grid = unrolled.flat_mm, unrolled.grid
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
@@ -199,11 +199,7 @@ def _checked_size(rows: int, columns: int) -> tuple[int, int]:
     return rows, columns
 
 
-def _check_scale(pitch_mm: float, ppi: float) -> None:
-    require(
-        np.isfinite(pitch_mm) and pitch_mm > 0,
-        f"a print needs the scale of its input, but pitch_mm is {pitch_mm}; calibrate the camera.",
-    )
+def _check_ppi(ppi: float) -> None:
     require(np.isfinite(ppi) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
 
 
@@ -229,9 +225,8 @@ def _dense_inverse(
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        trusted &= _dense(np.asarray(cosine, dtype=np.float32), size, step, linear=True) > np.float32(
-            np.cos(np.deg2rad(slant_deg))
-        )
+        facing = _dense(np.asarray(cosine, dtype=np.float32), size, step, linear=True)
+        trusted &= facing > np.float32(np.cos(np.deg2rad(slant_deg)))
     at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return at_column, at_row
 

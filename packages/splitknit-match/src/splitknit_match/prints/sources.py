@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -71,11 +72,8 @@ def read_source(
     from splitknit.pipeline import with_scale  # photographs of fingers need none of them
 
     progress("reading", 0.05)
-    try:
-        found, folder = path.exists(), path.is_dir()
-    except (OSError, ValueError):
-        found, folder = False, False
-    require(found, f"there is no '{path}'; name a capture folder or a result folder.")
+    require(os.path.exists(path), f"there is no '{path}'; name a capture folder or a result folder.")  # noqa: PTH110
+    folder = path.is_dir()
     if folder and (path / "capture.json").is_file():
         capture, note = naming(path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm))
         source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))

@@ -11,7 +11,6 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit import Capture
-from splitknit.errors import require
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -194,13 +193,9 @@ def rolled_finger(
     settings: MetricSettings,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Rolled:
-    """One finger from its front and its mirrors. `capture`: with the white band. Raises
-    BadInput if the front or every mirror beside the finger is missing, or they do not show the same part of it.
+    """One finger from its front and its mirrors. `capture`: with the white band; `views`: its front
+    and a mirror beside the finger at least.
     """
-    require("front" in [view.name for view in views], "the front view of the finger is missing.")
-    shown = any(view.glass is not None and view.mask is not None for view in views)
-    require(shown, "no mirror beside the finger shows it.")
-    require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
     progress("views", 0.0)
     work = Work(capture, views, settings)
     progress("registration", 0.35)
