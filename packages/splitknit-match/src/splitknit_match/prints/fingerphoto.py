@@ -169,8 +169,8 @@ def finger_of_photo(
     else:
         scale = px_per_mm * reduction
         width_mm = upright.width_px / scale
-        words = f"by the given scale it is {width_mm:.1f} mm wide.", *FINGER_WIDTH.notes(width_mm, "check the scale")
-        note = " ".join(words)
+        odd = map(str, FINGER_WIDTH.notes(width_mm, "check the scale"))
+        note = " ".join([f"by the given scale it is {width_mm:.1f} mm wide.", *odd])
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
