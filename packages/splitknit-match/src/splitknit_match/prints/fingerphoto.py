@@ -181,7 +181,8 @@ def finger_of_photo(
     )
     size = pressed.image.shape[::-1]
     columns, rows = (
-        cv2.resize(part, size, interpolation=cv2.INTER_NEAREST) for part in (unrolled.columns, unrolled.rows)
+        np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+        for part in (unrolled.columns, unrolled.rows)
     )
     there = replace(unrolled, columns=columns, rows=rows)
     return FingerPhoto(scaled(image, 255), pressed, there, 1.0 / scale, f"{taken} {note}", round(quality, 1))

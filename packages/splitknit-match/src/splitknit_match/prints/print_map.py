@@ -220,7 +220,9 @@ def _dense_inverse(
     filled[holes] = 0.0
     input_of_coarse = _moved(grid.input_from_grid, filled)
     input_of_coarse[holes] = 0.0
-    columns, rows = (_dense(part.astype(np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0))
+    columns, rows = (
+        _dense(np.asarray(part, dtype=np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0)
+    )
     trusted = _dense(found.astype(np.float32), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
