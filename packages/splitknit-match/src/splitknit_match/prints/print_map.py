@@ -223,7 +223,7 @@ def _dense_inverse(
     columns, rows = (
         _dense(np.asarray(part, dtype=np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0)
     )
-    trusted = _dense(found.astype(np.float32), size, step, linear=True) > 0.999
+    trusted = _dense(np.asarray(found, dtype=np.float32), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
