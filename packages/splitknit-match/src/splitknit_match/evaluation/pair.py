@@ -250,21 +250,20 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     one, two = (side.ridges.template.valid.shape for side in (a, b))
     affine = rigid(one, two, np.deg2rad(found.rotation_deg), (found.right_mm / a.step, -found.up_mm / a.step))
     for _ in range(3):
-        affine = better_affine(b.ridges.first, _agreement(a, b, affine, "first")[0], affine)
+        affine = better_affine(b.ridges.first, _agreement(a, b.ridges.first, affine), affine)
     return found.similarity, affine
 
 
-def _agreement(a: _Side, b: _Side, affine: Affine, patches: Literal["first", "patches"]) -> tuple[Agreement, Array]:
-    """How patches of B's ridges fit A's, and (N, 2) their middles, columns and rows."""
-    grid: PatchGrid = getattr(b.ridges, patches)
-    found = compare_patches(grid, a.ridges.value, a.ridges.template.valid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(float)
-    return found, places + (grid.side - 1) / 2
+def _agreement(a: _Side, patches: PatchGrid, affine: Affine) -> Agreement:
+    """How patches of B's ridges fit A's."""
+    return compare_patches(patches, a.ridges.value, a.ridges.template.valid, affine)
 
 
 def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, Array]:
     """(N, 3) points of A and of B in mm where patches of their ridges agree, and (N,) how well they do."""
-    found, places = _agreement(a, b, affine, "patches")
+    grid = b.ridges.patches
+    found = _agreement(a, grid, affine)
+    places = np.stack([grid.columns, grid.rows], axis=1)[found.used] + (grid.side - 1) / 2
     one = a.points((places - found.shift) @ affine[:, :2].T + affine[:, 2])
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)

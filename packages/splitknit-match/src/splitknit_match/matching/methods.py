@@ -241,7 +241,8 @@ def rate(
     rated_mm2, excluded_mm2 = _limits(scores) if own is None else (own.least_mm2, 0.0)
     if overlap_mm2 is not None and overlap_mm2 < rated_mm2:
         return _unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {rated_mm2:.0f} mm² or more")
-    basis, found = _basis(table), table(similarity - (0.0 if scores in _WHOLE else _FMR_ROUNDING))
+    basis = FmrBasis(table.impostors, table.population, table.smallest)
+    found = table(similarity - (0.0 if scores in _WHOLE else _FMR_ROUNDING))
     at = max(DECIDED_AT, basis.smallest) if fmr is None else fmr
     if at < basis.smallest and scores == "windows":
         why = f"on small prints false match rates below {basis.smallest:.2g} were not measured"
@@ -261,10 +262,7 @@ def rate(
 
 def fmr_basis(method: str = "ridge") -> FmrBasis:
     """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
-    return _basis(_fmr_table(method))
-
-
-def _basis(table: FmrTable) -> FmrBasis:
+    table = _fmr_table(method)
     return FmrBasis(table.impostors, table.population, table.smallest)
 
 
