@@ -127,7 +127,7 @@ def compare_results(
     if fit == "rigid":
         fields = _rigid_fields(one, two, rotation, shift)
         cut = [_band(part, fields.valid, BANDS_MM["relief"], one.step) for part in fields.heights]
-        left = _rms(_shifts(*cut, fields.valid, one.step)[fields.valid]) * one.step
+        left = _rms(_shifts(cut[0], cut[1], fields.valid, one.step)[fields.valid]) * one.step
     else:
         fields, left = _elastic_fields(one, two, affine)
     form = _form((fields.heights[0] + fields.heights[1]) * 0.5, fields.valid)
@@ -263,7 +263,7 @@ def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, A
     """(N, 3) points of A and of B in mm where patches of their ridges agree, and (N,) how well they do."""
     grid = b.ridges.patches
     found = _agreement(a, grid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1)[found.used] + (grid.side - 1) / 2
+    places = np.stack([grid.columns, grid.rows], axis=1, dtype=float)[found.used] + (grid.side - 1) / 2
     one = a.points((places - found.shift) @ affine[:, :2].T + affine[:, 2])
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)
@@ -341,9 +341,9 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
     (first, first_on, slant), (second, second_on, _) = a.flat(), b.flat()
     down, right = np.indices(second.shape, dtype=float)
 
-    def place(shift: FloatArray) -> Array:
+    def place(shift: FloatArray) -> list[Array]:
         column, row = affine[:, :2] @ [(right + shift[..., 0]).ravel(), (down + shift[..., 1]).ravel()] + affine[:, 2:]
-        return np.stack([row.reshape(second.shape), column.reshape(second.shape)])
+        return [row.reshape(second.shape), column.reshape(second.shape)]
 
     shift = np.zeros((*second.shape, 2), dtype=np.float32)
     for _ in range(_SWEEPS):
@@ -362,7 +362,9 @@ def _shifts(first: FloatArray, second: FloatArray, valid: BoolArray, step: float
         np.where(valid, 127.5 + 127.5 * np.clip(part / limit, -1.0, 1.0), 127).astype(np.uint8)
         for part in (first, second)
     ]
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey[1], grey[0], None)
+    still = np.zeros((*valid.shape, 2), dtype=np.float32)
+    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = np.asarray(estimator.calc(grey[1], grey[0], still), dtype=np.float32)
     return np.stack([smoothed(flow[..., axis], valid, _SKIN_MM / step) for axis in range(2)], axis=-1)
 
 
