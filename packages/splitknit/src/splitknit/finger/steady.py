@@ -30,20 +30,17 @@ from splitknit.finger.registration import (
     FINE_MM,
     ITERATIONS,
     RIM_MM,
-    SETTLED_MM,
-    SETTLED_PX,
     SURROUND_MM,
+    TURN_MM,
     WORKING_PX_PER_MM,
-    Basis,
     Flow,
     Level,
     details_of,
     gram,
     lights_on,
-    places_of,
     register_shots,
-    rigid_shifts,
     robust_weight,
+    step_limits,
     still,
     without_glare,
 )
@@ -78,18 +75,18 @@ def _register_band(
     `first`.
     """
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
-    flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
+    flow = unmoved = still(len(stack), mask, px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         region = skin if step >= len(COARSE_MM) and skin.any() else around
         band = (sigma, BAND_RATIO * sigma)
         both = (details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, first.stack))
         level, known = both
         expected = _expected(first, level, known, lights, mask.shape, px_per_mm)
-        flow = _followed(level, expected, flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
+        flow = _followed(level, expected, flow, turns=step > 0)
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     better = likeness > before  # a shot that went astray stays as it was
-    return Flow(flow.nodes_mm * better[:, None, None, None]), np.maximum(likeness, before), before
+    return replace(flow, moves_mm=flow.moves_mm * better[:, None]), np.maximum(likeness, before), before
 
 
 def _expected(  # noqa: PLR0917
@@ -110,23 +107,21 @@ def _expected(  # noqa: PLR0917
     return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
-def _followed(level: Level, expected: FloatArray, flow: Flow, basis_at: Basis) -> Flow:
+def _followed(level: Level, expected: FloatArray, flow: Flow, *, turns: bool) -> Flow:
     """Move every shot, by itself, towards the details that are expected of it, whatever their strength."""
-    x, y = level.places()
-    first, basis = flow.at(x, y), basis_at(x, y)
-    parameters = np.zeros((len(first), basis.shape[2]))
-    most, least = 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
-    for k in range(len(first)):
+    places = level.places()
+    moves = flow.moves_mm.copy()
+    basis = flow.basis(*places)[..., : 3 if turns else 2]
+    most, least = step_limits(level)
+    for k in range(len(moves)):
         alone = replace(level, images=level.images[k : k + 1])
         for _ in range(ITERATIONS):
-            shifts = first[k] + np.einsum("m,ncm->cn", parameters[k], basis)
-            sampled = alone.sampled(shifts[None].astype(np.float32))[0]
-            step = np.clip(_step(level, expected[k], sampled, basis), -most, most)
-            parameters[k] += step
+            shifts = replace(flow, moves_mm=moves[k : k + 1]).at(*places)
+            step = np.clip(_step(level, expected[k], alone.sampled(shifts.astype(np.float32))[0], basis), -most, most)
+            moves[k, : basis.shape[2]] += step
             if float(np.abs(step).max()) < least:
                 break
-    moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
-    return Flow(flow.nodes_mm + moved.reshape(flow.nodes_mm.shape))
+    return replace(flow, moves_mm=moves)
 
 
 def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
@@ -290,16 +285,19 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
     colours = [len(set(names)) for names in white.colours] or 1  # coloured LEDs share a photograph
     shots = np.repeat(np.arange(len(white.pixels)), colours)
     reference = len(white.pixels) // 2
-    first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
     flows: dict[str, Flow] = {}
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
     before, after, left = np.zeros(1), np.zeros(1), 1.0
-    flow = still(len(white.pixels), (mask.shape[0], mask.shape[1]), px)
+    flow = still(len(white.pixels), mask, px)
+    left_mm, top_mm = window[1].start / px_per_mm, window[0].start / px_per_mm
+    centre = flow.centre_mm[0] + left_mm, flow.centre_mm[1] + top_mm
+    rows, columns = np.nonzero(mask)
+    middle = float(columns.mean()) / px + left_mm, float(rows.mean()) / px + top_mm
     if not still_white:
         found = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
         flow, before, after = found.flow, found.before, found.after
-        flows["white"] = replace(flow, origin_mm=first)
-        reported = _motion_facts(flows["white"], mask, px)
+        flows["white"] = replace(flow, centre_mm=centre)
+        reported = _motion_facts(flows["white"], middle)
         facts["motion_white"] = reported | {"unexplained_before": _plain(before), "unexplained_after": _plain(after)}
         shifts = np.array(reported["shift_mm"])
         if not white.colours:  # one light a shot
@@ -314,11 +312,11 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
         vectors = _lights_over(capture, band, window)
         known = _RegisteredBand(alike, lights, flow, shots)
         other, likeness, likeness_before = _register_band(known, stack, vectors, mask, px)
-        nodes = other.nodes_mm
+        moves = other.moves_mm
         if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
-            nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
-        flows[name] = replace(other, nodes_mm=nodes, origin_mm=first)
-        reported = _motion_facts(flows[name], mask, px)
+            moves = np.broadcast_to(moves.mean(axis=0), moves.shape)
+        flows[name] = Flow(moves, centre)
+        reported = _motion_facts(flows[name], middle)
         reported |= {"likeness_before": _plain(likeness_before), "likeness_after": _plain(likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
@@ -376,21 +374,14 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _motion_facts(flow: Flow, mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
-    """Mean shift (x right, y up) and turn of every shot, for a report."""
-    rows, columns = np.nonzero(mask)
-    stride = max(1, len(rows) // 4000)
-    x = columns[::stride] / px_per_mm + flow.origin_mm[0]
-    y = rows[::stride] / px_per_mm + flow.origin_mm[1]
-    shifts = flow.at(x, y)
-    mean = shifts.mean(axis=2)
-    across, down = x - x.mean(), y - y.mean()
-    turn = (shifts[:, 0] * down - shifts[:, 1] * across).sum(axis=1) / (across**2 + down**2).sum()
+def _motion_facts(flow: Flow, middle_mm: tuple[float, float]) -> dict[str, Any]:
+    """Shift of the finger's middle (x right, y up) and turn of every shot, for a report."""
+    shifts = flow.at(*np.reshape(middle_mm, (2, 1)))[..., 0]
     return {
-        "moved_mm": _plain(np.hypot(mean[:, 0], mean[:, 1])),
-        "shift_mm": [[float(a), float(-b)] for a, b in mean],
-        "turn_deg": _plain(np.rad2deg(turn)),
-        "centre_mm": [float(x.mean()), float(y.mean())],
+        "moved_mm": _plain(np.hypot(shifts[:, 0], shifts[:, 1])),
+        "shift_mm": (shifts * [1.0, -1.0]).tolist(),
+        "turn_deg": _plain(-np.rad2deg(flow.moves_mm[:, 2] / TURN_MM)),
+        "centre_mm": list(middle_mm),
     }
 
 
@@ -408,7 +399,7 @@ def resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capt
         pixels = band.pixels.copy()
 
         def one(k: int, pixels: Any = pixels, band: Band = band, flow: Flow = flow) -> None:
-            if flow.nodes_mm[k].any():
+            if flow.moves_mm[k].any():
                 take(band.pixels[k], flow, k, px_per_mm, window, pixels[k])
 
         with ThreadPoolExecutor(2) as pool:
