@@ -201,8 +201,7 @@ class GuardedLights(Closing):
         require(not self._closed, "the bank of LEDs is closed; open it again.")
         wanted = sorted(set(leds))
         for led in wanted:
-            missing = f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}."
-            require(0 <= led < self.count, missing)
+            require(0 <= led < self.count, f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}.")
         require(len(wanted) > 0, "name at least one LED, or switch all off.")
         self._dark(keep=frozenset(wanted))  # before the next is lit: never two at once
         for led in wanted:

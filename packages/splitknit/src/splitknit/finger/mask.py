@@ -310,9 +310,11 @@ def touched_borders(mask: BoolArray) -> tuple[str, ...]:
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
     """The borders that `mask` touches: one where the finger enters, or two across a corner. BadInput for more."""
     touched = touched_borders(mask)
-    close = f"the finger touches {len(touched)} borders of the image ({', '.join(touched)})"
-    remedy = "move it back so that its tip and both sides are in view, or give a mask."
-    require(len(touched) < 3, f"{close}: {remedy}")
+    require(
+        len(touched) < 3,
+        f"the finger touches {len(touched)} borders of the image ({', '.join(touched)}): "
+        "move it back so that its tip and both sides are in view, or give a mask.",
+    )
     return touched
 
 
@@ -333,9 +335,11 @@ def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     flat = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
     require(flat, f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
     rows, columns = image.shape[:2]
-    small = f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for"
-    remedy = "check the rig's px_per_mm, or take larger images."
-    require(min(rows, columns) >= 16, f"{small}, and 16 each way are needed; {remedy}")
+    require(
+        min(rows, columns) >= 16,
+        f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for"
+        ", and 16 each way are needed; check the rig's px_per_mm, or take larger images.",
+    )
     image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
     require(np.isfinite(image).all(), "the mean image contains NaN or infinite values.")
     return image

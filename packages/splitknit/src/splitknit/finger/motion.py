@@ -91,8 +91,13 @@ def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str
     if len(moved) == 0:
         return ()
     which = ", ".join(f"{names[int(k)] if names else f'image {k}'} by {{:.2f mm}}" for k in moved)
-    remedy = "the relief is blurred there; rest the finger on its support and capture again."
-    return (Note(f"the finger moved between the shots ({which}): {remedy}", *length[moved].tolist()),)
+    return (
+        Note(
+            f"the finger moved between the shots ({which}): "
+            "the relief is blurred there; rest the finger on its support and capture again.",
+            *length[moved].tolist(),
+        ),
+    )
 
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:

@@ -101,17 +101,21 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     if not reliable:
         note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
     elif abs(turn) > np.deg2rad(_LIMIT_DEG):
-        odd = f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected"
-        note = f"{odd}; it was not believed (set tip_direction_deg)."
+        note = (
+            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected"
+            "; it was not believed (set tip_direction_deg)."
+        )
         reliable = False
     if tip_direction_deg is None:
         yaw = _between(angle if reliable else expected, 0.0)
     else:
         yaw = float(expected + turn if reliable else expected)
     if not clear and not note:
-        taken = f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise"
-        remedy = "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
-        note = f"the outline does not show which way the finger's tip points; {taken}. {remedy}"
+        note = (
+            "the outline does not show which way the finger's tip points; "
+            f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. "
+            "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
+        )
     return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)
 
 

@@ -125,9 +125,13 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
     plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
-        none = f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}"
         distances = (valley.distance_mm for valley in candidates)
-        return None, Note(f"dark lines lie {places} below the tip, {none}", *distances, width_mm)
+        return None, Note(
+            f"dark lines lie {places} below the tip, "
+            f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}",
+            *distances,
+            width_mm,
+        )
 
     def weight(valley: _Valley) -> float:
         offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD

@@ -71,8 +71,11 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
         if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
             best = area, periods * factor, len(periods) / blocks
     periods = best[1]
-    none = "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
-    require(len(periods) > 0, f"{none}; give `px_per_mm`.")
+    require(
+        len(periods) > 0,
+        "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
+        "; give `px_per_mm`.",
+    )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
     apart = max(1.0, len(periods) * (step / _BLOCK) ** 2)
@@ -89,10 +92,13 @@ def scale_of_ridges(
     odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")
     found = ridge_period(normals, mask)
     known, px_per_mm = float(np.hypot(found.error_px / found.period_px, PEOPLE)), found.period_px / period_mm
-    measured = f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks}"
-    scale = f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
     also = "".join(f" Also, {note}" for note in odd)
-    return px_per_mm, f"scale from the ridges: {measured} {scale} {100 * known:.0f} %.{also}"
+    return px_per_mm, (
+        "scale from the ridges: "
+        f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks} "
+        f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
+        f" {100 * known:.0f} %.{also}"
+    )
 
 
 def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:

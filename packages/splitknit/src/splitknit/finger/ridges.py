@@ -131,8 +131,9 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
-    flat = "the print has no ridges: its relief is flat; check focus and light of the capture."
-    require(typical > 1e-6 * scale, flat)
+    require(
+        typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
+    )
     around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / typical - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight

@@ -181,8 +181,10 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     steadied = resampled(capture, finger, registered)
     again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
-    undone = f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled."
-    note = Note(undone, registered.most_mm)
+    note = Note(
+        f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled.",
+        registered.most_mm,
+    )
     return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
 
 
@@ -363,11 +365,15 @@ def _helps(figures: dict[str, Any]) -> bool:
 def _check(registered: _Registered, settings: FingerSettings) -> None:
     moved, most = registered.most_mm, settings.motion.most_mm
     remedy = f"rest the finger on its support and capture again{_SWITCH}."
-    far = f"the finger moved by {moved:.2f} mm between the shots, and at most {most:g} mm can be undone; {remedy}"
-    require(moved <= most, far)
+    require(
+        moved <= most,
+        f"the finger moved by {moved:.2f} mm between the shots, and at most {most:g} mm can be undone; {remedy}",
+    )
     left, may = f"{100 * registered.after:.0f} % of their details are left over", f"{100 * MOST_LEFT:.0f} % may be"
-    apart = f"the shots do not fit together: {left} when the motion between them is undone, and at most {may}; {remedy}"
-    require(registered.after <= MOST_LEFT, apart)
+    require(
+        registered.after <= MOST_LEFT,
+        f"the shots do not fit together: {left} when the motion between them is undone, and at most {may}; {remedy}",
+    )
 
 
 def _rms(values: Array) -> float:

@@ -129,8 +129,10 @@ def linear_channels(
     """
     for channel in channels:
         require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
-        coloured = f"the band '{band.name}' was lit by coloured LEDs, one colour an image"
-        require(channel == "grey" or not band.colours, f"{coloured}; it has no channel '{channel}'.")
+        require(
+            channel == "grey" or not band.colours,
+            f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channel '{channel}'.",
+        )
     where = window if window is not None else (slice(None), slice(None))
     ambient = ambient_light(band, encoding, where, binning)
     shape = band.pixels[0][where].shape[:2]
@@ -246,8 +248,10 @@ def flat_light(band: Band, encoding: str) -> FloatArray:
 
 
 def _lit(flat: FloatArray) -> FloatArray:
-    dark = "the flat photographs are black in places; light the whole field, and check their black level."
-    require(float(flat.min()) > 1e-4 * float(flat.max()) > 0.0, dark)
+    require(
+        float(flat.min()) > 1e-4 * float(flat.max()) > 0.0,
+        "the flat photographs are black in places; light the whole field, and check their black level.",
+    )
     return flat
 
 

@@ -116,8 +116,10 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
 def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     """`surface_mm` as (H, W) float32, a number spread over the image."""
     array = np.asarray(surface_mm, dtype=np.float32)
-    fits = array.ndim == 0 or array.shape == shape
-    require(fits, f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.")
+    require(
+        array.ndim == 0 or array.shape == shape,
+        f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
+    )
     return np.broadcast_to(array, shape)
 
 
@@ -134,5 +136,8 @@ def few_lights(vectors: Array) -> list[str]:
     lack = "one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of"
     if len(vectors) == 3:
         lack = "none is spare, so that shadows and highlights bend the surface unnoticed"
-    tilt = f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
-    return [f"{len(vectors)} lights, of which {lack}; {tilt}. Seven lights are a good number."]
+    return [
+        f"{len(vectors)} lights, of which {lack}; "
+        f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
+        ". Seven lights are a good number."
+    ]

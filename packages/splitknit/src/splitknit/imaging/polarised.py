@@ -80,9 +80,12 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     [200, 0]
     """
     rows, columns, block = *mosaic.shape[:2], 4 if colour else 2
-    wanted = f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
     fits = mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0
-    require(fits, f"{wanted}, but it is {mosaic.shape} {mosaic.dtype}.")
+    require(
+        fits,
+        f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
+        f", but it is {mosaic.shape} {mosaic.dtype}.",
+    )
     full = np.iinfo(mosaic.dtype).max
     light, clips = {}, np.zeros((rows // 2, columns // 2), dtype=np.bool_)
     for row, column in np.ndindex(2, 2):
@@ -131,8 +134,12 @@ def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray)
     if wrong.size == 0:
         return ()
     k, like = wrong[0], alike[:, wrong[0]].argmax()
-    lit = f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
-    return (f"{lit}: list both series in the same order of lights.",)
+    return (
+        (
+            f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
+            ": list both series in the same order of lights."
+        ),
+    )
 
 
 def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
@@ -236,8 +243,11 @@ def _lights(films: Films, parallel: Band) -> list[int]:
     """Entry of the films for every image."""
     entries = []
     for group in parallel.leds:
-        measured = f"the rig's films were measured under LEDs {', '.join(map(str, films.leds))} only"
-        other = f"LED {group[0]} lights a polarised image, but {measured}; calibrate the polarisers again."
-        require(group[0] in films.leds, other)
+        require(
+            group[0] in films.leds,
+            f"LED {group[0]} lights a polarised image, but "
+            f"the rig's films were measured under LEDs {', '.join(map(str, films.leds))} only"
+            "; calibrate the polarisers again.",
+        )
         entries.append(films.leds.index(group[0]))
     return entries

@@ -55,14 +55,16 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     (6.4, 20.0, 3)
     """
     length_mm = step_mm * (len(height_mm) - 1)
-    gap = "the profile has a gap; choose points between which the surface is whole."
-    require(np.isfinite(height_mm).all(), gap)
-    short = f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
-    require(length_mm >= 2.0 * cutoff_mm - 1e-9, f"{short}; choose points farther apart, or a smaller `cutoff`.")
-    coarse = (
-        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm; give a larger one."
+    require(np.isfinite(height_mm).all(), "the profile has a gap; choose points between which the surface is whole.")
+    require(
+        length_mm >= 2.0 * cutoff_mm - 1e-9,
+        f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
+        "; choose points farther apart, or a smaller `cutoff`.",
     )
-    require(step_mm <= cutoff_mm / 8.0, coarse)
+    require(
+        step_mm <= cutoff_mm / 8.0,
+        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm; give a larger one.",
+    )
     along = np.arange(len(height_mm)) * step_mm
     level = height_mm - np.polyval(np.polyfit(along, height_mm, 1), along)
     sigma = _SIGMA * cutoff_mm / step_mm

@@ -109,8 +109,10 @@ def read_plan(document_file: Path) -> CapturePlan:
     rig_document, rig_data = read_json(rig_file)
     rig = rig_from_json(rig_document, str(rig_file))
     truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
-    there = truth is None or truth.is_file()
-    require(there, f"{truth}, the truth that {name} names, does not exist; add it or remove the field.")
+    require(
+        truth is None or truth.is_file(),
+        f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
+    )
     mask = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
     bands = _bands(fields.bands, folder, rig, name)
     capture = Capture(
@@ -130,9 +132,11 @@ def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, 
     plans = {key: _band(band, folder, rig, key, name) for key in BANDS if (band := getattr(bands, key)) is not None}
     if "white_crossed" in plans:
         check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
-        same = plans["white"].exposed == plans["white_crossed"].exposed
-        stated = "must state exposure_s for every image, both or neither (then it is the same)."
-        require(same, f"{name}: bands.white and bands.white_crossed {stated}")
+        require(
+            plans["white"].exposed == plans["white_crossed"].exposed,
+            f"{name}: bands.white and bands.white_crossed "
+            "must state exposure_s for every image, both or neither (then it is the same).",
+        )
     seen: set[Path] = set()
     for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
         for image, file in zip(plan.band.files, plan.files, strict=True):
@@ -145,19 +149,26 @@ def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, 
 def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     """Refuse two polarised series that are not the same photographs through another film."""
     stated = (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed")
-    wanted = 'bands.white must say "polarisation": "parallel" and bands.white_crossed "crossed".'
-    require(stated, f"{name}: beside bands.white_crossed, {wanted}")
-    differ = f"bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
-    alike = len(parallel.leds) == len(crossed.leds)
-    require(alike, f"{name}: {differ}; both series need one image a light, in the same order.")
+    require(
+        stated,
+        f"{name}: beside bands.white_crossed, "
+        'bands.white must say "polarisation": "parallel" and bands.white_crossed "crossed".',
+    )
+    require(
+        len(parallel.leds) == len(crossed.leds),
+        f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
+        "; both series need one image a light, in the same order.",
+    )
     white = not any(any(names) for plan in (parallel, crossed) for names in rig.colours_of(plan.leds))
     require(white, f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.")
     own, others = (rig.select(plan.leds).light_vectors() for plan in (parallel, crossed))
     near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
     near /= np.linalg.norm(others, axis=1, keepdims=True)
     for k in np.flatnonzero(np.diag(near) < near.max(axis=1) - _AS_NEAR):
-        away = f"image {k} of bands.white_crossed is lit from another side than that of bands.white"
-        raise BadInput(f"{name}: {away}; list both series in the same order of lights.")
+        raise BadInput(
+            f"{name}: image {k} of bands.white_crossed is lit from another side than that of bands.white"
+            "; list both series in the same order of lights."
+        )
 
 
 def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> BandPlan:
@@ -167,13 +178,13 @@ def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> B
     enough = count >= 3 or any(led.colour for led in rig.leds if led.band == band)
     require(enough, f"{where}.images names {count} images, but at least three are needed.")
     leds = tuple((group,) if isinstance(group, int) else group for group in fields.leds)
-    differ = f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
-    require(len(leds) == count, differ)
+    require(
+        len(leds) == count, f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
+    )
     _check_light_list(rig, band, leds, f"{where}.leds")
     ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
     flat = fields.flat or []
-    each = f"{where}.flat names {len(flat)} images; it needs one for each of the {count}."
-    require(len(flat) in (0, count), each)
+    require(len(flat) in (0, count), f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.")
     exposures, levels = [image.exposure for image in images], [image.black_level for image in images]
     dark_exposure, dark_level = 1.0, 0.0
     if ambient is not None:
@@ -200,8 +211,10 @@ def _ambient_value(own: float | None, images: list[float | None], default: float
     """The ambient image's `own`, else what all images of the band have, else the default."""
     if own is not None or None in images:
         return default if own is None else own
-    fault = f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.'
-    require(len(set(images)) == 1, fault)
+    require(
+        len(set(images)) == 1,
+        f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.',
+    )
     return images[0] or 0.0
 
 
@@ -213,11 +226,14 @@ def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], wh
             known, named = len(rig.leds), f"{where}[{k}] names LED {index}"
             require(index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
             own = rig.leds[index].band
-            wrong = f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
-            require(own == band, wrong)
+            require(
+                own == band, f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
+            )
     for k, names in enumerate(rig.colours_of(leds)):
-        mixed = f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind."
-        require(all(names) or not any(names), mixed)
+        require(
+            all(names) or not any(names),
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
+        )
     lights = rig.lights_of(leds)
     naming(where, lambda: check_lights(rig.select(lights).light_vectors(), len(lights)))
 
@@ -286,14 +302,19 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     """
     rig = read_rig(path)
     name, (rows, columns), own = os.fspath(path), capture.shape, rig.camera.image_size
-    other = f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
-    require(own == capture.shape, f"{other}, the capture's have {rows} x {columns}.")
+    require(
+        own == capture.shape,
+        f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
+        f", the capture's have {rows} x {columns}.",
+    )
     for band in capture.bands.values():
         for index in sorted({k for group in band.leds for k in group}):
             there = f"of the band '{rig.leds[index].band}' there" if index < len(rig.leds) else "not in it"
-            lit = f"LED {index}, which lit images of the band '{band.name}', is {there}."
-            fits = index < len(rig.leds) and rig.leds[index].band == band.spectral
-            require(fits, f"{name} does not fit the capture: {lit}")
+            require(
+                index < len(rig.leds) and rig.leds[index].band == band.spectral,
+                f"{name} does not fit the capture: "
+                f"LED {index}, which lit images of the band '{band.name}', is {there}.",
+            )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
     if "white_crossed" in bands:
         check_pair(bands["white"], bands["white_crossed"], name, rig)
@@ -378,8 +399,10 @@ def write_capture(
 
 def photographs_hint(folder: Path) -> str:
     """What to do with a folder of photographs where a capture is wanted, in brackets."""
-    command = f"splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
-    return f"(photographs: {command}, or splitknit import)"
+    return (
+        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
+        ", or splitknit import)"
+    )
 
 
 def _document(path: str | os.PathLike[str]) -> Path:
@@ -403,8 +426,10 @@ def _seen_by(rig: Rig, band: Band) -> Band:
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
         name, count = band.files[k] if band.files else f"image {k}", len(set(names))
-        mixed = f"but LEDs of {count} colours lit it; their light can be separated in colour images only."
-        require(band.pixels.shape[3] == 3 or count == 1, f"{name} is grey, {mixed}")
+        require(
+            band.pixels.shape[3] == 3 or count == 1,
+            f"{name} is grey, but LEDs of {count} colours lit it; their light can be separated in colour images only.",
+        )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
 
@@ -416,13 +441,18 @@ def _check_parts(capture: Capture) -> None:
         require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
         shape, least = band.pixels.shape, 1 if band.colours else 3
         fits = len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least
-        expected = f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected."
-        require(fits, f"the pixels of the band '{key}' have the shape {shape}; {expected}")
+        require(
+            fits,
+            f"the pixels of the band '{key}' have the shape {shape}; "
+            f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
+        )
         fits = band.ambient is None or band.ambient.shape[:2] == size
         require(fits, f"the ambient image of the band '{key}' has another size than the rig's camera.")
         leds, exposures, levels = map(len, (band.leds, band.exposure, band.black_level))
-        differ = f"{shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels."
-        require(leds == exposures == levels == shape[0], f"the band '{key}' has {differ}")
+        require(
+            leds == exposures == levels == shape[0],
+            f"the band '{key}' has {shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels.",
+        )
     if "white_crossed" in capture.bands:
         check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
     if capture.mask is not None:

@@ -139,24 +139,31 @@ def plan_enrolment(
     earlier = _read(file) if file.is_file() else None
     if earlier is None and folder.exists():
         require(folder.is_dir(), f"'{folder}' is a file; name a folder for the enrolment.")
-        empty = not any(folder.iterdir())
-        require(empty, f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.")
+        require(
+            not any(folder.iterdir()),
+            f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.",
+        )
     given = {"subjects": subjects, "sessions": sessions, "fingers": None if fingers is None else tuple(fingers)}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     wanted = replace(earlier or _EnrolmentPlan(), **changes)
     if earlier is not None:
-        plan = f"{earlier.subjects} subjects, {earlier.sessions} sessions and {len(earlier.fingers)} fingers"
-        remedy = "leave out `subjects`, `sessions` and `fingers`, or name another folder."
-        shrinks = f"the enrolment in '{folder}' is planned for {plan}; a plan may grow but not shrink: {remedy}"
         grown = wanted.subjects >= earlier.subjects and wanted.sessions >= earlier.sessions
-        require(grown and set(wanted.fingers) >= set(earlier.fingers), shrinks)
+        require(
+            grown and set(wanted.fingers) >= set(earlier.fingers),
+            f"the enrolment in '{folder}' is planned for "
+            f"{earlier.subjects} subjects, {earlier.sessions} sessions and {len(earlier.fingers)} fingers"
+            "; a plan may grow but not shrink: "
+            "leave out `subjects`, `sessions` and `fingers`, or name another folder.",
+        )
     return Enrolment(folder, wanted)
 
 
 def check_subject_id(text: str) -> str:
     """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files."""
-    named = f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name."
-    require(re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None, named)
+    require(
+        re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
+        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",
+    )
     return text
 
 
@@ -170,5 +177,7 @@ def _read(file: Path) -> _EnrolmentPlan:
         return _EnrolmentPlan(subjects, sessions, tuple(fingers))
     except (ValueError, KeyError, TypeError) as error:
         reason = str(error) if isinstance(error, BadInput) else "it is damaged"
-        remedy = "put it right, or remove it and give `subjects`, `sessions` and `fingers` again: no capture is lost"
-        raise BadInput(f"the plan '{file}' cannot be read ({reason.rstrip('.')}); {remedy} by that.") from error
+        raise BadInput(
+            f"the plan '{file}' cannot be read ({reason.rstrip('.')}); put it right, or remove it and "
+            "give `subjects`, `sessions` and `fingers` again: no capture is lost by that."
+        ) from error

@@ -83,13 +83,14 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
             rows.append(values)
             names += [photograph] if photograph else []
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
-    differ = f"{name} states {count} lights in its first line, but {len(rows)} follow."
-    require(count in (None, len(rows)), differ)
+    require(count in (None, len(rows)), f"{name} states {count} lights in its first line, but {len(rows)} follow.")
     require(len(names) in (0, len(rows)), f"{name} names a file in some of its lines only; name one in all or in none.")
     twice = [photograph for k, photograph in enumerate(names) if photograph in names[:k]]
     require(not twice, f"{name} names {twice[0] if twice else ''!a} twice.")
-    some = f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all."
-    require(len({len(row) for row in rows}) == 1, some)
+    require(
+        len({len(row) for row in rows}) == 1,
+        f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all.",
+    )
     table = np.array(rows, dtype=np.float64)
     wanted = f"{name}: the brightness of a light must be positive"
     bright = _positive(table[:, 3:], wanted) if table.shape[1] > 3 else None

@@ -109,8 +109,10 @@ def capture_from_photographs(
     require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
     table, rig, names, colours = _lights_of(root, lights)
     if options.brightness is not None:
-        few = f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list."
-        require(options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN), few)
+        require(
+            options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN),
+            f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list.",
+        )
         leds, origin = tuple(replace(led, intensity=1.0) for led in rig.leds), {"intensities": options.brightness}
         rig, colours = replace(rig, leds=leds, provenance={**rig.provenance, **origin}), None
     named = (options.mask, options.background_image, table)
@@ -125,8 +127,7 @@ def capture_from_photographs(
         found = found * 3
     holds, ends = f"{root} holds {len(found)} photographs", f"({found[0].name} to {found[-1].name})"
     remedy = "let each of its lines begin with the name of a photograph."
-    lights_differ = f"{holds} {ends}, but {table} has {len(rig.leds)} lights{left_out}; {remedy}"
-    require(len(found) == len(rig.leds), lights_differ)
+    require(len(found) == len(rig.leds), f"{holds} {ends}, but {table} has {len(rig.leds)} lights{left_out}; {remedy}")
     crossed: list[Path] = []
     if options.crossed is not None:
         second = Path(options.crossed)
@@ -146,9 +147,11 @@ def capture_from_photographs(
     if options.nir is None:
         return white
     own_rig = isinstance(lights, Rig) or table.suffix.lower() == ".json"
-    one_folder = f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own"
     remedy = "give them by a rig file, or put each series into a folder with its list."
-    require(own_rig or _home(Path(options.nir)) != _home(root), f"{one_folder}: {remedy}")
+    require(
+        own_rig or _home(Path(options.nir)) != _home(root),
+        f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own: {remedy}",
+    )
     encoding: Any = options.encoding or (capture.encoding if options.max_megapixels is None else None)
     near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
     rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
@@ -160,8 +163,10 @@ def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs
     """One capture of both bands; the mask is that of the white photographs."""
     one, other = white.capture, nir.capture
     ours, theirs = (f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (one, other))
-    differ = f"the photographs of {folder} are of {theirs}, and the white ones of {ours}"
-    require(ours == theirs, f"{differ}; both must agree (`encoding`).")
+    require(
+        ours == theirs,
+        f"the photographs of {folder} are of {theirs}, and the white ones of {ours}; both must agree (`encoding`).",
+    )
     count, band = len(one.rig.leds), other.bands["white"]
     leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
     band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
@@ -190,8 +195,10 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
     listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
     usual = next((root / one for one in _LISTS if (root / one).is_file()), root / "lights.txt")
     table = listed[0] if len(listed) == 1 else usual if lights is None else Path(lights)
-    missing = f"{root} holds no lights.txt; name the file of the light directions by `lights`."
-    require(lights is not None or table.is_file(), missing)
+    require(
+        lights is not None or table.is_file(),
+        f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
+    )
     if table.suffix.lower() == ".json":
         return table, _of_band(read_rig(table), os.fspath(table)), (), None
     found = read_light_list(table)
@@ -220,10 +227,14 @@ def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
 def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
     """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
     lowest = int(np.argmin(vectors[:, 2]))
-    behind = f"light {lowest} points away from the camera (z <= 0); lights point towards the light."
-    require(bool(vectors[lowest, 2] > 0), behind)
-    above = places is None or bool((vectors[:, 2] >= 1.0).all())
-    require(above, f"{places}: places of lights are in mm above the object (the third number at least 1).")
+    require(
+        bool(vectors[lowest, 2] > 0),
+        f"light {lowest} points away from the camera (z <= 0); lights point towards the light.",
+    )
+    require(
+        places is None or bool((vectors[:, 2] >= 1.0).all()),
+        f"{places}: places of lights are in mm above the object (the third number at least 1).",
+    )
     kind = "distant" if places is None else "near"
     if places is None:
         leds = [
@@ -331,12 +342,13 @@ def capture_of_arrays(
     with refusing("`images` must be one array, or arrays of one shape."):
         stack = np.asarray(images)
     shape, kind = stack.shape, stack.dtype
-    wanted = f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}."
-    require(stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0, wanted)
+    require(
+        stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0,
+        f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}.",
+    )
     known = kind in (np.dtype(np.uint8), np.dtype(np.uint16)) or kind.kind == "f"
     require(known, f"`images` must be of uint8, uint16 or floats, but they are of {kind}.")
-    finite = kind.kind != "f" or bool(np.isfinite(stack).all())
-    require(finite, "`images` contains NaN or infinite values.")
+    require(kind.kind != "f" or bool(np.isfinite(stack).all()), "`images` contains NaN or infinite values.")
     with refusing("`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm` one."):
         scale = None if px_per_mm is None else float(px_per_mm)
         vectors = spread_lights(len(stack)) if lights is None else np.asarray(lights, dtype=np.float64)
@@ -393,14 +405,18 @@ def _assembled(  # noqa: PLR0917
     background = options.background
     raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
     require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
-    counts = f"{len(rig.leds)} lights for {len(files)} images"
-    require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
+    require(
+        len(rig.leds) == len(files),
+        f"lights and images differ in number: {len(rig.leds)} lights for {len(files)} images.",
+    )
     check_lights(rig.light_vectors())
     encoding, notes = _encoding(files, rig, options)
     reading = _Reading(different, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
-    unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
-    require(camera.scale_known or all(led.position_mm is None for led in rig.leds), unknown)
+    require(
+        camera.scale_known or all(led.position_mm is None for led in rig.leds),
+        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
+    )
     if announce is not None and (cost := reading.cost()):
         announce(cost)
     stack, turn, hashes = reading.stack()
@@ -477,8 +493,7 @@ def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Pa
     """The files; the one file of three coloured lights once. Raises BadInput if others are named twice."""
     places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
     if len(set(files)) == 1:
-        one = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
-        require(options.mosaic is None, one)
+        require(options.mosaic is None, f"{files[0]}, one photograph under three lights, goes without `mosaic`.")
         return files[:1]
     twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
     require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
@@ -512,10 +527,15 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
         channels = [image[..., k] for k in range(3)] if coloured else [pick_channel(image, "grey")]
         light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
         hashes[f"{folder.name}/{file.name}"] = photo.sha256
-    differ = f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
-    require(len(light) == count, f"{differ}; give one for each, in the order of their names.")
-    alike = all(one.shape == light[0].shape for one in light)
-    require(alike, f"the flat photographs in {folder} differ in size; take all with the camera as it stands.")
+    require(
+        len(light) == count,
+        f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
+        "; give one for each, in the order of their names.",
+    )
+    require(
+        all(one.shape == light[0].shape for one in light),
+        f"the flat photographs in {folder} differ in size; take all with the camera as it stands.",
+    )
     return np.stack(light), hashes
 
 
@@ -524,10 +544,15 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
     size, factor, small = reading.shape[:2], reading.factor, reading.small
     if camera is not _NO_CAMERA:
         rows, columns = camera.image_size
-        found = f"(rows x columns), but the photographs have {size[0]} x {size[1]}; give `lights` a list of lights"
-        require((rows, columns) == size, f"the rig's camera takes images of {rows} x {columns} pixels {found} instead.")
-        both = f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first."
-        require(px_per_mm is None or not camera.scale_known, both)
+        require(
+            (rows, columns) == size,
+            f"the rig's camera takes images of {rows} x {columns} pixels (rows x columns), but the photographs have "
+            f"{size[0]} x {size[1]}; give `lights` a list of lights instead.",
+        )
+        require(
+            px_per_mm is None or not camera.scale_known,
+            f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+        )
         if px_per_mm is None and not camera.scale_known:
             return camera_without_scale(small)
         matrix = camera.matrix
@@ -597,8 +622,9 @@ class _Reading:
         self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
         """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
         self.small = int(rows // self.factor), int(columns // self.factor)
-        large = self.factor == 1 or min(self.small) >= 16
-        require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
+        require(
+            self.factor == 1 or min(self.small) >= 16, "`max_megapixels` leaves less than 16 pixels a side; give more."
+        )
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
@@ -619,14 +645,23 @@ class _Reading:
         count, used = self.series * len(self.files), self.megapixels / self.factor**2
         if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
             return ""
-        memory = f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
-        return f"{count} photographs of {used:.1f} megapixels need {memory}; `max_megapixels` 10 reduces them."
+        return (
+            f"{count} photographs of {used:.1f} megapixels need "
+            f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
+            "; `max_megapixels` 10 reduces them."
+        )
 
     def notes(self) -> list[str]:
         """That photographs were reduced, where they were."""
         side, left = f"{self.factor:g}", f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
-        reduced = f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
-        return [f"{reduced}, by means over {side} x {side} pixels."] if self.factor > 1 else []
+        return (
+            [
+                f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
+                f", by means over {side} x {side} pixels."
+            ]
+            if self.factor > 1
+            else []
+        )
 
     def level(self, stored: float) -> float:
         """A stored value, on the scale of :meth:`stack`."""
@@ -639,9 +674,11 @@ class _Reading:
     def reduced(self, photo: Photo, file: Path) -> NDArray[Any]:
         """Pixels of a photograph (H, W, C), linear where they are reduced."""
         rows, columns = photo.pixels.shape[:2]
-        expected = f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}."
-        other = f"{file} has {rows} x {columns} pixels (rows x columns), but {expected}"
-        require((rows, columns) == self.shape[:2], other)
+        require(
+            (rows, columns) == self.shape[:2],
+            f"{file} has {rows} x {columns} pixels (rows x columns), but "
+            f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}.",
+        )
         if self.factor == 1:
             return photo.pixels
         if photo.pixels.dtype.kind == "f":
@@ -653,23 +690,29 @@ class _Reading:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
         first, hashes = self.first, {}
         shape = (self.series * len(self.files), *self.small, self.shape[2])
-        large = f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
-        fits = math.prod(shape) * self.dtype.itemsize <= STACK_BYTES
-        require(fits, f"{large}; name fewer, or reduce them by `max_megapixels`.")
+        require(
+            math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
+            f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
+            "; name fewer, or reduce them by `max_megapixels`.",
+        )
         stack = large_array(shape, self.dtype)
         for k, file in enumerate(self.files):
             room = first.pixels.nbytes * (3 if self.series == 1 else 12)
             for part, photo in enumerate(self.photos(file, room) if k else self.first_read):
-                turned = f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
-                guess = "as a telephone that looks straight down guesses it; give all one orientation."
-                other = f"{turned} {self.files[0].name} ({first.orientation}), {guess}"
-                require(photo.orientation == first.orientation, other)
+                require(
+                    photo.orientation == first.orientation,
+                    f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
+                    f" {self.files[0].name} ({first.orientation}), "
+                    "as a telephone that looks straight down guesses it; give all one orientation.",
+                )
                 pixels = self.reduced(photo, file)
                 if photo.opaque is not None and self.series == 1:
                     self.opaque = photo.opaque if self.opaque is None else self.opaque & photo.opaque
-                kinds = f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}"
                 alike = photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype
-                require(alike, f"{kinds}; all must agree.")
+                require(
+                    alike,
+                    f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
+                )
                 stack[k + part * len(self.files)] = pixels
                 let_go(stack)
                 name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
@@ -682,8 +725,10 @@ def _of_white_light(
 ) -> NDArray[Any]:
     """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; or one, as its three channels."""
     if len(reading.files) == 1:
-        grey = f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour."
-        require(stack.shape[3] == 3, grey)
+        require(
+            stack.shape[3] == 3,
+            f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour.",
+        )
         return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None])
     if colours is None or stack.shape[3] == 1:
         return stack
@@ -710,8 +755,10 @@ def _as_integers(
 ) -> tuple[PixelArray, PixelArray | None, float]:
     """Integers with their ambient image and black level."""
     floats = stack.dtype.kind == "f"
-    mixed = "the background image is of floats and the photographs are not, or the reverse; save both in one format."
-    require(ambient is None or (ambient.dtype.kind == "f") == floats, mixed)
+    require(
+        ambient is None or (ambient.dtype.kind == "f") == floats,
+        "the background image is of floats and the photographs are not, or the reverse; save both in one format.",
+    )
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")
     below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0

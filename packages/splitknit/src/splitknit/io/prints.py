@@ -73,8 +73,7 @@ def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | N
     chunks = PngInfo()
     for keyword, value in sorted(text.items()):
         plain = keyword.strip() == keyword and 1 <= len(keyword) <= 79 and keyword.isascii() and keyword.isprintable()
-        wanted = f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters."
-        require(plain, wanted)
+        require(plain, f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters.")
         require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
         chunks.add_text(keyword, value)
     stream = io.BytesIO()
@@ -94,8 +93,10 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
     """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32 pixels a side."""
-    small = f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG."
-    require(min(image.shape) >= _SMALLEST_JPEG2000, small)
+    require(
+        min(image.shape) >= _SMALLEST_JPEG2000,
+        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG.",
+    )
     return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
 
 
@@ -173,8 +174,10 @@ def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mappin
 def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """A print that can be written, in one piece."""
     array = np.ascontiguousarray(image)
-    flat = array.ndim == 2 and array.size > 0 and array.dtype == np.uint8
-    require(flat, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.")
+    require(
+        array.ndim == 2 and array.size > 0 and array.dtype == np.uint8,
+        f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
+    )
     require(10 <= ppi <= 100_000, f"ppi must lie between 10 and 100000, but it is {ppi}.")
     return array
 

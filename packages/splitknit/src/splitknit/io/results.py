@@ -128,8 +128,10 @@ def read_fields(
     usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
     pitch = float(arrays["pitch_mm"])
-    usual = not known or 0 < pitch * max(rows, columns) <= LARGEST_MM
-    require(usual, f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.")
+    require(
+        not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
+        f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
+    )
     for name in (*names, *optional):
         if name in arrays and name not in {"provenance", "whole"}:
             arrays[name] = arrays[name].astype(np.float32, copy=False)

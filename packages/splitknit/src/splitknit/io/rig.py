@@ -162,8 +162,10 @@ def _check_films(films: Films, count: int, where: str) -> None:
     leds = len(films.leds)
     different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
     require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
-    each = len(films.leak) == len(films.brightness) == leds
-    require(each, f"{where} must have a leak and a brightness for each of the {leds} LEDs.")
+    require(
+        len(films.leak) == len(films.brightness) == leds,
+        f"{where} must have a leak and a brightness for each of the {leds} LEDs.",
+    )
     require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
     bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
     require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")
@@ -172,24 +174,31 @@ def _check_films(films: Films, count: int, where: str) -> None:
 
 def _camera(fields: _CameraFields) -> Camera:
     rows, columns = fields.image_size
-    large = f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read."
-    require(rows * columns <= _MAX_PIXELS, large)
-    counts = "camera.distortion must be a list of 4, 5, 8, 12 or 14 numbers."
-    require(fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS, counts)
+    require(
+        rows * columns <= _MAX_PIXELS,
+        f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read.",
+    )
+    require(
+        fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS,
+        "camera.distortion must be a list of 4, 5, 8, 12 or 14 numbers.",
+    )
     matrix = None if fields.matrix is None else np.array(fields.matrix, dtype=np.float64)
     if matrix is not None:
         sound = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])
         require(bool(sound), "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
     if fields.model == "perspective":
         whole = None not in (fields.distortion, fields.height_mm, fields.matrix, fields.px_per_mm)
-        lacks = "a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none)."
-        require(whole, f"camera: {lacks}")
+        require(
+            whole,
+            "camera: a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none).",
+        )
     if fields.model == "perspective" and matrix is not None and fields.height_mm and fields.px_per_mm:
         by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / fields.height_mm  # on the finger plane
-        differs = f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
-        remedy = "correct one of them, or calibrate the camera."
-        near = 0.5 <= by_matrix / fields.px_per_mm <= 2.0
-        require(near, f"{differs} {by_matrix:.4g} on the finger plane; {remedy}")
+        require(
+            0.5 <= by_matrix / fields.px_per_mm <= 2.0,
+            f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
+            f" {by_matrix:.4g} on the finger plane; correct one of them, or calibrate the camera.",
+        )
     return Camera(
         fields.px_per_mm or camera_without_scale(fields.image_size).px_per_mm,
         fields.image_size,
@@ -210,9 +219,11 @@ def _led(fields: _LedFields) -> Led:
         return led
     x, y, z = led.direction
     length = math.sqrt(x * x + y * y + z * z)
-    long = f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
-    require(0.98 <= length <= 1.02, f"{long}, or use position_mm for a place in mm.")
-    away = f"direction points away from the camera's side (z = {z:g}); it must point towards the light."
-    require(z > 0, away)
+    require(
+        0.98 <= length <= 1.02,
+        f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
+        ", or use position_mm for a place in mm.",
+    )
+    require(z > 0, f"direction points away from the camera's side (z = {z:g}); it must point towards the light.")
     fields.direction = (x, y, z) if abs(length - 1.0) <= 1e-9 else (x / length, y / length, z / length)
     return Led(**fields_of(fields))

@@ -200,12 +200,14 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
         ]
     finger = is_finger(result)
     per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
-    where = f"5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera"
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
         ("Skin measured" if finger else "Area measured", f"{area_px * result.pitch_mm**2:.0f} mm² in projection"),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
-        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm ({where})"),
+        (
+            "Relief, valley to ridge" if finger else "Relief of fine details",
+            f"{swing:.0f} µm (5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)",
+        ),
     ]
 
 
