@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shlex
@@ -15,15 +14,16 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, check_mask, naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, mask_from_image
-from splitknit.io.fields import Version1, inside, read_document, read_json
+from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
-from splitknit.io.rig import read_rig, rig_from_json, rig_to_json
+from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid, spectral_band
 from splitknit.steps import let_go
 
@@ -79,8 +79,8 @@ class _CaptureFields(Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class BandPlan:
-    """One band as the document describes it."""
+class _BandPlan:
+    """One band as the document describes it; all paths lie inside the folder."""
 
     band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
@@ -89,46 +89,7 @@ class BandPlan:
     exposed: bool  # whether the document states the exposures
 
 
-@dataclass(frozen=True, slots=True)
-class CapturePlan:
-    """A whole capture as the document describes it; all paths lie inside the folder."""
-
-    capture: Capture  # without images
-    rig_file: Path
-    bands: dict[str, BandPlan]
-    mask: Path | None
-    documents: dict[Path, bytes]  # the JSON files and what was read from them
-
-
-def read_plan(document_file: Path) -> CapturePlan:
-    """Read ``capture.json`` and its rig file. Raises BadInput naming the file and the field."""
-    folder, name = document_file.parent, str(document_file)
-    fields, data = read_document(document_file, _CaptureFields)
-    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
-    rig_file = inside(folder, fields.rig, name, "rig")
-    rig_document, rig_data = read_json(rig_file)
-    rig = rig_from_json(rig_document, str(rig_file))
-    truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
-    require(
-        truth is None or truth.is_file(),
-        f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
-    )
-    mask = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
-    bands = _bands(fields.bands, folder, rig, name)
-    capture = Capture(
-        rig,
-        bands={},
-        encoding=fields.encoding,
-        material=fields.material,
-        tip_direction_deg=fields.tip_direction_deg,
-        subject=fields.subject or {},
-        captured_at=fields.captured_at,
-        truth=truth,
-    )
-    return CapturePlan(capture, rig_file, bands, mask, {document_file: data, rig_file: rig_data})
-
-
-def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
+def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, _BandPlan]:
     plans = {key: _band(band, folder, rig, key, name) for key in BANDS if (band := getattr(bands, key)) is not None}
     if "white_crossed" in plans:
         check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
@@ -171,7 +132,7 @@ def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
         )
 
 
-def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> BandPlan:
+def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _BandPlan:
     where, band = f"{name}: bands.{key}", spectral_band(key)
     images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
@@ -204,7 +165,7 @@ def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> B
     files = tuple(inside(folder, image.file, name, f"bands.{key}.images[{k}]") for k, image in enumerate(images))
     dark = None if ambient is None else inside(folder, ambient.file, name, f"bands.{key}.ambient")
     flats = tuple(inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat))
-    return BandPlan(described, files, dark, flats, exposed=None not in exposures)
+    return _BandPlan(described, files, dark, flats, exposed=None not in exposures)
 
 
 def _ambient_value(own: float | None, images: list[float | None], default: float, where: str, key: str) -> float:
@@ -265,35 +226,59 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     >>> import splitknit
     >>> splitknit.read_capture("demo/capture").rig.camera.px_per_mm  # doctest: +SKIP
     """
-    plan = read_plan(_document(path))
-    folder = _document(path).parent
-    rig = plan.capture.rig
-    size, rig_name = rig.camera.image_size, f"{plan.rig_file} (is the rig for another camera?)"
+    document = _document(path)
+    folder, name = document.parent, str(document)
+    fields, _ = read_document(document, _CaptureFields)
+    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
+    rig_file = inside(folder, fields.rig, name, "rig")
+    rig = read_rig(rig_file)
+    truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
+    require(
+        truth is None or truth.is_file(),
+        f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
+    )
+    mask_file = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
+    plans = _bands(fields.bands, folder, rig, name)
+    size, rig_name = rig.camera.image_size, f"{rig_file} (is the rig for another camera?)"
     with StackReader(threads) as reader:
-        stacks = {key: reader.start(band.files, size, rig_name) for key, band in plan.bands.items()}
-        dark = {key: band.ambient for key, band in plan.bands.items() if band.ambient is not None}
+        stacks = {key: reader.start(plan.files, size, rig_name) for key, plan in plans.items()}
+        dark = {key: plan.ambient for key, plan in plans.items() if plan.ambient is not None}
         ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
-        mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
+        mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
         hashes = reader.finish()
     bands: dict[str, Band] = {}
-    for key, band in plan.bands.items():
+    for key, plan in plans.items():
         full = int(np.iinfo(stacks[key].dtype).max)
-        for name, black in zip(band.band.files, band.band.black_level, strict=True):
-            require(black < full, f"{name} has the black level {black:g}, but its full scale is {full}.")
-        bands[key] = _seen_by(rig, replace(band.band, pixels=stacks[key], ambient=ambients.get(key)))
+        for image, black in zip(plan.band.files, plan.band.black_level, strict=True):
+            require(black < full, f"{image} has the black level {black:g}, but its full scale is {full}.")
+        bands[key] = _seen_by(rig, replace(plan.band, pixels=stacks[key], ambient=ambients.get(key)))
     if not may_be_dark:
         check_contents(bands.values())
-    for key, band in plan.bands.items():
-        if band.flat:
-            flat = [coarse_grid(read_image(file).mean(axis=2, dtype=np.float32)) for file in band.flat]
-            kind = read_image(band.flat[0]).dtype
-            scale = 65535.0 / float(np.iinfo(kind).max)
-            bands[key] = replace(bands[key], flat=np.rint(scale * np.stack(flat)).astype(np.uint16))
-            hashes |= {str(file): file_hash(file) for file in band.flat}
-    hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
-    mask = None if mask_pixels is None else mask_from_image(mask_pixels, str(plan.mask))
-    hashes = {Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)}
-    return replace(plan.capture, bands=bands, mask=mask, hashes=hashes)
+    others = [document, rig_file]
+    for key, plan in plans.items():
+        if plan.flat:
+            bands[key] = replace(bands[key], flat=np.stack([_flat_image(file) for file in plan.flat]))
+            others += plan.flat
+    hashes |= {str(file): file_hash(file) for file in others}
+    return Capture(
+        rig,
+        bands,
+        encoding=fields.encoding,
+        material=fields.material,
+        tip_direction_deg=fields.tip_direction_deg,
+        mask=None if mask_pixels is None else mask_from_image(mask_pixels, str(mask_file)),
+        subject=fields.subject or {},
+        captured_at=fields.captured_at,
+        truth=truth,
+        hashes={Path(file).relative_to(folder).as_posix(): hashes[file] for file in sorted(hashes)},
+    )
+
+
+def _flat_image(file: Path) -> NDArray[np.uint16]:
+    """A photograph of a flat surface on the coarse grid, as stored."""
+    pixels = read_image(file)
+    scale = 65535.0 / float(np.iinfo(pixels.dtype).max)
+    return np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))).astype(np.uint16)
 
 
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
@@ -326,7 +311,6 @@ def write_capture(
     capture: Capture,
     folder: str | os.PathLike[str],
     truth: Mapping[str, Any] | None = None,
-    image_format: str = "png",
     overwrite: bool = False,
 ) -> None:
     """Write `capture` as a folder that :func:`read_capture` reads back, pixel for pixel.
@@ -337,7 +321,6 @@ def write_capture(
     Parameters
     ----------
     truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
-    image_format : ``png`` or ``tiff``
     overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty is refused
 
     Raises
@@ -352,9 +335,7 @@ def write_capture(
     >>> capture, truth = splitknit_simulator.simulate_capture(1)
     >>> splitknit.write_capture(capture, "finger", truth)  # doctest: +SKIP
     """
-    require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
     _check_parts(capture)
-    suffix = "." + image_format
     plain = {key: _is_plain(band) for key, band in capture.bands.items()}
     if "white_crossed" in plain:  # two series state their exposures both or neither
         plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
@@ -365,7 +346,7 @@ def write_capture(
             "format": CAPTURE_FORMAT,
             "version": CAPTURE_VERSION,
             "rig": "rig.json",
-            "bands": {key: _band_json(capture.bands[key], suffix, images, plain=plain[key]) for key in listed},
+            "bands": {key: _band_json(capture.bands[key], images, plain=plain[key]) for key in listed},
             "encoding": capture.encoding,
             "material": capture.material,
         }
@@ -387,7 +368,7 @@ def write_capture(
             document["truth"] = "truth.npz"
 
         def write(image: tuple[str, PixelArray]) -> None:
-            (target / image[0]).write_bytes(encode_image(image[1], Path(image[0]).suffix))
+            (target / image[0]).write_bytes(encode_image(image[1], ".png"))
             let_go(image[1])
 
         with ThreadPoolExecutor(cores()) as pool:
@@ -465,7 +446,7 @@ def _is_plain(band: Band) -> bool:
     return plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
 
 
-def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
+def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
     """Return the band's entry in the document, and add its files to `images`."""
     entries: list[JsonValue] = []
 
@@ -474,17 +455,17 @@ def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *,
         return name if plain else {"file": name, "exposure_s": exposure, "black_level": black_level}
 
     for k, pixels in enumerate(band.pixels):
-        name = f"{band.name}_{k}{suffix}"
+        name = f"{band.name}_{k}.png"
         entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
     leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
     result: dict[str, JsonValue] = {"images": entries, "leds": leds}
     if band.polarisation:
         result["polarisation"] = band.polarisation
     if band.ambient is not None:
-        name = f"ambient_{band.name}{suffix}"
+        name = f"ambient_{band.name}.png"
         result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
     if band.flat is not None:
-        names = [f"flat_{band.name}_{k}{suffix}" for k in range(len(band.flat))]
+        names = [f"flat_{band.name}_{k}.png" for k in range(len(band.flat))]
         images += [(name, image[..., None]) for name, image in zip(names, band.flat, strict=True)]
         result["flat"] = list(names)
     return result

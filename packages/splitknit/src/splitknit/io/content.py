@@ -76,14 +76,6 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     sample = _sample(band.pixels[k])
     let_go(band.pixels)
     black, most, name = np.float32(band.black_level[k]), int(sample.max()), _name(band, k)
-    cure = f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them)."
-    dark = f"{name} is black: its largest value is {most} of {int(scale)}; check {cure}"
-    require(most - float(black) > _DARK_FRACTION * scale, dark, BadExposure)
-    require(
-        most > int(sample.min()) or sample.size == 1,
-        f"{name} shows nothing: every pixel is {most}; capture it again.",
-        BadExposure,
-    )
     clips_at = ceil(_FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
@@ -100,9 +92,18 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     if ambient is not None:
         light = np.maximum.reduce(sample - (black + ambient * np.float32(scale * float(band.exposure[k]))))
     peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
-    dark = f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
     above = " above the ambient image" if band.ambient is not None else ""
-    require(peak > _DARK_FRACTION, f"{dark}{above}; check {cure}", BadExposure)
+    require(
+        peak > _DARK_FRACTION,
+        f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale{above}; check "
+        f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
+        BadExposure,
+    )
+    require(
+        most > int(sample.min()) or sample.size == 1,
+        f"{name} shows nothing: every pixel is {most}; capture it again.",
+        BadExposure,
+    )
     return peak
 
 

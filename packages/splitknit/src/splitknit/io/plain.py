@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,8 +23,7 @@ from splitknit.imaging.band import (
     pick_channel,
     srgb_code,
 )
-from splitknit.imaging.light_field import few_lights
-from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
+from splitknit.imaging.polarised import split_mosaic
 from splitknit.imaging.response import FEWEST, shading_is_srgb
 from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import STACK_BYTES
@@ -50,9 +49,6 @@ from splitknit.steps import large_array, let_go
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
-_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0  # size of one photograph, and of all, above which a note is given
-_FIXED_GB, _GB_PER_MEGAPIXEL = 0.3, 0.115
-"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them."""
 _NEGATIVE = 0.02
 """Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
 _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
@@ -85,7 +81,6 @@ def capture_from_photographs(
     lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
     options: PhotographOptions = _NO_OPTIONS,
-    announce: Callable[[str], None] | None = None,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
@@ -98,8 +93,7 @@ def capture_from_photographs(
     ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
     (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
     default ``lights.txt`` in the folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object,
-    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others; `announce`:
-    called with a sentence on memory before many or large photographs are read.
+    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others.
 
     >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
     >>> found.skipped  # doctest: +SKIP
@@ -136,7 +130,7 @@ def capture_from_photographs(
         crossed, _, _ = photographs_in(second, table, names, own)
         remedy = "both series need one photograph a light, in the same order."
         require(len(crossed) == len(found), f"{holds}, but {second} {len(crossed)}; {remedy}")
-    capture, notes = _assembled(found, rig, px_per_mm, options, announce, crossed, colours)
+    capture, notes = _assembled(found, rig, px_per_mm, options, crossed=crossed, colours=colours)
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if masks:
@@ -155,7 +149,7 @@ def capture_from_photographs(
     encoding: Any = options.encoding or (capture.encoding if options.max_megapixels is None else None)
     near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
     rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
-    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near, announce)
+    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near)
     return _with_nir(white, infrared, Path(options.nir))
 
 
@@ -389,14 +383,14 @@ def capture_of_arrays(
     return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
 
 
-def _assembled(  # noqa: PLR0917
+def _assembled(
     files: Sequence[Path],
     rig: Rig,
     px_per_mm: float | None,
     options: PhotographOptions,
-    announce: Callable[[str], None] | None = None,
-    crossed: Sequence[Path] = (),
-    colours: NDArray[np.float64] | None = None,
+    *,
+    crossed: Sequence[Path],
+    colours: NDArray[np.float64] | None,
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it; `colours`: (L, 3) light of each photograph's red, green and blue, relative."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
@@ -417,8 +411,6 @@ def _assembled(  # noqa: PLR0917
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
         "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
     )
-    if announce is not None and (cost := reading.cost()):
-        announce(cost)
     stack, turn, hashes = reading.stack()
     stack = _of_white_light(stack, colours, reading, options)
     ambient = None
@@ -450,8 +442,6 @@ def _assembled(  # noqa: PLR0917
         names = tuple(map(str, crossed or files))
         other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
         bands["white_crossed"] = other
-        parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
-        notes += [NOT_SPECULAR] if crossed_mean >= parallel else []
     check_contents(bands.values())
     capture = Capture(
         rig=replace(rig, camera=camera),
@@ -462,7 +452,13 @@ def _assembled(  # noqa: PLR0917
         mask=inside,
         hashes=hashes,
     )
-    return capture, [*notes, *_notes(capture, turn)]
+    if not camera.scale_known:
+        notes.append(UNKNOWN_SCALE)
+    if turn != 1:
+        notes.append(
+            f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
+        )
+    return capture, notes
 
 
 def _inside(
@@ -563,12 +559,6 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
     return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
 
 
-def _notes(capture: Capture, turn: int) -> list[str]:
-    notes = [UNKNOWN_SCALE] if not capture.rig.camera.scale_known else []
-    turned = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
-    return notes + ([turned] if turn != 1 else []) + few_lights(capture.rig.light_vectors())
-
-
 def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[str]]:
     """The encoding that is stated, or found by :func:`splitknit.io.photos.encoding_of`; and notes on it."""
     if options.mosaic is not None:
@@ -639,17 +629,6 @@ class _Reading:
         colour, film_deg = self.options.mosaic == "colour", self.options.film_deg
         halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
         return [replace(photo, pixels=half) for half in halves]
-
-    def cost(self) -> str:
-        """A sentence on memory, where it is much."""
-        count, used = self.series * len(self.files), self.megapixels / self.factor**2
-        if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
-            return ""
-        return (
-            f"{count} photographs of {used:.1f} megapixels need "
-            f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
-            "; `max_megapixels` 10 reduces them."
-        )
 
     def notes(self) -> list[str]:
         """That photographs were reduced, where they were."""

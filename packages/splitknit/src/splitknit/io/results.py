@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
 from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
@@ -215,7 +214,7 @@ SURFACES = ("stl", "obj", "glb")
 
 
 def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
-    """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
+    """Return facts of a file of the surface, and the bytes of the file.
 
     `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
     meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
@@ -227,8 +226,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     require(count > 0, "the result holds no surface; reconstruct the capture again.")
     vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
     faces = np.concatenate(list(pieces))
-    rough = areal_roughness(result.ridge_mm[box], result.pitch_mm)
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", "relief_roughness": rough}
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
     with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
