@@ -248,8 +248,11 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
     for parent in whole.parents:
         if str(parent) in _GIVEN:
             link = next((part for part in reversed(inside) if part.is_symlink()), None)
-            name, remedy = path if link == whole else link, "put the file or folder itself there."
-            require(link is None, f"'{name}' is a link inside a folder, which is not followed; {remedy}")
+            name = path if link == whole else link
+            require(
+                link is None,
+                f"'{name}' is a link inside a folder, which is not followed; put the file or folder itself there.",
+            )
             return
         inside.append(parent)
 

@@ -546,7 +546,8 @@ class Reconstruction:
         return MILLIMETRES if self.scale_known else pixels(self.pitch_mm)
 
     def _summary(self) -> dict[str, str]:
-        known, unit = self.mask & np.isfinite(self.height_mm), self.unit
+        known = self.mask & np.isfinite(self.height_mm)
+        unit = self.unit
         pitch = f" at {1000 * self.pitch_mm:.1f} um" if unit.known else ", scale unknown"
         found = {
             "preset": f"'{self.preset}'",

@@ -69,8 +69,10 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
         "Name all in view, from left to right, and spread them so that the background shows between them.",
     )
     if isinstance(names, str):
-        lower, hand = tips_mm[0] - tips_mm[-1], names
-        clear, seen = abs(lower) >= _SHORTER_MM, "right" if lower < 0 else "left"
+        lower = tips_mm[0] - tips_mm[-1]
+        hand = names
+        clear = abs(lower) >= _SHORTER_MM
+        seen = "right" if lower < 0 else "left"
         if hand == "auto":
             require(clear, "the outer tips lie equally far up: give `fingers` left or right.")
             hand = seen

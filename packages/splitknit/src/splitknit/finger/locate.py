@@ -245,7 +245,8 @@ def _quality(
     skin = capture.material == "skin"
 
     def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
-        band, stack = capture.bands[name], white[:, rows, columns]
+        band = capture.bands[name]
+        stack = white[:, rows, columns]
         saturation = saturation_levels(band, capture.encoding)
         if name != "white":
             stack = linear_stack(band, capture.encoding, "grey", window, binning)

@@ -130,7 +130,8 @@ def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
         return 0.0
     steps = []
     for signal in _signals(image):
-        within, without = float(np.median(signal[inside])), float(np.median(signal[outside]))
+        within = float(np.median(signal[inside]))
+        without = float(np.median(signal[outside]))
         steps.append((within - without) / within if within > 0.0 else 0.0)
     return max(steps)
 
@@ -142,9 +143,11 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     y = np.linspace(-1.0, 1.0, height)
     rows, columns = np.nonzero(outside)
     step = max(1, len(rows) // samples)
-    rows, columns = rows[::step], columns[::step]
+    rows = rows[::step]
+    columns = columns[::step]
     values = signal[rows, columns].astype(np.float64)
-    u, v = x[columns], y[rows]
+    u = x[columns]
+    v = y[rows]
     design = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])  # (6, n)
     residual = values - float(np.percentile(values, 40.0))
     keep, noise = _below(residual)
@@ -237,7 +240,8 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
     bright = coarse
     weights = _colour_filter(coarse)
     if weights is not None:
-        coarse, fine = _filtered(coarse, weights), _filtered(fine, weights)
+        coarse = _filtered(coarse, weights)
+        fine = _filtered(fine, weights)
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
@@ -360,14 +364,16 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
         candidates.append(blur(_chromaticity(image), sigma))
-    best, clearest = np.zeros(brightness.shape, dtype=np.bool_), 0.0
+    best = np.zeros(brightness.shape, dtype=np.bool_)
+    clearest = 0.0
     for features in candidates[seen:]:
         second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
         region = tidy(cluster)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
-            best, clearest = region, separation * purity
+            best = region
+            clearest = separation * purity
     require(best.any(), _NO_FINGER, NoFinger)
     return best
 
@@ -478,7 +484,8 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least. Raises BadInput if there is none.
     """
     image = blur(_check_image(mean_image, px_per_mm), 0.5 * BLUR_MM * px_per_mm)
-    weights, radius = _colour_filter(image), 0.5 * _MIN_WIDTH_MM * px_per_mm
+    weights = _colour_filter(image)
+    radius = 0.5 * _MIN_WIDTH_MM * px_per_mm
 
     def wide(region: BoolArray) -> BoolArray:
         region = fill_holes(region)

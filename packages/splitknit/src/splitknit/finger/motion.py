@@ -69,7 +69,8 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
         return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
     scale = reduction(mask[box].shape, px_per_mm, WORKING_PX_PER_MM, 600)
     stack = np.stack([reduce_image(image[box], scale) for image in stack])
-    mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
+    mask = _reduced(mask[box], scale)
+    px_per_mm = px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
     for band in _BANDS_MM:
@@ -121,7 +122,8 @@ def _details(
     region = (framed if framed.any() else inside)[box]
     inside = inside[box]
     rows, columns = (axis.astype(np.float64) for axis in np.nonzero(inside))
-    details, light = [], []
+    details = []
+    light = []
     for image in stack:
         small = reduce_image(image, scale)[box]
         on_finger = np.maximum(small[inside], 0.0)
@@ -144,7 +146,8 @@ def _cubic(shift: float) -> Array:
     """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
     reach = int(np.ceil(abs(shift))) + 1
     away = np.abs(np.arange(-reach, reach + 1) - shift)
-    near, far = (1.25 * away - 2.25) * away * away + 1.0, ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
+    near = (1.25 * away - 2.25) * away * away + 1.0
+    far = ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
     return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
@@ -198,7 +201,8 @@ def _products(rows: FloatArray) -> Array:
 
 def _least_squares(products: Array) -> Array:
     """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
-    normal, target = products[:-1, :-1], products[:-1, -1]
+    normal = products[:-1, :-1]
+    target = products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
     return np.linalg.solve(normal, target / scale) / scale

@@ -55,14 +55,15 @@ class Flow:
 
     def basis(self, x_mm: Array, y_mm: Array) -> Array:
         """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every move."""
-        one, none = np.ones_like(x_mm), np.zeros_like(x_mm)
+        one = np.ones_like(x_mm)
+        none = np.zeros_like(x_mm)
         right = [one, none, -(y_mm - self.centre_mm[1]) / TURN_MM]
         down = [none, one, (x_mm - self.centre_mm[0]) / TURN_MM]
         return np.stack([np.stack(right, axis=-1), np.stack(down, axis=-1)], axis=1)
 
     def at(self, x_mm: Array, y_mm: Array) -> Array:
         """(L, 2, N) shifts at places (N,)."""
-        return np.einsum("km,ncm->kcn", self.moves_mm, self.basis(x_mm, y_mm))
+        return np.asarray(np.einsum("km,ncm->kcn", self.moves_mm, self.basis(x_mm, y_mm)))
 
     def affine(self, shot: int, px_per_mm: float) -> Array:
         """(2, 3) matrix from columns and rows of the reference to those of a shot."""
@@ -114,7 +115,8 @@ class Level:
         values = np.empty((len(self.images), 3, count), dtype=np.float32)
         size = self.px_per_mm
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
-            columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
+            columns = self.columns + shift[0] * size
+            rows = self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
             values[k] = sampled_at(image, near[0], near[1], cv2.INTER_CUBIC).T
             # details vary with the shift without steps: what lies between follows from the slopes
@@ -138,7 +140,8 @@ def details_of(
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
     every = max(1, rows.size // SAMPLES)
-    rows, columns = rows[every // 2 :: every], columns[every // 2 :: every]
+    rows = rows[every // 2 :: every]
+    columns = columns[every // 2 :: every]
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
     images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
     return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
@@ -238,7 +241,8 @@ def register_shots(
     """
     shots = np.arange(len(stack)) if shots is None else shots
     number = int(shots.max()) + 1
-    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
+    around = dilate(mask, SURROUND_MM * px_per_mm)
+    skin = erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(number, mask, px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         fine = step >= len(COARSE_MM)
@@ -294,9 +298,12 @@ class _Problem:
         """(F, M) change of the parameters of the free shots: the normal equations."""
         residual = beyond_surface(sampled[:, 0], self.axes)
         root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
-        width, number, total = basis.shape[2], len(free), root.size
+        width = basis.shape[2]
+        number = len(free)
+        total = root.size
         right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
-        matrix, force = np.zeros((number, width, number, width)), np.zeros((number, width))
+        matrix = np.zeros((number, width, number, width))
+        force = np.zeros((number, width))
         shown = np.zeros((3, number, width, total), dtype=np.float32)
         for image, shot in enumerate(self.shots):
             if shot == self.reference:

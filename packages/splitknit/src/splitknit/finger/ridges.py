@@ -74,8 +74,10 @@ def relief_print(
 
 def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> Array:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
-    across, down = (upright_size[1] - 1) / 2, (upright_size[0] - 1) / 2
-    right, bottom = step * (size[1] - 1) / 2, step * (size[0] - 1) / 2
+    across = (upright_size[1] - 1) / 2
+    down = (upright_size[0] - 1) / 2
+    right = step * (size[1] - 1) / 2
+    bottom = step * (size[0] - 1) / 2
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 

@@ -74,7 +74,8 @@ def _register_band(
     correlation (L,) of details with the expected ones with the motion undone, and as they are. `lights`: as those of
     `first`.
     """
-    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
+    around = dilate(mask, SURROUND_MM * px_per_mm)
+    skin = erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(len(stack), mask, px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         region = skin if step >= len(COARSE_MM) and skin.any() else around
@@ -132,7 +133,8 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
     normal = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
-    force, normal = normal[:-1, -1], normal[:-1, :-1]
+    force = normal[:-1, -1]
+    normal = normal[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
 
@@ -167,7 +169,8 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         registered = None
     where = "shots"
     if registered is None and capture.material == "skin" and "white_crossed" in capture.bands:
-        registered, where = register(capture, finger, still_white=True), "parallel and the crossed series"
+        registered = register(capture, finger, still_white=True)
+        where = "parallel and the crossed series"
         least = _SERIES_MM if has_colour(capture.bands["white"]) else CORRECT_MM
         helps = _helps(registered.facts["motion_white_crossed"])
         if motion.correct == "off" or registered.most_mm < least or not helps:
@@ -192,7 +195,8 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
     """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
     where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
     """
-    measured, numbers = [], []
+    measured = []
+    numbers = []
     for band in capture.bands.values():
         if band.side is not None:
             pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
@@ -289,15 +293,18 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
     reference = len(white.pixels) // 2
     flows: dict[str, Flow] = {}
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
-    before, after, left = np.zeros(1), np.zeros(1), 1.0
+    before = after = np.zeros(1)
+    left = 1.0
     flow = still(len(white.pixels), mask, px)
-    left_mm, top_mm = window[1].start / px_per_mm, window[0].start / px_per_mm
-    centre = flow.centre_mm[0] + left_mm, flow.centre_mm[1] + top_mm
+    corner_mm = window[1].start / px_per_mm, window[0].start / px_per_mm
+    centre = flow.centre_mm[0] + corner_mm[0], flow.centre_mm[1] + corner_mm[1]
     rows, columns = np.nonzero(mask)
-    middle = float(columns.mean()) / px + left_mm, float(rows.mean()) / px + top_mm
+    middle = float(columns.mean()) / px + corner_mm[0], float(rows.mean()) / px + corner_mm[1]
     if not still_white:
         found = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
-        flow, before, after = found.flow, found.before, found.after
+        flow = found.flow
+        before = found.before
+        after = found.after
         flows["white"] = replace(flow, centre_mm=centre)
         reported = _motion_facts(flows["white"], middle)
         facts["motion_white"] = reported | {"unexplained_before": _plain(before), "unexplained_after": _plain(after)}
@@ -363,16 +370,18 @@ def _helps(figures: dict[str, Any]) -> bool:
 
 
 def _check(registered: _Registered, settings: FingerSettings) -> None:
-    moved, most = registered.most_mm, settings.motion.most_mm
+    moved = registered.most_mm
+    most = settings.motion.most_mm
     remedy = f"rest the finger on its support and capture again{_SWITCH}."
     require(
         moved <= most,
         f"the finger moved by {moved:.2f} mm between the shots, and at most {most:g} mm can be undone; {remedy}",
     )
-    left, may = f"{100 * registered.after:.0f} % of their details are left over", f"{100 * MOST_LEFT:.0f} % may be"
     require(
         registered.after <= MOST_LEFT,
-        f"the shots do not fit together: {left} when the motion between them is undone, and at most {may}; {remedy}",
+        "the shots do not fit together: "
+        f"{100 * registered.after:.0f} % of their details are left over"
+        f" when the motion between them is undone, and at most {100 * MOST_LEFT:.0f} % may be; {remedy}",
     )
 
 

@@ -70,7 +70,8 @@ def _colour_factors(seen: Array, lights: Array, colour: NDArray[np.str_]) -> Arr
         factors[own] = seen[own].mean() / max(float(lights[own, 2].mean()), 1e-6)
     for _ in range(_ROUNDS):
         factors /= np.exp(np.mean(np.log(np.maximum(factors, 1e-6))))
-        model, before = factors[:, None] * lights, factors.copy()
+        model = factors[:, None] * lights
+        before = factors.copy()
         shading = lights @ (np.linalg.pinv(model) @ seen)
         for name in names:
             own = colour == name
@@ -118,7 +119,9 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     )
     chosen = [around[round(k * len(around) / count)] for k in range(count)]
     mixing = np.asarray(CROSSTALK)
-    leds, images, groups = list(capture.rig.leds), [], []
+    leds = list(capture.rig.leds)
+    images = []
+    groups = []
     for places in shared_exposures(exposures):
         shots = [chosen[place] for place in places]
         images.append(_exposure(white, capture.encoding, shots, mixing))

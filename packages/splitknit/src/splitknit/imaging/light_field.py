@@ -61,7 +61,8 @@ def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
     _, rows, columns = shape
     step = rig.camera.image_size[1] / columns / rig.camera.px_per_mm
     x, y = np.meshgrid(np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows))
-    x, y = (step * x).astype(np.float32), (step * y).astype(np.float32)
+    x = (step * x).astype(np.float32)
+    y = (step * y).astype(np.float32)
     return np.maximum(light_vectors_at(rig, x, y, np.zeros_like(x))[:, 2], 1e-3)
 
 
@@ -104,7 +105,8 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
     """Fraction of the light that reaches the places (x, y, z), of any shape."""
     if shade.apex_mm is not None:
         nearer = 1.0 - z / shade.apex_mm
-        x, y = x / nearer, y / nearer
+        x = x / nearer
+        y = y / nearer
     rows, columns = shade.fraction.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):

@@ -133,7 +133,8 @@ def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
 
 
 def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _BandPlan:
-    where, band = f"{name}: bands.{key}", spectral_band(key)
+    where = f"{name}: bands.{key}"
+    band = spectral_band(key)
     images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
     enough = count >= 3 or any(led.colour for led in rig.leds if led.band == band)
@@ -146,8 +147,10 @@ def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _
     ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
     flat = fields.flat or []
     require(len(flat) in (0, count), f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.")
-    exposures, levels = [image.exposure for image in images], [image.black_level for image in images]
-    dark_exposure, dark_level = 1.0, 0.0
+    exposures = [image.exposure for image in images]
+    levels = [image.black_level for image in images]
+    dark_exposure = 1.0
+    dark_level = 0.0
     if ambient is not None:
         dark_exposure = _ambient_value(ambient.exposure, exposures, 1.0, f"{where}.ambient", "exposure_s")
         dark_level = _ambient_value(ambient.black_level, levels, 0.0, f"{where}.ambient", "black_level")
@@ -184,7 +187,8 @@ def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], wh
     for k, group in enumerate(leds):
         require(len(set(group)) == len(group), f"{where}[{k}] names an LED twice.")
         for index in group:
-            known, named = len(rig.leds), f"{where}[{k}] names LED {index}"
+            known = len(rig.leds)
+            named = f"{where}[{k}] names LED {index}"
             require(index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
             own = rig.leds[index].band
             require(
@@ -227,7 +231,8 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     >>> splitknit.read_capture("demo/capture").rig.camera.px_per_mm  # doctest: +SKIP
     """
     document = _document(path)
-    folder, name = document.parent, str(document)
+    folder = document.parent
+    name = str(document)
     fields, _ = read_document(document, _CaptureFields)
     require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
     rig_file = inside(folder, fields.rig, name, "rig")
@@ -239,7 +244,8 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     )
     mask_file = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
     plans = _bands(fields.bands, folder, rig, name)
-    size, rig_name = rig.camera.image_size, f"{rig_file} (is the rig for another camera?)"
+    size = rig.camera.image_size
+    rig_name = f"{rig_file} (is the rig for another camera?)"
     with StackReader(threads) as reader:
         stacks = {key: reader.start(plan.files, size, rig_name) for key, plan in plans.items()}
         dark = {key: plan.ambient for key, plan in plans.items() if plan.ambient is not None}
@@ -278,7 +284,7 @@ def _flat_image(file: Path) -> NDArray[np.uint16]:
     """A photograph of a flat surface on the coarse grid, as stored."""
     pixels = read_image(file)
     scale = 65535.0 / float(np.iinfo(pixels.dtype).max)
-    return np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))).astype(np.uint16)
+    return np.asarray(np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))), dtype=np.uint16)
 
 
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
@@ -390,7 +396,8 @@ def _document(path: str | os.PathLike[str]) -> Path:
     try:
         given = Path(path)
         if given.is_dir():
-            file, hint = given / "capture.json", photographs_hint(given)
+            file = given / "capture.json"
+            hint = photographs_hint(given)
             require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json {hint}.")
             return file
         require(given.is_file(), f"{given} does not exist; name a capture folder.")
@@ -406,7 +413,8 @@ def _seen_by(rig: Rig, band: Band) -> Band:
     """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
-        name, count = band.files[k] if band.files else f"image {k}", len(set(names))
+        name = band.files[k] if band.files else f"image {k}"
+        count = len(set(names))
         require(
             band.pixels.shape[3] == 3 or count == 1,
             f"{name} is grey, but LEDs of {count} colours lit it; their light can be separated in colour images only.",
@@ -420,7 +428,8 @@ def _check_parts(capture: Capture) -> None:
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
         require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
-        shape, least = band.pixels.shape, 1 if band.colours else 3
+        shape = band.pixels.shape
+        least = 1 if band.colours else 3
         fits = len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least
         require(
             fits,

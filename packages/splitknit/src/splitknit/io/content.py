@@ -75,7 +75,9 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     scale = float(np.iinfo(band.pixels.dtype).max)
     sample = _sample(band.pixels[k])
     let_go(band.pixels)
-    black, most, name = np.float32(band.black_level[k]), int(sample.max()), _name(band, k)
+    black = np.float32(band.black_level[k])
+    most = int(sample.max())
+    name = _name(band, k)
     clips_at = ceil(_FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
@@ -124,7 +126,8 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
     mask: BoolArray = np.asarray(bright > half)
     require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
-    shown, between = bright > 0.1 * top, (bright > 0.1 * top) & (bright < 0.9 * top)
+    shown = bright > 0.1 * top
+    between = (bright > 0.1 * top) & (bright < 0.9 * top)
     part = float(between.sum()) / float(shown.sum())
     require(
         part < _GREY,

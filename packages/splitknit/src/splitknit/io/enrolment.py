@@ -97,7 +97,8 @@ class Enrolment:
     ) -> list[PlannedCapture]:
         """What is not captured yet, in its order; of one subject, session or finger of the plan where named."""
         plan = self.plan
-        people, lacking = plan.subject_ids(), f"is not in the plan of '{self.folder}'; it has"
+        people = plan.subject_ids()
+        lacking = f"is not in the plan of '{self.folder}'; it has"
         planned = subject is None or subject in people
         require(planned, f"subject '{subject}' {lacking} {people[0]} to {people[-1]}.")
         planned = session is None or 1 <= session <= plan.sessions
@@ -124,6 +125,18 @@ def open_enrolment(
     """Open an enrolment, or start one; what is not given is as planned, or as in the thesis. Raises BadInput if the
     folder holds something else, its plan is damaged, or it would shrink: what was planned may be captured.
     """
+    planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
+    file = folder / PLAN_FILE
+    if not file.is_file() or _read(file) != planned.plan:
+        names = ("format", "version", "subjects", "sessions", "fingers")
+        write_file(file, json_text({name: getattr(planned.plan, name) for name in names}).encode("ascii"))
+    return planned
+
+
+def plan_enrolment(
+    folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
+) -> Enrolment:
+    """What :func:`open_enrolment` would open; nothing is written."""
     file = folder / PLAN_FILE
     earlier = _read(file) if file.is_file() else None
     if earlier is None and folder.exists():
@@ -144,9 +157,6 @@ def open_enrolment(
             f"{len(earlier.fingers)} fingers; a plan may grow but not shrink: leave out `subjects`, `sessions` and "
             "`fingers`, or name another folder.",
         )
-    if plan != earlier:
-        names = ("format", "version", "subjects", "sessions", "fingers")
-        write_file(file, json_text({name: getattr(plan, name) for name in names}).encode("ascii"))
     return Enrolment(folder, plan)
 
 

@@ -156,12 +156,16 @@ def _pillow_header(data: bytes, name: str) -> Header:
         exif = Image.Exif()
         exif.load(info.get("exif"))
         orientation = exif.get(_ORIENTATION, 1)
-    grey, dtype, encoding = picture.mode in _GREY, np.dtype("u1"), ""
+    grey = picture.mode in _GREY
+    dtype = np.dtype("u1")
+    encoding = ""
     require(
         grey or picture.mode in _COLOUR, f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both."
     )
     if data.startswith(PNG):  # Pillow has no modes of 16 bits but grey
-        grey, dtype, encoding = data[25] in (0, 4), np.dtype("u2" if data[24] == 16 else "u1"), _encoding(info)
+        grey = data[25] in (0, 4)
+        dtype = np.dtype("u2" if data[24] == 16 else "u1")
+        encoding = _encoding(info)
     ppi = info.get("dpi")
     return Header(
         rows,
@@ -191,13 +195,16 @@ def _tiff_header(data: bytes, name: str) -> Header:
     with refusing(damaged), _QUIET:
         page: Any = tifffile.TiffFile(io.BytesIO(data)).pages.first
         orientation = page.tags.valueof(_ORIENTATION, 1)
-        rows, columns, samples = int(page.imagelength), int(page.imagewidth), int(page.samplesperpixel)
+        rows = int(page.imagelength)
+        columns = int(page.imagewidth)
+        samples = int(page.samplesperpixel)
         stored = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         counted = len(stored) == np.prod(page.chunked)
         dtype = page.dtype
         ends = max((offset + length for offset, length in stored), default=0)
         ppi = _tiff_ppi(page)
-        photometric, planes = int(page.photometric), int(page.planarconfig or 1)
+        photometric = int(page.photometric)
+        planes = int(page.planarconfig or 1)
         text = page.description[:_TEXT_BYTES]
     require(page.imagedepth == 1 and min(rows, columns) > 0, f"{name} is not a single flat image; save it as PNG.")
     known = dtype is not None and dtype.name in ("uint8", "uint16", "float32", "float64")
@@ -206,7 +213,8 @@ def _tiff_header(data: bytes, name: str) -> Header:
         f"{name} has samples of the type {dtype} ({page.bitspersample} bits)"
         "; save it as 8- or 16-bit unsigned integers.",
     )
-    grey, colour = photometric in (0, 1) and samples == 1, photometric == 2 and samples in (3, 4)
+    grey = photometric in (0, 1) and samples == 1
+    colour = photometric == 2 and samples in (3, 4)
     require(
         (grey or colour) and (samples == 1 or planes == 1),
         f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB.",
@@ -357,7 +365,8 @@ class StackReader:
         stack = large_array(shape, like.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=like.dtype)
 
         def read(k: int) -> str:
-            name, data = str(files[k]), read_bytes(files[k], MAX_BYTES)
+            name = str(files[k])
+            data = read_bytes(files[k], MAX_BYTES)
             header = read_header(data, name)
             _check_size(header, size, name, expected_by)
             require(

@@ -63,7 +63,9 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
     starts a comment; lights are places in mm where the first line is :data:`PLACES`. Decimal commas are understood
     where spaces or semicolons stand between the numbers. Raises BadInput naming the file and the line.
     """
-    name, count, places = os.fspath(path), None, False
+    name = os.fspath(path)
+    count = None
+    places = False
     rows: list[list[float]] = []
     names: list[str] = []
     for number, line in enumerate(_text_of(path).splitlines(), start=1):
@@ -102,13 +104,15 @@ def _numbers_of(words: Sequence[str]) -> tuple[list[float], str]:
     known = [_as_numbers([word]) is not None for word in words]
     first = known.index(False) if False in known else len(words)
     if first >= 3:
-        numbers, rest = words[:first], words[first:]
+        numbers = words[:first]
+        rest = words[first:]
     else:
         last = known[::-1].index(False) if False in known else first
         before = words[: len(words) - last]
         if last > 3 and not before[-1].lower().endswith(tuple(SUFFIXES)):  # a number ends the name
             last = 3
-        numbers, rest = words[len(words) - last :], words[: len(words) - last]
+        numbers = words[len(words) - last :]
+        rest = words[: len(words) - last]
     return _as_numbers(numbers) or [], re.split(r"[/\\]", " ".join(rest))[-1]
 
 

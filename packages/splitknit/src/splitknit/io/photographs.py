@@ -71,7 +71,8 @@ class PhotographOptions:
     def __post_init__(self) -> None:
         for name, rule in rules_of(type(self)):
             check_value(f"`{name}`", rule, getattr(self, name))
-        tip, size = self.tip_direction_deg, self.max_megapixels
+        tip = self.tip_direction_deg
+        size = self.max_megapixels
         require(
             tip is None or abs(tip) <= 360.0,
             "`tip_direction_deg` must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",

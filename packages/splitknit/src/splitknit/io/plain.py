@@ -107,8 +107,10 @@ def capture_from_photographs(
             options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN),
             f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list.",
         )
-        leds, origin = tuple(replace(led, intensity=1.0) for led in rig.leds), {"intensities": options.brightness}
-        rig, colours = replace(rig, leds=leds, provenance={**rig.provenance, **origin}), None
+        leds = tuple(replace(led, intensity=1.0) for led in rig.leds)
+        origin = {"intensities": options.brightness}
+        rig = replace(rig, leds=leds, provenance={**rig.provenance, **origin})
+        colours = None
     named = (options.mask, options.background_image, table)
     own = [Path(os.path.realpath(value)) for value in named if value is not None]
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
@@ -119,9 +121,12 @@ def capture_from_photographs(
         rig = _unknown_rig(len(found))
     if len(found) == 1 and len(rig.leds) == 3:  # three coloured lights at once: its channels are the photographs
         found = found * 3
-    holds, ends = f"{root} holds {len(found)} photographs", f"({found[0].name} to {found[-1].name})"
+    holds = f"{root} holds {len(found)} photographs"
     remedy = "let each of its lines begin with the name of a photograph."
-    require(len(found) == len(rig.leds), f"{holds} {ends}, but {table} has {len(rig.leds)} lights{left_out}; {remedy}")
+    require(
+        len(found) == len(rig.leds),
+        f"{holds} ({found[0].name} to {found[-1].name}), but {table} has {len(rig.leds)} lights{left_out}; {remedy}",
+    )
     crossed: list[Path] = []
     if options.crossed is not None:
         second = Path(options.crossed)
@@ -155,13 +160,15 @@ def capture_from_photographs(
 
 def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs:
     """One capture of both bands; the mask is that of the white photographs."""
-    one, other = white.capture, nir.capture
+    one = white.capture
+    other = nir.capture
     ours, theirs = (f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (one, other))
     require(
         ours == theirs,
         f"the photographs of {folder} are of {theirs}, and the white ones of {ours}; both must agree (`encoding`).",
     )
-    count, band = len(one.rig.leds), other.bands["white"]
+    count = len(one.rig.leds)
+    band = other.bands["white"]
     leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
     band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
     hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
@@ -196,7 +203,8 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
     if table.suffix.lower() == ".json":
         return table, _of_band(read_rig(table), os.fspath(table)), (), None
     found = read_light_list(table)
-    rig, bright = _distant_rig(check_lights(found.lights), table if found.places else None), found.intensities
+    rig = _distant_rig(check_lights(found.lights), table if found.places else None)
+    bright = found.intensities
     beside = next((one / _INTENSITIES for one in (table.parent, root) if (one / _INTENSITIES).is_file()), None)
     if bright is None and beside is not None:
         bright = read_intensities(beside, len(rig.leds))
@@ -243,7 +251,8 @@ def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Ri
 def spread_lights(count: int) -> NDArray[np.float64]:
     """(L, 3) directions that all differ, in place of unknown ones."""
     k = np.arange(count)
-    slant, azimuth = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count), np.pi * (3.0 - np.sqrt(5.0)) * k
+    slant = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count)
+    azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
     return np.column_stack([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
 
 
@@ -279,7 +288,8 @@ def photographs_in(
 
 def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """Photographs of a folder, photo_2 before photo_10, and what else is there; `own` are named otherwise."""
-    found, skipped = [], []
+    found = []
+    skipped = []
     if folder != _home(folder):
         return [folder] if folder.is_file() else _of_pattern(folder), []
     try:
@@ -335,7 +345,8 @@ def capture_of_arrays(
     """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images` takes them."""
     with refusing("`images` must be one array, or arrays of one shape."):
         stack = np.asarray(images)
-    shape, kind = stack.shape, stack.dtype
+    shape = stack.shape
+    kind = stack.dtype
     require(
         stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0,
         f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}.",
@@ -355,7 +366,8 @@ def capture_of_arrays(
         require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
         rig = _as_bright(rig, bright)
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
-    encoding, why = "linear", "was assumed"
+    encoding = "linear"
+    why = "was assumed"
     if kind == np.uint8:
         step = max(1, math.isqrt(stack[0, ..., 0].size // _ASKED_PIXELS))
         codes = stack[:, ::step, ::step, shape[-1] // 2 if stack.ndim == 4 and stack.shape[3] == 3 else 0]
@@ -363,7 +375,8 @@ def capture_of_arrays(
         if lights is not None:
             codes = codes.reshape(len(stack), -1) / np.float32(255.0)
             curved = shading_is_srgb(codes, rig.light_vectors(), known=not rig.intensities_assumed)
-        encoding, why = "linear" if curved is False else "srgb", "was assumed" if curved is None else "fits the shading"
+        encoding = "linear" if curved is False else "srgb"
+        why = "was assumed" if curved is None else "fits the shading"
     pixels, _, _ = _as_integers(stack, None, 0.0)
     count = len(pixels)
     coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
@@ -421,7 +434,8 @@ def _assembled(
     inside, how = _inside(options.mask, reading, hashes)
     notes += [how] if how else []
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
-    count, series = len(files), len(stack) // len(files)
+    count = len(files)
+    series = len(stack) // len(files)
     flat, hashes = _flat_of(options, count, encoding, hashes)
     pixels, ambient, black = _as_integers(stack, ambient, black)
     notes += reading.notes()
@@ -514,7 +528,8 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")
-    light, hashes = [], {}
+    light = []
+    hashes = {}
     for file in files:
         photo = read_photo(file)
         require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
@@ -537,7 +552,9 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
 
 def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
     """The rig's camera, or one of the scale that was given, for the photographs as they were read."""
-    size, factor, small = reading.shape[:2], reading.factor, reading.small
+    size = reading.shape[:2]
+    factor = reading.factor
+    small = reading.small
     if camera is not _NO_CAMERA:
         rows, columns = camera.image_size
         require(
@@ -626,16 +643,18 @@ class _Reading:
         photo = read_photo(file, room=room)
         if self.options.mosaic is None:
             return [photo]
-        colour, film_deg = self.options.mosaic == "colour", self.options.film_deg
+        colour = self.options.mosaic == "colour"
+        film_deg = self.options.film_deg
         halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
         return [replace(photo, pixels=half) for half in halves]
 
     def notes(self) -> list[str]:
         """That photographs were reduced, where they were."""
-        side, left = f"{self.factor:g}", f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
+        side = f"{self.factor:g}"
         return (
             [
-                f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
+                f"the photographs of {self.megapixels:.3g} megapixels were reduced to "
+                f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
                 f", by means over {side} x {side} pixels."
             ]
             if self.factor > 1
@@ -667,7 +686,8 @@ class _Reading:
 
     def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
-        first, hashes = self.first, {}
+        first = self.first
+        hashes = {}
         shape = (self.series * len(self.files), *self.small, self.shape[2])
         require(
             math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
@@ -717,7 +737,8 @@ def _of_white_light(
     factors = (colours.min() / colours).astype(np.float32)
     if stack.dtype.kind == "f":
         return np.asarray(stack * factors[:, None, None])
-    balanced, full = large_array(stack.shape, np.dtype(np.uint16)), np.iinfo(stack.dtype).max
+    balanced = large_array(stack.shape, np.dtype(np.uint16))
+    full = np.iinfo(stack.dtype).max
     for k, image in enumerate(stack):
         light = linear_image(image, encoding) * factors[k]
         balanced[k] = np.where(image == full, 65535, np.rint(65535.0 * light)).astype(np.uint16)

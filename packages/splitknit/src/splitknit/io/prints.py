@@ -84,8 +84,10 @@ def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | N
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
-    data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
-    pixels, header = decode_image(data, name), read_header(data, name)
+    data = read_bytes(path, MAX_BYTES)
+    name = os.fspath(path)
+    pixels = decode_image(data, name)
+    header = read_header(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
     ppi = None if header.ppi is None else header.ppi[0]
     return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), ppi, dict(header.text))
@@ -106,7 +108,8 @@ def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8
     head = data[start + 8 : start + 43]
     require(start >= 0 and len(head) == 35, f"{name} is not a JPEG 2000 image, or truncated; copy it again.")
     right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
-    rows, columns = down - up, right - left
+    rows = down - up
+    columns = right - left
     require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")
     require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
     image = decoded(data, name)
@@ -125,7 +128,8 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     large = f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of prints; reduce it."
     require(rows * columns <= _MAX_PIXELS, large)
     header = read_header(data, name)
-    stated, text = header.ppi, _texts(header.text[""]) if "" in header.text else dict(header.text)
+    stated = header.ppi
+    text = _texts(header.text[""]) if "" in header.text else dict(header.text)
     grey = _grey(photo.pixels, name)
     if stated is None or abs(stated[0] - stated[1]) <= 0.01 * stated[0]:
         return PrintFile(grey, None if stated is None else stated[0], text)

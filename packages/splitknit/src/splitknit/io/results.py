@@ -177,9 +177,11 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
     x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
     y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
     for band in bands(valid.shape):
-        here, part = valid[band], (slice(rows.start + band.start, rows.start + band.stop), columns)
+        here = valid[band]
+        part = (slice(rows.start + band.start, rows.start + band.stop), columns)
         if result.x_mm is not None and result.y_mm is not None:
-            x, places_y = result.x_mm[part], result.y_mm[part]
+            x = result.x_mm[part]
+            places_y = result.y_mm[part]
         else:
             places_y = y[part[0]]
         places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
@@ -248,7 +250,9 @@ def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: F
     """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
-    shown, inside, into = (result.normals if normals is None else normals)[box], result.mask[box], picture[box]
+    shown = (result.normals if normals is None else normals)[box]
+    inside = result.mask[box]
+    into = picture[box]
     for band in bands(inside.shape):
         cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
     write_picture(path, picture, origin)

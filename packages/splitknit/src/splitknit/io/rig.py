@@ -104,7 +104,9 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
     """The document of :func:`rig_from_json`. Raises BadInput if LEDs are grouped (`also`), as by :meth:`Rig.select`."""
-    camera, distortion, leds = rig.camera, rig.camera.distortion, list[JsonValue]()
+    camera = rig.camera
+    distortion = rig.camera.distortion
+    leds = list[JsonValue]()
     if camera.model == "perspective" and distortion is None:
         distortion = (0.0,) * 5  # the file must say so
     for index, led in enumerate(rig.leds):

@@ -123,7 +123,8 @@ def _contact_sheet(capture: Capture) -> Picture:
     sheet = np.full((-(-len(images) // across) * size[1], across * width, 3), 255, dtype=np.uint8)
     for number, image in enumerate(images):
         level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(np.iinfo(image.dtype).max)
-        top, left = number // across * size[1], number % across * width
+        top = number // across * size[1]
+        left = number % across * width
         sheet[top : top + size[1], left : left + width] = np.round(255 * level.reshape(*size[::-1], -1) ** gamma)
     named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
     return captioned(
