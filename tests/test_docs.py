@@ -74,9 +74,10 @@ def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
         assert "http" not in (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
-def test_settings_page_is_current() -> None:
+def test_generated_pages_are_current() -> None:
     script = runpy.run_path(str(ROOT / "tools" / "make_settings_page.py"))
-    assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), "run tools/make_settings_page.py"
+    for name, make in script["PAGES"].items():
+        assert (script["REFERENCE"] / name).read_text(encoding="utf-8") == make(), "run tools/make_settings_page.py"
 
 
 def test_verbs_of_the_readme_exist() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
 from splitknit.errors import BadInput, naming, require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs, Lights
 
 if TYPE_CHECKING:
@@ -77,10 +78,9 @@ crossed, mosaic, film_deg, flat, nir : optional
     return capture
 
 
-def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[str]]:
+def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
     from splitknit.io.plain import capture_from_photographs
-    from splitknit.model import UNKNOWN_SCALE
     from splitknit.photometric.frames import rig_of_frame
     from splitknit.photometric.uncalibrated import with_estimated_lights
     from splitknit.pipeline import with_scale
@@ -92,8 +92,9 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[str]]:
     if photographs.light_frame is not None:
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
     scaled, note = naming(images, lambda: with_scale(capture, None, period_mm))
-    kept = [text for text in read.notes if text != UNKNOWN_SCALE or not scaled.rig.camera.scale_known]
-    return scaled, [*kept, *([note] if note else [])]
+    known = scaled.rig.camera.scale_known
+    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
+    return scaled, [*kept, *([Finding("scale-of-ridges", note)] if note else [])]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +109,12 @@ class Reconstructed:
         result, out = facts["result"], facts["out"]
         known = result["scale_known"]
         measured = f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
-        spoilt = facts["facts"].get("spoilt", 0)
+        findings = facts["findings"]
         lines = [
-            *(f"The surface is spoilt: {warning}" for warning in facts["warnings"][:spoilt]),
+            *(f"The surface is spoilt: {each['message']}" for each in findings if each["severity"] != "note"),
             f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
             f"Written to {out}: {', '.join(facts['files'])}.",
-            *(f"Please note: {warning}" for warning in facts["warnings"][spoilt:]),
+            *(f"Please note: {each['message']}" for each in findings if each["severity"] == "note"),
         ]
         for preset, figure in facts["comparison"].items():
             rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"
@@ -214,11 +215,11 @@ def reconstruct_to_folder(
             )
             if device_used != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device_used})
-            said = [note for note in notes if not any(note in warning for warning in result.warnings)]
-            timings, spoilt = {"reading": read_s, **result.timings_s}, result.facts.get("spoilt", 0)
-            require(not (strict and spoilt), f"{result.warnings[0].rstrip('.') if spoilt else ''} (`strict`).")
-            warnings = (*result.warnings[:spoilt], *said, *result.warnings[spoilt:])
-            result = replace(result, timings_s=timings, warnings=warnings)
+            findings = worst_first((*notes, *result.findings))
+            doubted = [str(each).rstrip(".") for each in findings if each.severity != Severity.NOTE]
+            require(not (strict and doubted), f"{doubted[0] if doubted else ''} (`strict`).")
+            timings = {"reading": read_s, **result.timings_s}
+            result = replace(result, timings_s=timings, findings=findings)
             progress("writing", 0.8)
             truth = read_truth(shown) if shown.truth is not None and shown.rig.camera.scale_known else None
             facts = write_files(result, shown, target, truth)
@@ -231,7 +232,7 @@ def reconstruct_to_folder(
 
 def _read(
     capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
-) -> tuple[Capture, list[str]]:
+) -> tuple[Capture, list[Finding]]:
     """The capture, with what was given in place of its own, and notes on it."""
     from splitknit.io.capture import read_capture, with_rig
     from splitknit.photometric.frames import rig_of_frame
@@ -252,7 +253,7 @@ def _read(
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
     scaled = partial(with_scale, capture, photographs.px_per_mm, photographs.ridge_period_mm)
     capture, note = naming(capture_folder, scaled)
-    return capture, [note] if note else []
+    return capture, [Finding("scale-of-ridges", note)] if note else []
 
 
 def _with_small_images(capture: Capture) -> Capture:

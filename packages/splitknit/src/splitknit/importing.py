@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from splitknit.arguments import AnyPath, Progress, Report, silent
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.folders import capture_of
 from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs
 from splitknit.registry import GONE, IMPORTS, MATCH, extension
@@ -113,7 +114,7 @@ def _import_fingers(
     names = fingers if fingers in ("auto", "left", "right") else fingers.split(",")
     progress("reading", 0.1)
     if isinstance(source, Path):
-        capture, notes, folder = read_capture(source), list[str](), source
+        capture, notes, folder = read_capture(source), list[Finding](), source
     else:
         assert source.images is not None
         folder = Path(source.images)
@@ -126,7 +127,7 @@ def _import_fingers(
         write_capture(part, place, overwrite=overwrite)
     sizes = {place.name: list(part.shape) for place, part in captures.items()}
     return Report(
-        {"out": str(out), "fingers": sizes, "notes": notes},
+        {"out": str(out), "fingers": sizes, "notes": [str(note) for note in notes]},
         (
             *(f"{part.shape[1]} x {part.shape[0]} pixels written to {place}." for place, part in captures.items()),
             *(f"Please note: {note}" for note in notes),
@@ -150,7 +151,7 @@ def _import_photographs(photographs: GivenPhotographs, out: Path, *, overwrite: 
     return _report_on(capture, notes, out)
 
 
-def _report_on(capture: Capture, notes: Sequence[str], out: Path) -> Report:
+def _report_on(capture: Capture, notes: Sequence[Finding], out: Path) -> Report:
     band, camera = capture.bands["white"], capture.rig.camera
     images, rows, columns, channels = band.pixels.shape
     nir = len(capture.bands["nir"].leds) if "nir" in capture.bands else 0
@@ -165,7 +166,7 @@ def _report_on(capture: Capture, notes: Sequence[str], out: Path) -> Report:
         "material": capture.material,
         "px_per_mm": camera.px_per_mm if camera.scale_known else None,
         "mask": capture.mask is not None,
-        "notes": list(notes),
+        "notes": [str(note) for note in notes],
         "nir": nir,
     }
     kind = "colour" if channels == 3 else "grey"

@@ -166,7 +166,7 @@ def source_of_photo(
         note = " ".join(
             [
                 f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
-                *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale"),
+                *map(str, FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")),
             ]
         )
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."

@@ -130,7 +130,7 @@ def _assembled(
     if poses:
         height = mean_pose(list(poses.values()), _focal_px(camera)).height_mm
         remedy = "check the side of the board's squares (`square_mm`)"
-        warnings += CAMERA_HEIGHT.notes(height, remedy)
+        warnings += map(str, CAMERA_HEIGHT.notes(height, remedy))
         if base is not None and not 0.6 < height / old.height_mm < 1.6:
             warnings.append(f"the camera is {height:.0f} mm high, by {rig_name} {old.height_mm:.0f} mm: {remedy}.")
     return replace(camera, height_mm=height, px_per_mm=_focal_px(camera) / height), poses, warnings
