@@ -175,18 +175,13 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
         count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
     except BadInput:
         return ()
-    return (
-        (
-            Finding(
-                "several-fingers",
-                f"the view shows {count} fingers, of which one is reconstructed: "
-                "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'.",
-                Severity.DOUBT,
-            ),
-        )
-        if count > 1
-        else ()
+    if count < 2:
+        return ()
+    several = (
+        f"the view shows {count} fingers, of which one is reconstructed: "
+        "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'."
     )
+    return (Finding("several-fingers", several, Severity.DOUBT),)
 
 
 def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:

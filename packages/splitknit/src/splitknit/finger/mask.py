@@ -223,7 +223,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
     Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
     3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
     """
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     fine_scale = reduction((height, width), px_per_mm, _FINE_PX_PER_MM, 1200)
     fine = reduce_image(image, fine_scale)
@@ -332,21 +332,15 @@ class NoFinger(BadInput):
     """Nothing in the images stands out as a finger does."""
 
 
-def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
-    """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
-    image = mean_image
-    flat = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
-    require(flat, f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
+def _checked(image: FloatArray) -> FloatArray:
+    """The image (H, W) or (H, W, 3) as float32; BadInput if it is too small to show a finger."""
     rows, columns = image.shape[:2]
     require(
         min(rows, columns) >= 16,
         f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for"
         ", and 16 each way are needed; check the rig's px_per_mm, or take larger images.",
     )
-    image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
-    require(np.isfinite(image).all(), "the mean image contains NaN or infinite values.")
-    return image
+    return np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
 
 
 def _tidy(part: BoolArray) -> BoolArray:
@@ -453,7 +447,7 @@ FEW_SAMPLES = 2000
 
 def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Roughly where the finger is, to a pixel of the coarse copy: the first step of :func:`finger_mask`, which see."""
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     scale = reduction((height, width), px_per_mm, _ROUGH_PX_PER_MM, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
@@ -467,7 +461,7 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     :func:`finger_mask`. `mean_image`: three times ``edge_margin_mm`` of background around it. BadInput if nothing
     stands out.
     """
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     require(rough.any(), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, _OUTLINE_PX_PER_MM, 1200)
@@ -483,7 +477,7 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     """Roughly where several fingers are between which the background shows: a mask (H, W) each, by the clusters of
     :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least. Raises BadInput if there is none.
     """
-    image = blur(_check_image(mean_image, px_per_mm), 0.5 * BLUR_MM * px_per_mm)
+    image = blur(_checked(mean_image), 0.5 * BLUR_MM * px_per_mm)
     weights = _colour_filter(image)
     radius = 0.5 * _MIN_WIDTH_MM * px_per_mm
 

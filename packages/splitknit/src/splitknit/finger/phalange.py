@@ -6,7 +6,7 @@ cut itself is a straight line on the full grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -61,8 +61,6 @@ class Crease:
     """Row in the upright frame (full resolution) at the finger's middle; NaN if not found."""
     line: tuple[tuple[float, float], tuple[float, float]] | None
     """Two ends of the crease, (column, row) in the input."""
-    candidates: tuple[_Valley, ...] = field(default=())
-    """All transverse valleys that were seen, from the tip down."""
     verdict: Finding = NOT_SOUGHT
     """What was decided, and why."""
 
@@ -91,8 +89,8 @@ def find_crease(
     length_mm = (upright.size[0] - tip_row) / px_per_mm
     chosen, verdict = _judge(at_full_scale, width_mm, length_mm)
     if chosen is None:
-        return Crease(False, float("nan"), float("nan"), None, at_full_scale, verdict)
-    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), at_full_scale, verdict)
+        return Crease(False, float("nan"), float("nan"), None, verdict)
+    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), verdict)
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:

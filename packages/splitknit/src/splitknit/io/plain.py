@@ -262,9 +262,9 @@ def _unknown_rig(count: int) -> Rig:
     return replace(rig, provenance={**rig.provenance, "lights": UNKNOWN})
 
 
-def some_of(names: Sequence[str], most: int = 8) -> str:
+def some_of(names: Sequence[str]) -> str:
     """The first of many names, and how many more there are."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def photographs_in(

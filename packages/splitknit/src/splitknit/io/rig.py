@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -51,13 +51,24 @@ class _LedFields(Struct):
     colour: str = ""
 
 
+_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
+
+
+class _FilmsFields(Struct):
+    leds: tuple[int, ...]
+    leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
+    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
+    shift_px: tuple[_Number, _Number] = (0.0, 0.0)
+    scale: Annotated[float, Meta(ge=0.9, le=1.1)] = 1.0
+
+
 class _RigFields(Struct):
     format: Annotated[str, Meta(pattern="^(splitknit-rig)$")]
     version: Version1
     camera: _CameraFields
     leds: Annotated[list[_LedFields], Meta(min_length=1, max_length=10_000)]
     mirrors: tuple[Mirror, ...] = ()
-    films: Films | None = None
+    films: _FilmsFields | None = None
     provenance: dict[str, Any] | None = None
 
 
@@ -155,12 +166,11 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     fields = converted(document, _RigFields, name)
     camera = naming(name, partial(_camera, fields.camera))
     leds = tuple(naming(f"{name}: leds[{k}]", partial(_led, led)) for k, led in enumerate(fields.leds))
-    if fields.films is not None:
-        _check_films(fields.films, len(leds), f"{name}: films")
-    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, fields.films))
+    films = None if fields.films is None else _films(fields.films, len(leds), f"{name}: films")
+    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, films))
 
 
-def _check_films(films: Films, count: int, where: str) -> None:
+def _films(films: _FilmsFields, count: int, where: str) -> Films:
     leds = len(films.leds)
     different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
     require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
@@ -168,10 +178,7 @@ def _check_films(films: Films, count: int, where: str) -> None:
         len(films.leak) == len(films.brightness) == leds,
         f"{where} must have a leak and a brightness for each of the {leds} LEDs.",
     )
-    require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
-    bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
-    require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")
-    require(0.9 <= films.scale <= 1.1, f"{where}.scale must be a number from 0.9 to 1.1.")
+    return Films(**fields_of(films))
 
 
 def _camera(fields: _CameraFields) -> Camera:
@@ -227,5 +234,4 @@ def _led(fields: _LedFields) -> Led:
         ", or use position_mm for a place in mm.",
     )
     require(z > 0, f"direction points away from the camera's side (z = {z:g}); it must point towards the light.")
-    fields.direction = (x, y, z) if abs(length - 1.0) <= 1e-9 else (x / length, y / length, z / length)
-    return Led(**fields_of(fields))
+    return led if abs(length - 1.0) <= 1e-9 else replace(led, direction=(x / length, y / length, z / length))
