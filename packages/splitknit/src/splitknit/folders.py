@@ -87,7 +87,7 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
 
     images, period_mm = photographs.images, photographs.ridge_period_mm
     assert images is not None
-    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs, _LOG.warning)
+    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs)
     capture = naming(images, lambda: with_estimated_lights(read.capture))
     if photographs.light_frame is not None:
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))

@@ -334,10 +334,6 @@ def _export_lines(facts: Mapping[str, Any]) -> list[str]:
     lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
     if "vertices" in files[0]:
         lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
-    if "relief_roughness" in files[0]:
-        rough = files[0]["relief_roughness"]
-        heights = f"Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um"
-        lines.append(f"Relief: {heights}, Sdr {rough['Sdr_percent']:.1f} %.")
     lines += [f"Please note: {file['file']}: {file['note']}" for file in files if "note" in file]
     failed = facts["failures_to_acquire"]
     if failed:
