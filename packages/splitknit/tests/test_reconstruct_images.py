@@ -6,8 +6,8 @@ import pytest
 
 import splitknit
 from rough_dome import scene, spoilt
+from splitknit.diagnosis.masks import INVERTED
 from splitknit.errors import BadInput
-from splitknit.methods.photographs import INVERTED
 
 KINDS = {
     "uint8": lambda stack: np.rint(stack * 255).astype(np.uint8),

@@ -9,7 +9,7 @@ import numpy as np
 from splitknit.errors import BadInput, require
 from splitknit.findings import Finding, Severity
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
-from splitknit.methods.photographs import FingerPhotographs, locate_finger, placed
+from splitknit.methods.photographs import diagnosed, placed, prepared
 from splitknit.methods.thesis import thesis_surface
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 from splitknit.plausible import DEPTH, LED_DISTANCE, OBJECT_VIEW, RIDGE_PERIOD, VIEW
@@ -84,8 +84,7 @@ def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> t
 def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
     plain = PRESETS["ea"]
-    capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
-    photographs = FingerPhotographs(capture, thing, (capture.bands["white"],))
+    photographs = diagnosed(prepared(replace(capture, material="opaque"), plain), plain)
     result = placed(photographs, thesis_surface(photographs, plain), plain.top_mm)
     return result.normals, result.mask
 

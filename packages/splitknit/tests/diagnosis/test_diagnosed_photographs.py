@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rough_dome import scene, spoilt
+from splitknit.diagnosis.gains import light_gains
+from splitknit.diagnosis.photographs import faulty_photographs
 from splitknit.errors import BadInput
-from splitknit.photometric.checks import faulty_photographs, light_gains
 
 
 def test_sound_photographs_have_no_fault():

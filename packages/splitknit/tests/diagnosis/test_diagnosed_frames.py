@@ -8,16 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.photometric.frames import (
+from splitknit.diagnosis.frames import (
     FRAMES,
     SPOILT_DEG,
     doubt_of_lights,
     fit_lights,
     rig_of_frame,
-    spoils_skin,
 )
+from splitknit.errors import BadInput
+from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import reconstruct
 
 SHAPE = (120, 100)
@@ -144,7 +143,7 @@ def test_unequal_brightness_is_no_other_order(egg):
         assert fit.order == tuple(range(9))
         assert np.allclose(fit.brightness, gains / gains.mean(), rtol=0.02)
         words = str(doubt_of_lights(fit))
-        assert "not as bright as is stated" in words and spoils_skin(fit) == (fit.turned_deg > SPOILT_DEG)
+        assert "not as bright as is stated" in words and fit.spoils_skin == (fit.turned_deg > SPOILT_DEG)
 
 
 @pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])
