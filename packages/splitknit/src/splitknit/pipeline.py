@@ -12,11 +12,12 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from splitknit import steps
+from splitknit.diagnosis.size import doubt_of_size
 from splitknit.errors import require
 from splitknit.findings import Finding, refuse, worst_first
 from splitknit.methods import METHODS, method_for
 from splitknit.methods.photographs import diagnosed, mirror_views, on_mirror_shape, placed, prepared
-from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
+from splitknit.methods.scale import with_scale, with_working_scale
 from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
 from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP

@@ -83,11 +83,10 @@ def test_a_reconstruction_warns_and_names_the_frame(egg):
     band = Band("white", pixels, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
     rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")))
     capture = Capture(rig, {"white": band}, material="opaque", mask=inside)
-    warned = [text for text in reconstruct(capture, "ea").warnings if "`light_frame`" in text]
-    assert len(warned) == 1
-    assert "`light_frame` right-down" in warned[0]
+    (order,) = (finding for finding in reconstruct(capture, "ea").findings if finding.code == "light-order")
+    assert "`light_frame` right-down" in str(order)
     mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
-    assert not [text for text in reconstruct(mended, "ea").warnings if "`light_frame`" in text]
+    assert not [finding for finding in reconstruct(mended, "ea").findings if finding.code.startswith("light-")]
 
 
 def around(count: int, *, uneven: bool) -> np.ndarray:

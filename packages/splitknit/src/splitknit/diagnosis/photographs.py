@@ -8,7 +8,7 @@ them a size in pixels. The photograph that such a fault explains best is left ou
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import cv2
@@ -75,7 +75,7 @@ class PhotographFault:
     size: float
     """Pixels of the given stack (of a blur its sigma); of exposures and ``unlike`` a fraction."""
     effect_deg: float
-    """By how much the photograph turns the normals, median."""
+    """By how much the photograph turns the normals, median; 0 of clipped values, which are not used."""
 
 
 def light_left(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> float:
@@ -120,7 +120,7 @@ def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any 
     scaled = _Compared(images, vectors * gains[:, None], inside, levels)
     kept, faults = list(range(len(images))), []
     for k in np.flatnonzero(clipped > _CLIPPED).tolist():
-        faults.append(PhotographFault(k, "overexposed", float(clipped[k]), scaled.turned_by_clipping(k)))
+        faults.append(PhotographFault(k, "overexposed", float(clipped[k]), 0.0))
     dim = gains / np.median(gains)
     for k in np.flatnonzero(dim < _FAINT).tolist():
         if len(kept) > LEAST:
@@ -180,22 +180,6 @@ class _Compared:
             return 0.0
         without = self.g[:, good] - self.pull[at][:, good] * self.apart[at, good]
         return _angle(self.g[:, good], without)
-
-    def turned_by_clipping(self, k: int) -> float:
-        """Median angle by which the clipped values of photograph k turn the normals where they are."""
-        images, clipped = self.images, (self.images[k] >= self.ceilings[k]) & self.inside
-        light = np.minimum(images[:, clipped], self.ceilings[:, None])
-        vectors = self.lights.astype(np.float32)
-        weights = [lit_values(images[:, clipped], vectors, self.ceilings).astype(np.float32), np.ones_like(light)]
-        determined = weights[0].sum(axis=0) >= LEAST - 1
-        if not determined.any():
-            return float("nan")
-        light, weights = light[:, determined], [one[:, determined] for one in weights]
-        both = [
-            back_substitute(factorise(moment_matrix(vectors, one)), moment_vector(light, vectors, one))
-            for one in weights
-        ]
-        return _angle(*both)
 
     def worst(self) -> PhotographFault | None:
         """The photograph that fits least, if any does not fit."""
@@ -321,7 +305,8 @@ def left_out(
     levels = saturation_levels(band, capture.encoding)
     lights = capture.rig.select(band.lights).light_vectors()
     faults = faulty_photographs(stack, lights, inside, levels)
-    notes = [_fault_finding(band.image_names[fault.photograph], fault, binning) for fault in faults]
+    turned = "it was left out, and would have turned the normals by {:.2g} deg (median)"
+    notes = [_fault_finding(band, fault, binning, turned) for fault in faults]
     clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
     if clipped.mean() > _FEW_CLIPPED:
         notes.append(Finding("overexposed-surface", OVEREXPOSED.format(100 * clipped.mean())))
@@ -329,28 +314,6 @@ def left_out(
     out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
     kept = [k for k in range(len(stack)) if k not in out]
     return band.of_images(kept) if out else band, notes, facts
-
-
-def _fault_finding(name: str, fault: PhotographFault, binning: int) -> Finding:
-    """That a photograph was not used, or not all of it."""
-    turned = f"turned the normals by {fault.effect_deg:.2g} deg (median)"
-    px, percent = f"{binning * fault.size:.2g} px", f"{100 * fault.size:.2g} %"
-    known = not np.isnan(fault.effect_deg)
-    if fault.kind == "overexposed":
-        effect = f"; used, they would have {turned} there" if known else ""
-        clipped = f"{name} is overexposed: {percent} of the surface is clipped"
-        words = f"{clipped}. The clipped values are not used{effect}."
-    else:
-        what = {
-            "moved": f"is shifted by {px} against the others",
-            "blurred": f"is blurred by {px} (sigma) against the others",
-            "double": f"shows everything twice, {px} apart",
-            "underexposed": f"has {percent} of the others' light",
-            "unlike": f"does not fit the others: it is {percent} off what they predict",
-        }[fault.kind]
-        words = f"{name} {what}. It was left out; it would have {turned}."
-    effect_deg = fault.effect_deg if known else None
-    return Finding(f"{fault.kind}-photograph", words, files=(name,), effect_deg=effect_deg)
 
 
 def faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding | None:
@@ -362,13 +325,21 @@ def faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding |
     if not bad:
         return None
     fault = max(bad, key=lambda each: each.effect_deg)
-    how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
-    turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
+    finding = _fault_finding(band, fault, some[0].step, "it turns the surface by {:.1f} deg (median); capture it again")
+    return replace(finding, severity=Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT)
+
+
+def _fault_finding(band: Band, fault: PhotographFault, binning: int, effect: str) -> Finding:
+    """What is wrong with a photograph, and its `effect`."""
     name = band.image_names[fault.photograph]
-    return Finding(
-        f"{fault.kind}-photograph",
-        f"{name} does not fit the other photographs ({how}): {turns}; capture it again.",
-        Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT,
-        files=(name,),
-        effect_deg=fault.effect_deg,
-    )
+    px, percent = f"{binning * fault.size:.2g} px", f"{100 * fault.size:.2g} %"
+    what = {
+        "overexposed": f"is overexposed: {percent} of the surface is clipped, which is not used",
+        "moved": f"is shifted by {px} against the others",
+        "blurred": f"is blurred by {px} (sigma) against the others",
+        "double": f"shows everything twice, {px} apart",
+        "underexposed": f"has {percent} of the others' light",
+        "unlike": f"does not fit the others: it is {percent} off what they predict",
+    }[fault.kind]
+    words = f"{name} {what}" if fault.kind == "overexposed" else f"{name} {what}; {effect.format(fault.effect_deg)}"
+    return Finding(f"{fault.kind}-photograph", f"{words}.", files=(name,), effect_deg=fault.effect_deg or None)
