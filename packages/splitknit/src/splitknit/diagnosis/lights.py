@@ -215,5 +215,5 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
     if not wrong:
         return None
     sure = abs(np.log(places.height)) > _SURE_HEIGHT or away_mm > _SURE_SHIFT_MM
-    words = f"{'; '.join(wrong)}: measure position_mm, or calibrate the lights."
-    return Finding("led-places", words, Severity.DOUBT if sure else Severity.NOTE)
+    sentence = f"{'; '.join(wrong)}: measure position_mm, or calibrate the lights."
+    return Finding("led-places", sentence, Severity.DOUBT if sure else Severity.NOTE)
