@@ -80,8 +80,8 @@ crossed, mosaic, film_deg, flat, nir : optional
 
 def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
+    from splitknit.diagnosis.frames import rig_of_frame
     from splitknit.io.plain import capture_from_photographs
-    from splitknit.photometric.frames import rig_of_frame
     from splitknit.photometric.uncalibrated import with_estimated_lights
     from splitknit.pipeline import with_scale
 
@@ -234,8 +234,8 @@ def _read(
     capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
 ) -> tuple[Capture, list[Finding]]:
     """The capture, with what was given in place of its own, and notes on it."""
+    from splitknit.diagnosis.frames import rig_of_frame
     from splitknit.io.capture import read_capture, with_rig
-    from splitknit.photometric.frames import rig_of_frame
     from splitknit.pipeline import with_scale
 
     rig = None if rig_file is None else Path(rig_file)

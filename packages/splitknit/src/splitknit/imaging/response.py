@@ -102,7 +102,7 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
-    """(L,) brightness of the lights, as :func:`splitknit.photometric.checks.light_gains` finds it, in one step."""
+    """(L,) brightness of the lights, as :func:`splitknit.diagnosis.gains.light_gains` finds it, in one step."""
     inverse = np.linalg.inv(np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3))
     own = weights * light
     each = 1.0 / np.maximum((weights * light**2).sum(axis=0), 1e-12)
