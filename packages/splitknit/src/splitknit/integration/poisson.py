@@ -66,7 +66,9 @@ def _edge_weights(trust: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, down
 
 
-def _predicted_differences(slope_x: FloatArray, slope_y: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _predicted_differences(
+    slope_x: FloatArray, slope_y: FloatArray, trust: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Integral of the slopes (y up) along every edge, by the trapezoidal rule.
 
     It is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the mean: where
@@ -189,24 +191,18 @@ class _DirectSolver:
         ends, values = [], []
         for weight, stride in ((grid.right, 1), (grid.down, columns)):
             start = np.flatnonzero(weight)
-            ends.append((index[start], index[start + stride]))
+            ends.append([index[start], index[start + stride]])
             values.append(weight.ravel()[start].astype(np.float64))
-        first, second = np.concatenate([e[0] for e in ends]), np.concatenate([e[1] for e in ends])
-        value = -np.concatenate(values)
-        degree = -np.bincount(np.concatenate([first, second]), np.tile(value, 2), minlength=self.pixels.size)
-        own = np.arange(self.pixels.size)
-        from scipy.sparse.csgraph import connected_components  # slow to import
+        from scipy.sparse.csgraph import connected_components, laplacian  # slow to import
         from scipy.sparse.linalg import splu  # slow to import
 
-        matrix = scipy.sparse.csc_matrix(
-            (
-                np.concatenate([value, value, degree + _GROUND * degree.mean()]),
-                (np.concatenate([first, second, own]), np.concatenate([second, first, own])),
-            )
-        )
-        parts, self.part = connected_components(matrix, directed=False)
+        size = self.pixels.size
+        weights = scipy.sparse.coo_array((np.concatenate(values), np.hstack(ends)), (size, size))
+        parts, self.part = connected_components(weights, directed=False)
+        matrix = laplacian(weights + weights.T)
+        matrix += _GROUND * matrix.diagonal().mean() * scipy.sparse.eye_array(size)
         self.size = np.bincount(self.part, minlength=parts)
-        self.factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        self.factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def __call__(self, right_side: Floats) -> Floats:
         """Solve for one right side (H, W), in its precision."""

@@ -53,10 +53,8 @@ class Card:
 
 
 def _shipped_names() -> list[str]:
-    folder = _shipped()
-    if not folder.is_dir():
-        return []
-    return sorted(entry.name.removesuffix(".onnx") for entry in folder.iterdir() if entry.name.endswith(".onnx"))
+    names = (entry.name for entry in _shipped().iterdir())
+    return sorted(name.removesuffix(".onnx") for name in names if name.endswith(".onnx"))
 
 
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
@@ -93,7 +91,7 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (training/README.md)"
     known = _shipped_names()
-    cure = f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file."
+    cure = f"name one of {', '.join(known)}, or the path of an .onnx file."
     require(text in known, f"there is no network '{text}' in this installation; {cure}")
     return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
 
