@@ -27,8 +27,8 @@ _LOG = logging.getLogger(__name__)
 # grid by the exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
 # One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
 #
-# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
-# coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
+# The first grid of few unknowns is solved directly: coarser ones would weld together parts of the surface that lie
+# closer to each other than a coarse pixel and are not joined there (a comb, a spiral).
 #
 # Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
 # (cell-centred grids).
@@ -92,12 +92,6 @@ _STEPS = (0.5618, 1.3894)
 as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
 _SMOOTHED = 2.0 / 3.0
 """Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum."""
-_COARSEST = 4
-_COARSEST_SWEEPS = 48
-_LONG = 16
-"""A coarsest grid with a longer side is solved directly, not by sweeps."""
-_WELDED = 0.02
-"""Fraction of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
 """Unknowns that a direct solver is trusted with."""
 _GROUND = 1e-9
@@ -117,6 +111,7 @@ class _Grid:
         self.inside = (degree > 0).astype(np.float32)
         self.coarser: _Grid | None = None
         self.direct: _DirectSolver | None = None
+        """Of the coarsest grid."""
 
     def apply(self, height: Floats) -> Floats:
         """Laplacian (positive semidefinite) of `height`, in the precision of `height`.
@@ -142,27 +137,16 @@ class _Grid:
 
     def cycle(self, right_side: FloatArray) -> FloatArray:
         """One V-cycle from zero: an approximate solution of `apply`(height) = right_side."""
-        if self.direct is not None:
+        if self.coarser is None:
+            assert self.direct is not None
             return self.direct(right_side)
         height = self.inverse * right_side
         height *= _STEPS[0]
         self._smooth(height, right_side, _STEPS[1])
-        if self.coarser is None:
-            for step in _STEPS * _COARSEST_SWEEPS:
-                self._smooth(height, right_side, step)
-        else:
-            residual = right_side - self.apply(height)
-            height += self.prolong(self.coarser.cycle(self.restrict(residual, self.coarser)))
+        residual = right_side - self.apply(height)
+        height += self.prolong(self.coarser.cycle(self.restrict(residual, self.coarser)))
         for step in _STEPS:
             self._smooth(height, right_side, step)
-        return height
-
-    def solve_nested(self, right_side: FloatArray) -> FloatArray:
-        """Full multigrid: the coarse solution as the start of one V-cycle."""
-        if self.coarser is None or self.direct is not None:
-            return self.cycle(right_side)
-        height = self.prolong(self.coarser.solve_nested(self.restrict(right_side, self.coarser)))
-        height += self.cycle(right_side - self.apply(height))
         return height
 
     def prolong(self, coarse: FloatArray) -> FloatArray:
@@ -219,39 +203,19 @@ class _DirectSolver:
 def _build_grids(right: FloatArray, down: FloatArray) -> _Grid:
     """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
     finest = grid = _Grid(right, down)
-    while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
-        coarse = _Grid(
+    while np.count_nonzero(grid.inside) > _SMALL and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
+        grid.coarser = _Grid(
             0.5 * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             0.5 * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
         )
-        small = np.count_nonzero(grid.inside) <= _DIRECT
-        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
-            break
-        grid.coarser = coarse
-        grid = coarse
-    if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
-        grid.direct = _DirectSolver(grid)
+        grid = grid.coarser
+    grid.direct = _DirectSolver(grid)
     return finest
-
-
-def _welded_fraction(grid: _Grid) -> float:
-    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
-    rows, columns = (side // 2 * 2 for side in grid.inside.shape)
-    inside = grid.inside[:rows, :columns]
-    members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
-    right, down = grid.right[:rows, :columns] > 0, grid.down[:rows, :columns] > 0
-    edges = np.add(right[::2, ::2], right[1::2, ::2], dtype=np.float32)
-    edges += down[::2, ::2]
-    edges += down[::2, 1::2]
-    return int(np.count_nonzero(edges < members - 1)) / max(int(np.count_nonzero(members)), 1)
 
 
 def _padded_size(rows: int, columns: int) -> tuple[int, int]:
     """Smallest size not below the given one that halves until its smaller side is at most four."""
-    halvings = 0
-    while min(rows, columns) / 2**halvings > _COARSEST:
-        halvings += 1
-    block = 2**halvings
+    block = 2 ** max(0, int(np.ceil(np.log2(min(rows, columns) / 4))))
     return -(-rows // block) * block, -(-columns // block) * block
 
 
@@ -260,7 +224,7 @@ _TOLERANCE = 1e-5
 _EXCESS, _ROUNDING = 1e-4, 1e-12
 """The energy of a weighted solution may exceed its minimum by this part of itself, or of the gradients' own energy."""
 _SMALL = 30_000
-"""Unknowns up to which factorising weighted equations takes less time than iterating."""
+"""Unknowns up to which factorising the equations takes less time than iterating."""
 _RESTARTS = 3
 """Runs of conjugate gradients at most: each starts from the true residual, from which its own drifts."""
 _WEIGHT_FLOOR = 1e-3
@@ -372,8 +336,7 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, trust: FloatArray) -
     if np.count_nonzero(trust) <= _SMALL:
         return _factorised(_Grid(weight_right, weight_down), edges)[:rows, :columns]
     grid = _build_grids(weight_right, weight_down)
-    height = np.zeros_like(trust)
-    height = grid.solve_nested(edges.residual(height)[0].astype(np.float32)).astype(np.float64)
+    height = grid.cycle(edges.residual(np.zeros_like(trust))[0].astype(np.float32)).astype(np.float64)
     for _ in range(_RESTARTS):
         correction, eigenvalue = _conjugate_gradients(grid, edges, height)
         height += correction
