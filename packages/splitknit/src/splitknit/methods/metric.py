@@ -207,9 +207,7 @@ def metric_polarised(
     if found["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
-    return _with_heights(
-        first, height_mm - first.shape_mm, error_mm, grid, {"relief_by": "polarised", "specular": found}
-    )
+    return _with_heights(first, height_mm - first.shape_mm, error_mm, grid, relief_by="polarised", specular=found)
 
 
 def metric_side(

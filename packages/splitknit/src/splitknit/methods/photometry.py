@@ -68,8 +68,6 @@ def by_rows(
                 image[(stored[window] >= clips).any(axis=-1)] = 0.0
         return images
 
-    if strip >= height:
-        return solve(light((rows, columns)), slice(None))
     normals = np.zeros((height, width, 3), dtype=np.float32)
     albedo = np.full((height, width), np.nan, dtype=np.float32)
     for top in range(0, height, strip):
