@@ -183,7 +183,7 @@ class _DirectSolver:
         size = self.pixels.size
         weights = scipy.sparse.coo_array((np.concatenate(values), np.hstack(ends)), (size, size))
         parts, self.part = connected_components(weights, directed=False)
-        matrix = laplacian(weights + weights.T)
+        matrix = scipy.sparse.csc_array(laplacian(weights + weights.T))
         matrix += _GROUND * matrix.diagonal().mean() * scipy.sparse.eye_array(size)
         self.size = np.bincount(self.part, minlength=parts)
         self.factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})

@@ -18,7 +18,6 @@ from splitknit.methods.photographs import SIDE_UNUSED, FingerBand, FingerPhotogr
 from splitknit.methods.photometry import (
     MAX_SLOPE,
     OPAQUE,
-    Slopes,
     by_rows,
     distant_normals,
     integrated,
@@ -32,7 +31,7 @@ from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
 from splitknit.skin.diffusion import SCATTERING_SD, Diffusion, SkinSettings
-from splitknit.skin.grid import BandImages, Grid, smooth_step
+from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
     LITTLE_GLOSS,

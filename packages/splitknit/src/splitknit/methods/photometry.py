@@ -20,10 +20,9 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
+from splitknit.skin.grid import Slopes
 from splitknit.steps import IN_MEMORY, step
 
-Slopes = tuple[FloatArray, FloatArray]
-"""dz/dx and dz/dy (h, w), y up."""
 MAX_SLOPE = 6.0
 """Steeper slopes are shortened to this."""
 SLOW_MM = 0.32

@@ -108,7 +108,7 @@ def _by_states(light: FloatArray, states: FloatArray, alpha: float, dark: float)
         direct[rows] = slope
         global_[rows] = (mean - slope * mean_s) / k
 
-    for_each_chunk(work, *light.shape[1:3], 2 * light[:, 0, 0].size)
+    for_each_chunk(work, light.shape[1], light.shape[2], 2 * light[:, 0, 0].size)
     return direct, global_
 
 
@@ -134,7 +134,7 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
             term = np.take_along_axis(terms, image[None, ..., None], axis=0)[0]
             part[rows] = np.einsum("hwk,hwkc->hwc", term, fitted)
 
-    for_each_chunk(work, *light.shape[1:3], 6 * light[:, 0, 0].size)
+    for_each_chunk(work, light.shape[1], light.shape[2], 6 * light[:, 0, 0].size)
     return low, high
 
 

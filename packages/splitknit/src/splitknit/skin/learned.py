@@ -47,15 +47,19 @@ class Features:
     level: FloatArray  # (C, h, w) local brightness of each channel, specular reflection included
 
 
-def features(band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting) -> Features:
+def features(
+    band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, measured: FloatArray | None = None
+) -> Features:
     """Rig-independent description of the white band's light on a finite smooth surface (h, w) of the fine grid.
 
-    Three channels, six lights at least. `light`: of `band.rig` on that surface.
+    Three channels, six lights at least. `light`: of `band.rig` on that surface; `measured`: (C, h, w, 3) brightness
+    times normal of ``band.stack / light.entering``, by least squares over the lights where it is not given.
     """
-    # (C, h, w, 3) brightness times normal
-    g = pseudo_normals(
-        band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
-    )
+    g = measured
+    if g is None:
+        g = pseudo_normals(
+            band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
+        )
     slope_x, slope_y = grid.smooth(np.stack(height_gradients(surface_mm, grid.pitch_mm)), grid.mask, RIDGE_BAND_MM)
     normals = normals_from_gradients(slope_x, slope_y)
     to_harmonics = _beyond_matt(band.rig)

@@ -94,7 +94,7 @@ def fit_glare(stack: FloatArray, lights: FloatArray, model: Callable[[float], Fl
     matt = np.linalg.qr(np.moveaxis(lights, -1, 0))[0]  # (n, L, 3), orthonormal
 
     def beyond(images: FloatArray) -> FloatArray:
-        return images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images))
+        return np.asarray(images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images)))
 
     return best_lobe(beyond(stack), lambda roughness: beyond(model(roughness)))
 
