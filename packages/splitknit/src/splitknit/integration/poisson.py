@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import cv2
@@ -22,13 +22,14 @@ _LOG = logging.getLogger(__name__)
 #
 # A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them does. The weight of a
 # coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth surface.
-# Heights are carried to the finer grid by blocks of pixels and one Jacobi step (smoothed aggregation: P. Vanek, J.
-# Mandel and M. Brezina, Computing 56, 1996), which carries no height across a weak edge. Residuals go to the coarser
-# grid by the exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
+# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask; where edges
+# are weighted, by blocks of pixels and one Jacobi step (smoothed aggregation: P. Vanek, J. Mandel and M. Brezina,
+# Computing 56, 1996), which carries no height across a weak edge. Residuals go to the coarser grid by the exact
+# adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
 # One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
 #
-# The first grid of few unknowns is solved directly: coarser ones would weld together parts of the surface that lie
-# closer to each other than a coarse pixel and are not joined there (a comb, a spiral).
+# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
+# coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
 #
 # Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
 # (cell-centred grids).
@@ -58,16 +59,18 @@ def _difference_adjoint(right: Floats, down: Floats) -> Floats:
     return result
 
 
-def _edge_weights(trust: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean trust in an edge's two pixels, zero unless both lie in the mask, where trust is above zero."""
-    right, down = np.zeros_like(trust), np.zeros_like(trust)
-    right[:, :-1] = 0.5 * (trust[:, 1:] + trust[:, :-1]) * ((trust[:, 1:] > 0) & (trust[:, :-1] > 0))
-    down[:-1] = 0.5 * (trust[1:] + trust[:-1]) * ((trust[1:] > 0) & (trust[:-1] > 0))
+def _edge_weights(mask: BoolArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Mean weight of an edge's two pixels, zero unless both lie in the mask."""
+    own = mask.astype(np.float32) if weights is None else np.where(mask, weights, 0.0)
+    right, down = np.zeros_like(own), np.zeros_like(own)
+    both_right, both_down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
+    right[:, :-1] = 0.5 * (own[:, 1:] + own[:, :-1]) * both_right
+    down[:-1] = 0.5 * (own[1:] + own[:-1]) * both_down
     return right, down
 
 
 def _predicted_differences(
-    slope_x: FloatArray, slope_y: FloatArray, trust: FloatArray
+    slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Integral of the slopes (y up) along every edge, by the trapezoidal rule.
 
@@ -75,23 +78,33 @@ def _predicted_differences(
     they fall with the slope, as trust does, steep sides would come out too low.
     """
     right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
-    used = (trust > _WEIGHT_FLOOR).astype(np.float32)
-    right[:, :-1] = _edge_integral(slope_x.T, used.T).T
-    down[:-1] = -_edge_integral(slope_y, used)
+    right[:, :-1] = _edge_integral(slope_x.T, None if weights is None else weights.T).T
+    down[:-1] = -_edge_integral(slope_y, weights)
     return right, down
 
 
-def _edge_integral(slope: FloatArray, used: FloatArray) -> FloatArray:
+def _edge_integral(slope: FloatArray, weights: FloatArray | None) -> FloatArray:
     """Integral between successive rows, (H - 1, W)."""
-    kept = slope * used
-    return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], 1))
+    if weights is not None:
+        used = (weights > _WEIGHT_FLOOR).astype(np.float32)
+        kept = slope * used
+        return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], 1))
+    return 0.5 * (slope[1:] + slope[:-1])
 
 
+_CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
+_SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
 _STEPS = (0.5618, 1.3894)
 """Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum;
 as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
 _SMOOTHED = 2.0 / 3.0
 """Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum."""
+_COARSEST = 4
+_COARSEST_SWEEPS = 48
+_LONG = 16
+"""A coarsest grid with a longer side is solved directly, not by sweeps."""
+_WELDED = 0.02
+"""Fraction of coarse pixels that may join what is not joined inside them."""
 _DIRECT = 100_000
 """Unknowns that a direct solver is trusted with."""
 _GROUND = 1e-9
@@ -101,24 +114,50 @@ _GROUND = 1e-9
 class _Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
-    def __init__(self, right: FloatArray, down: FloatArray) -> None:
-        """Take the edge weights (H, W)."""
-        self.right, self.down = right, down
+    def __init__(self, right: FloatArray, down: FloatArray, unit: bool, even: bool) -> None:
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask; `even` that
+        they are so on the finest grid."""
+        self.right, self.down, self.unit, self.even = right, down, unit, even
         degree = right + down
         degree[:, 1:] += right[:, :-1]
         degree[1:] += down[:-1]
+        self.degree = degree
         self.inverse = np.where(degree > 0, 1 / np.maximum(degree, 1e-30), 0).astype(np.float32)
         self.inside = (degree > 0).astype(np.float32)
+        self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: _Grid | None = None
         self.direct: _DirectSolver | None = None
-        """Of the coarsest grid."""
+        self.fraction = self.inside  # replaced where there is a coarser grid
+
+    def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
+        """Weighted sum of the four neighbours (not masked on a unit grid)."""
+        total = np.empty_like(height) if out is None else out
+        if self.unit:
+            cv2.filter2D(height, -1, _CROSS, dst=total, borderType=cv2.BORDER_CONSTANT)
+            return total
+        right, down = self.right[:, :-1], self.down[:-1]
+        term = self._term if height.dtype == self._term.dtype else np.empty_like(height)
+        np.multiply(right, height[:, 1:], out=total[:, :-1])
+        total[:, -1] = 0
+        np.multiply(right, height[:, :-1], out=term[:, 1:])
+        total[:, 1:] += term[:, 1:]
+        np.multiply(down, height[1:], out=term[:-1])
+        total[:-1] += term[:-1]
+        np.multiply(down, height[:-1], out=term[1:])
+        total[1:] += term[1:]
+        return total
 
     def apply(self, height: Floats) -> Floats:
         """Laplacian (positive semidefinite) of `height`, in the precision of `height`.
 
-        Weights act on differences: a degree less weighted neighbours has a rounding error that grows with the height,
-        and makes the operator indefinite once weights differ by a thousand.
+        Unequal weights act on differences: a degree less weighted neighbours has a rounding error that grows with the
+        height, and makes the operator indefinite once weights differ by a thousand.
         """
+        if self.unit:
+            around = self.neighbours(height)
+            around *= self.inside
+            np.subtract(self.degree * height, around, out=around)
+            return around
         result = np.zeros_like(height)
         flow = self.right[:, :-1] * (height[:, 1:] - height[:, :-1])
         result[:, :-1] -= flow
@@ -130,37 +169,59 @@ class _Grid:
 
     def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> None:
         """One damped Jacobi step in place."""
-        change = right_side - self.apply(height)
-        change *= self.inverse
-        change *= step
-        height += change
+        target = self.neighbours(height, out=self._target)
+        target += right_side
+        target *= self.inverse
+        cv2.addWeighted(height, 1 - step, target, step, 0, dst=height)
 
     def cycle(self, right_side: FloatArray) -> FloatArray:
         """One V-cycle from zero: an approximate solution of `apply`(height) = right_side."""
-        if self.coarser is None:
-            assert self.direct is not None
+        if self.direct is not None:
             return self.direct(right_side)
         height = self.inverse * right_side
         height *= _STEPS[0]
         self._smooth(height, right_side, _STEPS[1])
-        residual = right_side - self.apply(height)
-        height += self.prolong(self.coarser.cycle(self.restrict(residual, self.coarser)))
+        if self.coarser is None:
+            for _ in range(_COARSEST_SWEEPS):
+                for step in _STEPS:
+                    self._smooth(height, right_side, step)
+        else:
+            residual = right_side - self.apply(height)
+            height += self.prolong(self.coarser.cycle(self.restrict(residual)))
         for step in _STEPS:
             self._smooth(height, right_side, step)
         return height
 
+    def solve_nested(self, right_side: FloatArray) -> FloatArray:
+        """Full multigrid: the coarse solution as the start of one V-cycle."""
+        if self.coarser is None or self.direct is not None:
+            return self.cycle(right_side)
+        height = self.prolong(self.coarser.solve_nested(self.restrict(right_side)))
+        height += self.cycle(right_side - self.apply(height))
+        return height
+
     def prolong(self, coarse: FloatArray) -> FloatArray:
         """Interpolate heights of the coarser grid to this one."""
-        blocks = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1) * self.inside
-        blocks -= _SMOOTHED * self.inverse * self.apply(blocks)
-        return blocks
+        if not self.even:
+            blocks = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1) * self.inside
+            blocks -= _SMOOTHED * self.inverse * self.apply(blocks)
+            return blocks
+        rows, columns = self.inside.shape
+        fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
+        return fine * self.fraction
 
-    def restrict(self, residual: FloatArray, coarser: _Grid) -> FloatArray:
+    def restrict(self, residual: FloatArray) -> FloatArray:
         """Adjoint of :meth:`prolong`."""
-        smooth = residual - _SMOOTHED * self.apply(self.inverse * residual)
-        smooth *= self.inside
-        pairs = smooth[::2] + smooth[1::2]
-        return (pairs[:, ::2] + pairs[:, 1::2]) * coarser.inside
+        assert self.coarser is not None
+        if not self.even:
+            smooth = residual - _SMOOTHED * self.apply(self.inverse * residual)
+            smooth *= self.inside
+            pairs = smooth[::2] + smooth[1::2]
+            return (pairs[:, ::2] + pairs[:, 1::2]) * self.coarser.inside
+        spread = cv2.sepFilter2D(
+            residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
+        )
+        return np.ascontiguousarray(spread[::2, ::2]) * self.coarser.inside
 
 
 class _DirectSolver:
@@ -175,18 +236,24 @@ class _DirectSolver:
         ends, values = [], []
         for weight, stride in ((grid.right, 1), (grid.down, columns)):
             start = np.flatnonzero(weight)
-            ends.append([index[start], index[start + stride]])
+            ends.append((index[start], index[start + stride]))
             values.append(weight.ravel()[start].astype(np.float64))
-        from scipy.sparse.csgraph import connected_components, laplacian  # slow to import
+        first, second = np.concatenate([e[0] for e in ends]), np.concatenate([e[1] for e in ends])
+        value = -np.concatenate(values)
+        degree = -np.bincount(np.concatenate([first, second]), np.tile(value, 2), minlength=self.pixels.size)
+        own = np.arange(self.pixels.size)
+        from scipy.sparse.csgraph import connected_components  # slow to import
         from scipy.sparse.linalg import splu  # slow to import
 
-        size = self.pixels.size
-        weights = scipy.sparse.coo_array((np.concatenate(values), np.hstack(ends)), (size, size))
-        parts, self.part = connected_components(weights, directed=False)
-        matrix = scipy.sparse.csc_array(laplacian(weights + weights.T))
-        matrix += _GROUND * matrix.diagonal().mean() * scipy.sparse.eye_array(size)
+        matrix = scipy.sparse.csc_matrix(
+            (
+                np.concatenate([value, value, degree + _GROUND * degree.mean()]),
+                (np.concatenate([first, second, own]), np.concatenate([second, first, own])),
+            )
+        )
+        parts, self.part = connected_components(matrix, directed=False)
         self.size = np.bincount(self.part, minlength=parts)
-        self.factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        self.factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def __call__(self, right_side: Floats) -> Floats:
         """Solve for one right side (H, W), in its precision."""
@@ -200,22 +267,47 @@ class _DirectSolver:
         return values - mean[self.part]
 
 
-def _build_grids(right: FloatArray, down: FloatArray) -> _Grid:
+def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
     """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
-    finest = grid = _Grid(right, down)
-    while np.count_nonzero(grid.inside) > _SMALL and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
-        grid.coarser = _Grid(
+    finest = _Grid(right, down, unit, even=unit)
+    grid = finest
+    while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
+        coarse = _Grid(
             0.5 * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             0.5 * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
+            unit=False,
+            even=unit,
         )
-        grid = grid.coarser
-    grid.direct = _DirectSolver(grid)
+        small = np.count_nonzero(grid.inside) <= _DIRECT
+        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
+            break
+        cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, 1e-6), 0).astype(np.float32)
+        grid.coarser = coarse
+        grid = coarse
+    if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
+        grid.direct = _DirectSolver(grid)
     return finest
+
+
+def _welded_fraction(grid: _Grid) -> float:
+    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
+    rows, columns = (side // 2 * 2 for side in grid.inside.shape)
+    inside = grid.inside[:rows, :columns]
+    members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
+    right, down = grid.right[:rows, :columns] > 0, grid.down[:rows, :columns] > 0
+    edges = np.add(right[::2, ::2], right[1::2, ::2], dtype=np.float32)
+    edges += down[::2, ::2]
+    edges += down[::2, 1::2]
+    return int(np.count_nonzero(edges < members - 1)) / max(int(np.count_nonzero(members)), 1)
 
 
 def _padded_size(rows: int, columns: int) -> tuple[int, int]:
     """Smallest size not below the given one that halves until its smaller side is at most four."""
-    block = 2 ** max(0, int(np.ceil(np.log2(min(rows, columns) / 4))))
+    halvings = 0
+    while min(rows, columns) / 2**halvings > _COARSEST:
+        halvings += 1
+    block = 2**halvings
     return -(-rows // block) * block, -(-columns // block) * block
 
 
@@ -224,7 +316,7 @@ _TOLERANCE = 1e-5
 _EXCESS, _ROUNDING = 1e-4, 1e-12
 """The energy of a weighted solution may exceed its minimum by this part of itself, or of the gradients' own energy."""
 _SMALL = 30_000
-"""Unknowns up to which factorising the equations takes less time than iterating."""
+"""Unknowns up to which factorising weighted equations takes less time than iterating."""
 _RESTARTS = 3
 """Runs of conjugate gradients at most: each starts from the true residual, from which its own drifts."""
 _WEIGHT_FLOOR = 1e-3
@@ -276,12 +368,12 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     (10.0, -5.0)
     """
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
-    trust = _check_weights(1.0 if weights is None else weights, inside)
-    if weights is None and inside.all():
-        right, down = _predicted_differences(slope_x, slope_y, trust)
+    trust = None if weights is None else _check_weights(weights, inside)
+    if trust is None and inside.all():
+        right, down = _predicted_differences(slope_x, slope_y, None)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = bounding_box(inside)
-    height = _solve_masked(slope_x[window], slope_y[window], trust[window])
+    height = _solve_masked(slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window])
     result = np.full(inside.shape, np.nan, dtype=np.float32)
     result[window] = _zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
     return result
@@ -289,13 +381,13 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
 
 def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     array = np.asarray(weights)
-    require(array.shape in ((), mask.shape), f"weights must have the shape {mask.shape}, but it has {array.shape}.")
+    require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
     trust = np.where(mask, array, 0.0).astype(np.float32)
     require(
         np.isfinite(trust).all() and float(trust.min()) >= 0 and float(trust.max()) <= 1,
         "weights must lie between 0 and 1 inside the mask.",
     )
-    return np.where(mask, np.maximum(trust, np.float32(_WEIGHT_FLOOR)), np.float32(0))
+    return np.maximum(trust, _WEIGHT_FLOOR)
 
 
 def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
@@ -323,32 +415,44 @@ def _solve_rectangle(right_side: FloatArray) -> FloatArray:
     return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
 
 
-def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, trust: FloatArray) -> FloatArray:
-    rows, columns = trust.shape
+def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None) -> FloatArray:
+    rows, columns = mask.shape
     size = _padded_size(rows, columns)
-    slope_x, slope_y, trust = (
-        np.pad(field, ((0, size[0] - rows), (0, size[1] - columns))) for field in (slope_x, slope_y, trust)
-    )
-    weight_right, weight_down = _edge_weights(trust)
-    edges = _Edges(weight_right, weight_down, *_predicted_differences(slope_x, slope_y, trust))
-    if not (weight_right.any() or weight_down.any()):
-        return np.zeros((rows, columns), dtype=np.float32)
-    if np.count_nonzero(trust) <= _SMALL:
-        return _factorised(_Grid(weight_right, weight_down), edges)[:rows, :columns]
-    grid = _build_grids(weight_right, weight_down)
-    height = grid.cycle(edges.residual(np.zeros_like(trust))[0].astype(np.float32)).astype(np.float64)
+    frame = ((0, size[0] - rows), (0, size[1] - columns))
+    inside = np.pad(mask, frame)
+    trust = None if weights is None else np.pad(weights, frame)
+    weight_right, weight_down = _edge_weights(inside, trust)
+    target_right, target_down = _predicted_differences(np.pad(slope_x, frame), np.pad(slope_y, frame), trust)
+    edges = _Edges(weight_right, weight_down, target_right, target_down)
+    if weights is not None and np.count_nonzero(mask) <= _SMALL:
+        return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[:rows, :columns]
+    grid = _build_grids(weight_right, weight_down, unit=weights is None)
+    height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
+    if weights is None:
+        height += _conjugate_gradients(grid, edges, height)[0].astype(np.float32)
+        return height[:rows, :columns]
+    exact = height.astype(np.float64)
     for _ in range(_RESTARTS):
-        correction, eigenvalue = _conjugate_gradients(grid, edges, height)
-        height += correction
-        residual, energy = edges.residual(height)
+        correction, eigenvalue = _conjugate_gradients(grid, edges, exact)
+        exact += correction
+        residual, energy = edges.residual(exact)
         excess = _dot(residual, grid.cycle(residual.astype(np.float32))) / eigenvalue
         if excess <= edges.tolerated(energy):
-            break
-    else:
-        if np.count_nonzero(trust) <= _DIRECT:
-            return _factorised(grid, edges)[:rows, :columns]
-        _LOG.warning("the integration has not converged; heights may be off where the surface is steep.")
-    return height[:rows, :columns].astype(np.float32)
+            return exact[:rows, :columns].astype(np.float32)
+    other = _other_solution(grid, edges)
+    best = min(exact, other, key=lambda one: edges.residual(one)[1])
+    return best[:rows, :columns].astype(np.float32)
+
+
+def _other_solution(grid: _Grid, edges: _Edges) -> NDArray[Any]:
+    """Solve without conjugate gradients, which have not converged: by factorisation; many pixels without weights."""
+    if np.count_nonzero(grid.inside) <= _DIRECT:
+        return _factorised(grid, edges)
+    _LOG.warning("the weighted integration has not converged; heights may be off where the surface is steep.")
+    unit = _build_grids(*_edge_weights(grid.inside > 0, None), unit=True)
+    even = replace(edges, weight_right=unit.right, weight_down=unit.down)
+    height = unit.solve_nested(even.residual(np.zeros_like(unit.right))[0].astype(np.float32))
+    return height + _conjugate_gradients(unit, even, height)[0]
 
 
 def _factorised(grid: _Grid, edges: _Edges) -> FloatArray:
