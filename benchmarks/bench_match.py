@@ -21,12 +21,12 @@ from splitknit.finger.orientation import find_upright
 from splitknit.finger.ridges import relief_print
 from splitknit.model import default_rig
 from splitknit_match.matching.features import lbp_features
-from splitknit_match.matching.minutiae import extract, minutiae_match, nfiq2
-from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import print_band, ridge_band
 from splitknit_match.matching.template import Template, make_template, pack, unpack
 from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
+from splitknit_match.prints.minutiae import extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.surface import SimulatedSurface

@@ -24,10 +24,10 @@ import numpy as np
 from peers import library
 from splitknit.finger.orientation import find_upright
 from splitknit.model import default_rig
-from splitknit_match.matching.minutiae import nfiq2
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.make import Print, enhance, make_print
+from splitknit_match.prints.minutiae import nfiq2
 from splitknit_match.prints.sources import Source
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race

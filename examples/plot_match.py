@@ -19,10 +19,10 @@ from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
 from splitknit.model import surface_of
 from splitknit_match.matching.methods import rate
-from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
-from splitknit_match.matching.minutiae import extract, nfiq2
 from splitknit_match.prints.make import enhance, make_print
+from splitknit_match.prints.minutiae import extract, nfiq2
 from splitknit_match.prints.sources import read_source
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

@@ -32,7 +32,7 @@ def describe(result: splitknit.Reconstruction) -> None:
     print(
         f"preset {result.preset}: {area:.0f} mm2 of skin, {depth:.1f} mm deep, one height each {result.pitch_mm:.3f} mm"
     )
-    print(f"yaw {result.facts['yaw_deg']:.1f} deg; {result.facts['crease_verdict']}")
+    print(f"yaw {result.facts['yaw_deg']:.1f} deg; crease {result.facts['crease_distance_mm']:.1f} mm below the tip")
     print(f"relief, 5th to 95th percentile: {1000 * (high - low):.0f} um")
     if result.uncertainty_um is not None:
         print(f"stated uncertainty of the relief: {np.median(result.uncertainty_um[facing]):.0f} um (median)")

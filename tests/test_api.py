@@ -105,7 +105,7 @@ def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
 
 def test_lights_from_the_drawing(tmp_path: Path) -> None:
     found = splitknit_rig.calibrate_lights(
-        tmp_path / "rig.json",
+        out=tmp_path / "rig.json",
         geometry=True,
         px_per_cm=378.5,
         image_size="1100,1600",

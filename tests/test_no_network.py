@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from splitknit.cli.main import build_parser
+from splitknit.cli.app import build_app, words_of_verbs
 from splitknit_simulator.population.folder import simulate_population
 from splitknit_simulator.population.sessions import PopulationSettings
 
@@ -217,6 +217,11 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
 
 
 def test_every_verb_that_loads_a_network_is_watched() -> None:
-    (verbs,) = (action.choices for action in build_parser()._actions if isinstance(action.choices, dict))
-    reconstruct = {name for name, verb in verbs.items() if {"--preset", "--cases"} & set(verb._option_string_actions)}
+    app = build_app()
+    options = {
+        words[0]: {option for argument in app[words[0]].assemble_argument_collection() for option in argument.names}
+        for words in words_of_verbs(app)
+        if app[words[0]].default_command is not None
+    }
+    reconstruct = {name for name, names in options.items() if {"--preset", "--cases"} & names}
     assert reconstruct | {"demo"} == {verb[0] for verb in DEMO_RUN + VERBS_RUN}

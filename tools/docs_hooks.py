@@ -7,9 +7,7 @@ it is read.
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import inspect
 import logging
 import os
 import re
@@ -76,23 +74,14 @@ def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
     return "".join(part if "```" in part else re.sub(r"(!?)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part) for part in parts)
 
 
-def verbs(parser: argparse.ArgumentParser, name: str) -> list[tuple[str, argparse.ArgumentParser]]:
-    """Every verb below `parser` with its own parser, those with verbs of their own first."""
-    found = []
-    for action in parser._actions:  # argparse has no public way to its verbs
-        if isinstance(action, argparse._SubParsersAction):
-            for verb, below in action.choices.items():
-                found += [(f"{name} {verb}", below), *verbs(below, f"{name} {verb}")]
-    return found
-
-
 def help_of_every_verb() -> str:
     """`--help` of every verb, as Markdown."""
     os.environ["COLUMNS"] = "110"
-    cli = importlib.import_module("splitknit.cli.main")
+    cli = importlib.import_module("splitknit.cli.app")
+    app = cli.build_app()
     return "\n\n".join(
-        f"### `{name}`\n\n```\n{parser.format_help().rstrip()}\n```"
-        for name, parser in verbs(cli.build_parser(), "splitknit")
+        f"### `splitknit {' '.join(words)}`\n\n```\n{cli.help_of(app, words).rstrip()}\n```"
+        for words in cli.words_of_verbs(app)
     )
 
 
@@ -112,21 +101,7 @@ def public_names() -> str:
         words = (value.__doc__ or "").strip()
         if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
             LOG.warning("%s is public and has no docstring", full)
-        made_of_a_job = inspect.isfunction(value) and hasattr(value, "job")
-        parts.append(function_of_a_job(full, value) if made_of_a_job else f"::: {full}")
-    return "\n\n".join(parts)
-
-
-def function_of_a_job(name: str, function: Any) -> str:
-    """A function whose docstring follows from the fields of a job, which nobody sees in the source, as Markdown."""
-    sections = re.split(r"^(\w+)\n-+\n", inspect.getdoc(function) or "", flags=re.MULTILINE)
-    found = inspect.signature(function)
-    bare = found.replace(parameters=[one.replace(annotation=one.empty) for one in found.parameters.values()])
-    parts = [f"### `{name}`", f"```python\n{name}{bare}\n```", sections[0].strip()]
-    for title, text in zip(sections[1::2], sections[2::2], strict=True):
-        entry = re.compile(r"^(\S.*)\n((?:    .*\n?)*)", flags=re.MULTILINE)
-        entries = entry.sub(lambda one: f"- `{one[1]}` {one[2].strip()}\n", f"{text}\n")
-        parts += [f"**{title}**", f"```pycon\n{text.strip()}\n```" if title == "Examples" else entries.strip()]
+        parts.append(f"::: {full}")
     return "\n\n".join(parts)
 
 

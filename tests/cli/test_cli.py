@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 import ast
 import json
 import os
@@ -17,7 +16,8 @@ import pytest
 import splitknit_match
 from handmade import capture_of, finger
 from splitknit import pipeline
-from splitknit.cli.main import build_parser, main
+from splitknit.cli.app import build_app, options_of, words_of_verbs
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture, Reconstruction
@@ -78,7 +78,7 @@ def test_json_is_one_object_and_nothing_else(capture_folder: Path, seen: dict[st
     facts = json.loads(said.out)
     assert facts["preset"] == "metric"
     assert facts["files"] == list(FILES)
-    assert facts["warnings"]
+    assert facts["findings"][0]["severity"] in ("spoils", "doubt", "note")
     assert facts["comparison"]["metric"]["ridge_correlation"] > 0.99
     assert said.err == ""
 
@@ -121,7 +121,7 @@ def test_a_folder_of_another_user_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     def denied(options: Any) -> None:
         raise PermissionError(13, "Permission denied", "theirs/x")
 
-    monkeypatch.setattr("splitknit.cli.verb.run_verb", denied)
+    monkeypatch.setattr("splitknit.io.results.read_result", denied)
     assert main(["profile", "theirs/x", "1,1", "2,2"]) == 2
     assert capsys.readouterr().err == "splitknit: error: 'theirs/x' cannot be reached: Permission denied.\n"
 
@@ -189,7 +189,7 @@ which, number, seen = int(sys.argv.pop(1)), int(sys.argv.pop(1)), 0
 
 def interrupt(event, arguments):
     global seen
-    if event == "import" and (seen or arguments[0] == "splitknit.cli.verb"):  # the first of main's
+    if event == "import" and (seen or arguments[0] == "splitknit.cli.app"):  # the first of main's
         seen += 1
         if seen == which:
             os.kill(os.getpid(), number)
@@ -223,19 +223,22 @@ def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None
     """As pybind11 does where the import of a compiled module is interrupted."""
     code = f"""
 import os, signal, sys
-from splitknit_simulator.cli import demo
+from splitknit import pipeline
 from splitknit.cli import main as cli
 
-def run(job, progress):
+def run(*given, **named):
     try:
         os.kill(os.getpid(), signal.SIGINT)
     except KeyboardInterrupt as error:
         raise {error}("initialization failed") from error
 
-demo.DemoJob.run = run
+import splitknit.io.results
+splitknit.io.results.read_result = run
 sys.exit(cli.main())
 """
-    run = subprocess.run([sys.executable, "-c", code, "demo"], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"], capture_output=True, text=True, check=False
+    )
     assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
 
 
@@ -252,7 +255,7 @@ def test_the_program_begins_with_next_to_no_imports() -> None:
     """Until its main begins, an interrupt is Python's own and shows a traceback."""
     code = "import sys; from splitknit.cli import main as cli; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not set(run.stdout.split()) & {"argparse", "contextlib", "json", "numpy", "typing"}
+    assert not set(run.stdout.split()) & {"contextlib", "cyclopts", "json", "numpy", "typing"}
 
 
 @pytest.mark.parametrize(
@@ -291,10 +294,10 @@ ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTH
 @pytest.mark.parametrize("ascii_only", ASCII)
 def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
     """Facts, errors and argparse's messages; the result may be written already."""
-    program = "import sys; from splitknit_simulator.cli import demo; from splitknit.cli import main as cli, verb; "
-    program += "demo.DemoJob.run = lambda *_: None; "
-    program += "demo.DEMO = verb.Verb(demo.DemoJob, lambda *_: ({}, ['3 mm' + chr(178)])); sys.exit(cli.main())"
-    for arguments, code, wanted in ((["demo"], 0, "3 mm\\xb2"), (["demo", "--seed", "²"], 2, "must be a whole number")):
+    program = "import sys; from splitknit import profile; from splitknit.arguments import Report; "
+    program += "from splitknit.cli import main as cli; "
+    program += "profile.profile = lambda: Report({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
+    for arguments, code, wanted in ((["profile"], 0, "3 mm\\xb2"), (["profile", "²"], 2, "Unused Tokens")):
         run = subprocess.run(
             [sys.executable, "-c", program, *arguments],
             capture_output=True,
@@ -332,23 +335,15 @@ def test_experiments_and_benchmarks_import_no_command_line() -> None:
     assert [script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))] == []
 
 
-def _names(parser: argparse.ArgumentParser) -> set[str]:
-    """Fields of all verbs below a parser, as messages name them."""
-    found = set(parser.get_default("option_of") or ())
-    for action in parser._actions:
-        found.add(action.dest)
-        if isinstance(action, argparse._SubParsersAction):
-            found |= set().union(*(_names(verb) for verb in action.choices.values()))
-    return found
-
-
 OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi", "view"}
 """Arguments of functions that no verb has."""
 
 
 def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
     """A message of the library names an argument between backticks; the command line writes its option."""
-    known, named = _names(build_parser()) | OF_FUNCTIONS, set()
+    app = build_app()
+    known = OF_FUNCTIONS.union(*(options_of(app, words) for words in words_of_verbs(app)))
+    named = set()
     for file in (Path(__file__).parents[2] / "packages").glob("*/src/**/*.py"):
         for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("require", "BadInput", "Refused"):

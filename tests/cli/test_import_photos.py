@@ -89,7 +89,7 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
     facts = json.loads((result / "report.json").read_text())
     assert set(facts["files"]) == {name for name in files if not name.startswith(".")}
     assert facts["result"]["scale_known"] is False and facts["result"]["pitch_mm"] is None
-    assert any(warning.startswith("scale unknown, heights in pixels") for warning in facts["warnings"])
+    assert "scale-unknown" in {each["code"] for each in facts["findings"]}
     names = {*facts["facts"], *facts["quality"]["white"]} - {"assumed_px_per_mm"}
     assert not [name for name in names if name.endswith(("_mm", "_mm2", "_um"))]
     page = (result / "report.html").read_text().replace("where it is a finger", "")

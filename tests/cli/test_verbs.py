@@ -1,150 +1,173 @@
-"""A verb is declared once: options, function, docstring and messages come from the fields of its job."""
+"""A verb is a function: its signature makes the options, its docstring the help, its result what is printed."""
 
 from __future__ import annotations
 
 import importlib.metadata
-import inspect
-from dataclasses import KW_ONLY, dataclass, field
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
+from cyclopts import Parameter
 
 from splitknit import registry
-from splitknit.cli.main import build_parser, main
-from splitknit.cli.verb import Verb, job_of
+from splitknit.arguments import (
+    PYTHON_ONLY,
+    SEVERAL,
+    AnyPath,
+    Natural,
+    Progress,
+    Settings,
+    checked,
+    refuse_given,
+    silent,
+)
+from splitknit.cli.app import build_app, help_of
+from splitknit.cli.main import main
 from splitknit.errors import BadInput, require
 from splitknit.settings import Limits
-from splitknit.verbs import AnyPath, Help, Job, Natural, Progress, Settings, function_of, refuse_given
 
 
-@dataclass(frozen=True, slots=True)
-class Light(Job):
-    """A group of fields."""
+@dataclass(frozen=True)
+class Lamp:
+    """Options that belong together."""
 
-    power_mw: Annotated[float | None, Help("of each LED", "MW", option="--power")] = None
-    places: Annotated[tuple[float, float], Help("of the first")] = (0.0, 1.0)
+    power_mw: Annotated[float | None, Parameter("--power")] = None
+    """Of each LED."""
+    hue: str = "white"
+    """Of all."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShineJob(Job):
+@dataclass(frozen=True)
+class Lit:
+    """What came out."""
+
+    out: str
+    seed: int
+    note: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.out} by `colour`"
+
+
+CALLS: list[dict[str, Any]] = []
+
+
+@checked
+def shine(
+    folders: Sequence[AnyPath],
+    *,
+    out: AnyPath,
+    colour: Literal["red", "blue"] = "red",
+    size: Annotated[float, Limits(0.0, 1.0)] | None = None,
+    seed: Natural = 3,
+    shadows: Annotated[bool, Parameter(negative="--no-shadows")] = True,
+    marks: Sequence[str] = (),
+    scores: Annotated[Sequence[AnyPath], SEVERAL] = (),
+    settings: Settings = None,
+    lamp: Annotated[Lamp, Parameter("*", group="Lamp")] = Lamp(),
+    memory: Annotated[Any, PYTHON_ONLY] = None,
+    progress: Progress = silent,
+) -> Lit:
     """Light a finger.
 
-    Returns
-    -------
-    ShineJob
-
-    Raises
-    ------
-    BadInput
-        If `power_mw` is negative.
+    Parameters
+    ----------
+    folders
+        Where; see `power_mw` (100 %).
+    out
+        File to write.
+    seed
+        Which.
     """
-
-    folders: Annotated[tuple[AnyPath, ...], Help("where", "DIR", positional=True)]
-    out: Annotated[AnyPath, Help("file to write", "FILE")]
-    _: KW_ONLY
-    colour: Annotated[Literal["red", "blue"], Help("of the light")] = "red"
-    size: Annotated[Annotated[float, Limits(0.0, 1.0)] | None, Help("of the images")] = None
-    seed: Annotated[Natural, Help("which")] = 3
-    shadows: Annotated[bool, Help("leave out shadows")] = True
-    marks: Annotated[tuple[str, ...], Help("marks; see `power_mw` (100 %)", "MARK")] = ()
-    settings: Settings = None
-    light: Annotated[Light, Help("lights", about="All of them.")] = field(default_factory=Light)
-    memory: Annotated[Any, Help("of earlier runs", python_only=True)] = None
-
-    def run(self, progress: Progress) -> ShineJob:
-        """Return itself."""
-        progress("light", 0.5)
-        power = self.light.power_mw
-        require(power is None or power >= 0, f"`power_mw` must not be negative, but it is {power} (`unknown`).")
-        if self.colour == "blue":
-            refuse_given(self, ("seed", "shadows"), "is for red light.")
-        return self
-
-
-shine = function_of(ShineJob)
-SHINE = Verb(ShineJob, lambda job, same: ({"out": str(job.out), "note": "`seed`"}, [f"{job.out} by `colour`"]))
+    CALLS.append(dict(locals()))
+    progress("light", 0.5)
+    power = lamp.power_mw
+    require(power is None or power >= 0, f"`power_mw` must not be negative, but it is {power} (`unknown`).")
+    if colour == "blue":
+        refuse_given("is for red light.", marks=tuple(marks))
+    return Lit(str(out), seed, "`seed`" if seed else None)
 
 
 @pytest.fixture(autouse=True)
 def entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two verbs of somebody else's, by entry points."""
     points = importlib.metadata.EntryPoints(
-        importlib.metadata.EntryPoint(name, "test_verbs:SHINE", registry.GROUP) for name in ("shine", "light shine")
+        importlib.metadata.EntryPoint(name, "test_verbs:shine", registry.GROUP) for name in ("shine", "light shine")
     )
     actual = importlib.metadata.entry_points
 
-    def found(**named: Any) -> Any:
+    def registered(**named: Any) -> Any:
         return points if named == {"group": registry.GROUP} else actual(**named)
 
-    monkeypatch.setattr(importlib.metadata, "entry_points", found)
+    monkeypatch.setattr(importlib.metadata, "entry_points", registered)
 
 
-def made(*words: str) -> ShineJob:
-    options = build_parser("shine").parse_args(["shine", *words])
-    return job_of(ShineJob, options)  # type: ignore[no-any-return]
+def test_words_become_arguments() -> None:
+    words = "shine a b --out c --colour blue --size 0.5 --seed 0 --no-shadows --scores x y --power 3"
+    assert main([*words.split(), "--set", "a.b=1", "--set", "c=x"]) == 0
+    call = CALLS[-1]
+    assert list(call["folders"]) == [Path("a"), Path("b")]
+    assert list(call["scores"]) == [Path("x"), Path("y")]
+    assert (call["out"], call["colour"], call["size"], call["seed"]) == (Path("c"), "blue", 0.5, 0)
+    assert (call["shadows"], call["settings"], call["lamp"]) == (False, {"a.b": 1, "c": "x"}, Lamp(3.0))
+    assert main(["shine", "a", "--out", "c", "--marks", "x", "--marks", "y"]) == 0
+    assert list(CALLS[-1]["marks"]) == ["x", "y"]
+    assert (CALLS[-1]["shadows"], CALLS[-1]["memory"]) == (True, None)
 
 
-def test_words_become_the_job() -> None:
-    assert made("a", "b", "--out", "c") == ShineJob(("a", "b"), "c")
-    words = "a --out c --colour blue --size 0.5 --seed 0 --no-shadows --marks x --marks y --power 3 --places 1 2"
-    assert made(*words.split(), "--set", "a.b=1") == ShineJob(
-        (Path("a"),), Path("c"), colour="blue", size=0.5, seed=0, shadows=False, marks=("x", "y"), settings={"a.b": 1},
-        light=Light(3.0, (1.0, 2.0)),
-    )  # fmt: skip
-
-
-def test_help_comes_from_the_fields(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["shine", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for words in (
-        "Light a finger.", "DIR [DIR ...]", "--no-shadows leave out shadows", "which (default: 3)", "lights: All of",
-        "of the light (default: red)", "see --power (100 %)", "--places PLACES PLACES",
+        "Light a finger.", "FOLDERS", "--no-shadows", "Which. (default: 3)", "[red, blue] (default: red)",
+        "see --power (100 %)", "--out PATH File to write. (required)", "Lamp: --power FLOAT Of each LED.", "--json",
     ):  # fmt: skip
         assert words in text, words
-    assert "memory" not in text
+    assert "memory" not in text and "progress" not in text
     assert main(["--help"]) == 0
-    assert "\n    shine" in capsys.readouterr().out
+    assert "\n  shine" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("--seed -1", "argument --seed: '-1' must be a whole number from 0 to 2^63 - 1"),
+        ("--seed -1", "--seed must be from 0 to 2^63 - 1, but it is -1."),
         ("--seed 1.5", "'1.5' must be a whole number"),
-        ("--size 2", "argument --size: '2' must be a number from 0 to 1"),
-        ("--size x", "'x' must be a number from 0 to 1"),
-        ("--colour green", "invalid choice: 'green'"),
-        ("--power -1", "splitknit: error: --power must not be negative, but it is -1.0 (unknown)."),
-        ("--colour blue --no-shadows", "splitknit: error: --no-shadows is for red light."),
+        ("--seed 1e99999", "'1e99999' must be a whole number"),
+        ("--size 2", "--size must be from 0 to 1, but it is 2.0."),
+        ("--size x", 'unable to convert "x" into float'),
+        ("--colour green", 'Invalid value "green" for --colour. Choose from: "red", "blue".'),
+        ("--power -1", "--power must not be negative, but it is -1.0 (unknown)."),
+        ("--colour blue --marks x", "--marks is for red light."),
+        ("--colou blue", "Unknown option: --colou. Did you mean --colour?"),
     ],
 )
 def test_messages_name_options(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["shine", "a", "--out", "b", *words.split()]) == 2
-    assert sentence in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert error.startswith("splitknit: error: ") and error.count("\n") == 1
+    assert sentence in error
 
 
 def test_a_verb_of_two_words_and_its_facts(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["light", "shine", "a", "--out", "b"]) == 0
     assert capsys.readouterr().out == "b by --colour\n"
     assert main(["light", "shine", "a", "--out", "b", "--json"]) == 0
-    assert '"note": "--seed"' in capsys.readouterr().out
+    assert json.loads(capsys.readouterr().out) == {"out": "b", "seed": 3, "note": "--seed"}
+    assert main(["light", "shine", "a", "--json", "--out", "b", "--seed", "0"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"out": "b", "seed": 0}
+    assert main(["light"]) == 2
+    assert "shine" in capsys.readouterr().err
 
 
-def test_the_function_has_the_fields() -> None:
-    assert shine.__name__ == "shine"
-    found = shine(["a"], Path("b"), size=1.0)
-    assert found == ShineJob((Path("a"),), Path("b"), size=1.0)
-    assert list(inspect.signature(shine).parameters) == [
-        "folders", "out", "colour", "size", "seed", "shadows", "marks", "settings", "light", "memory"
-    ]  # fmt: skip
-    words = inspect.getdoc(shine) or ""
-    assert words.index("Light a finger.") < words.index("Parameters\n") < words.index("Returns\n")
-    assert "folders : sequence of path\n    where\n" in words
-    assert "seed : int, optional\n    which (default: 3)\n" in words
+def test_python_has_the_same_checks() -> None:
+    assert shine(["a"], out=Path("b"), size=1.0) == Lit("b", 3, "`seed`")
     for wrong, sentence in (({"size": 2.0}, "`size` must be from 0 to 1"), ({"colour": "x"}, "one of red, blue, but")):
         with pytest.raises(BadInput, match=sentence):
-            shine("a", "b", **wrong)  # type: ignore[arg-type]
+            shine(["a"], out="b", **wrong)  # type: ignore[arg-type]
 
 
 def test_a_member_that_is_missing_is_one_sentence(
@@ -163,7 +186,9 @@ def test_a_member_that_is_missing_is_one_sentence(
     assert capsys.readouterr().out == before
 
 
-def test_the_table_and_the_jobs_say_the_same() -> None:
-    verbs = build_parser()._subparsers._group_actions[0]  # type: ignore[union-attr]
-    lines = {action.dest: action.help for action in verbs._choices_actions}  # type: ignore[attr-defined]
-    assert {name: lines[name] for name in registry.VERBS} == {name: line for name, (_, line) in registry.VERBS.items()}
+def test_the_table_and_the_functions_say_the_same() -> None:
+    app = build_app()
+    for name, (_, line) in registry.VERBS.items():
+        if app[name].default_command is not None:
+            words = " ".join(help_of(app, [name]).split("\n\n")[1].split()).rstrip(".")
+            assert words.lower() == line.lower(), name

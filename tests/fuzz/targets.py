@@ -34,6 +34,7 @@ from png_files import png_of
 from splitknit.accuracy import read_truth
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
+from splitknit.folders import read_photographs
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
@@ -45,7 +46,6 @@ from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, 
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.jobs import read_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.pipeline import reconstruct
@@ -59,22 +59,16 @@ from splitknit_match.batch.population import read_population
 from splitknit_match.batch.store import Store, open_store
 from splitknit_match.batch.surfaces import pack_surface, unpack_surface
 from splitknit_match.batch.tables import read_origin, write_table
-from splitknit_match.cli.records import WhatJob
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, key_of
 from splitknit_match.gallery.folder import export_gallery, import_gallery
-from splitknit_match.gallery.identify_job import identify
 from splitknit_match.gallery.serve import read_token
+from splitknit_match.gallery.verbs import identify
 from splitknit_match.matching.inputs import Pixels, read_side
 from splitknit_match.matching.inputs import read_surface as read_matched
-from splitknit_match.matching.match_job import make_template as template_of
-from splitknit_match.matching.match_job import match
-from splitknit_match.matching.minutiae_record import (
-    Minutiae,
-    pack_minutiae,
-    unpack_minutiae,
-)
+from splitknit_match.matching.match import make_template as template_of
+from splitknit_match.matching.match import match
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
@@ -86,12 +80,18 @@ from splitknit_match.prints.from_file import (
     read_print_file,
     read_print_folder,
 )
+from splitknit_match.prints.minutiae_record import (
+    Minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
+from splitknit_match.records.what import what
 from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips
@@ -483,14 +483,14 @@ def _scores(folder: Path, files: Files) -> None:
 
 
 def _settings(name: str) -> Callable[[Path, Files], object]:
-    return lambda folder, files: override(preset_settings("metric"), read_changes(folder / name, ()))
+    return lambda folder, files: override(preset_settings("metric"), read_changes([("--settings", str(folder / name))]))
 
 
 def _assignments(folder: Path, files: Files) -> None:
     lines = files.get("set")
     for line in (lines if isinstance(lines, bytes) else b"").decode("utf-8", "replace").split("\n"):
         parse_assignment(line)
-        override(preset_settings("metric"), read_changes(None, [line]))
+        override(preset_settings("metric"), read_changes([("--set", line)]))
 
 
 _SETTINGS: dict[str, Any] = {
@@ -788,7 +788,7 @@ TARGETS = (
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
     Target("packed", _packed, _of_bytes(unpack_minutiae), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
-    Target("what", _print_files, lambda folder, files: WhatJob(folder / "x").run(lambda *_: None)),
+    Target("what", _print_files, lambda folder, files: what(folder / "x")),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),

@@ -11,7 +11,7 @@ import pytest
 from script_folder import VALIDATION, Script, scripts_of
 from spiral_prints import spiral_print
 from splitknit.model import Surface
-from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.minutiae_record import Minutiae
 
 
 @pytest.fixture(scope="module")

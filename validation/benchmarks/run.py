@@ -35,8 +35,7 @@ from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit_match import match
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
-from splitknit_match.matching.match_job import MakeTemplateJob
-from splitknit_match.matching.methods import make_template_file
+from splitknit_match.matching.match import make_template
 
 PRESETS = ("metric", "ea")
 PX_PER_MM = 5.0
@@ -182,7 +181,7 @@ def prints(
             for number, (key, path) in enumerate(side.items()):
                 template = Path(scratch) / f"{k}-{number}.skt"
                 try:
-                    make_template_file(MakeTemplateJob(path, template=template, input_ppi=ppi))
+                    make_template(path, template, input_ppi=ppi)
                     templates[k][key] = template
                 except BadInput as error:
                     missing.add(f"{path.name}: {error}")

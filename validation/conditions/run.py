@@ -29,12 +29,12 @@ from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.steps import Memory
 from splitknit_match.matching.methods import rate
-from splitknit_match.matching.minutiae import nfiq2
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import Template, pack, unpack
 from splitknit_match.prints.folder import advice
 from splitknit_match.prints.make import enhance, make_print, measured
+from splitknit_match.prints.minutiae import nfiq2
 from splitknit_match.prints.sources import source_of
 from splitknit_simulator.finger.conditions import Condition
 from splitknit_simulator.light.renderer import RenderSettings

@@ -199,7 +199,7 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
         except BadInput:
             return row
     else:
-        row["noted"] = int(result.facts.get("spoilt", 0) > 0)
+        row["noted"] = int(any(each.severity != "note" for each in result.findings))
         row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
         row["said"] = " ".join(result.warnings)
     found = compare(result, truth).figures
@@ -225,7 +225,7 @@ def doubted(count: int, first: int, factor: float) -> int:
         except BadInput as refusal:
             words = str(refusal)
         else:
-            words = result.warnings[0] if result.facts.get("spoilt", 0) > 0 else ""
+            words = "".join(str(each) for each in result.findings[:1] if each.severity != "note")
         found += bool(words)
         print(*([seed, words] if words else []), end="\n" if words else "", flush=True)
     return found

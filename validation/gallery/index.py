@@ -34,9 +34,9 @@ from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import similarity_at
 from splitknit_match.matching.minutia_pairs import pair_minutiae
-from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
+from splitknit_match.prints.minutiae_record import Minutiae
 
 HERE = Path(__file__).resolve().parent
 PPI = {

@@ -40,9 +40,9 @@ from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.minutiae import at_500_ppi, extract, minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.prints.from_file import print_minutiae
+from splitknit_match.prints.minutiae import at_500_ppi, extract, minutiae_match
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "fvc.json"

@@ -28,11 +28,11 @@ from splitknit.model import Surface, default_rig
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import TABLES
-from splitknit_match.matching.minutiae import extract, minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import calibrate_scores
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.prints.from_file import print_minutiae
+from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 FOLDER = Path(__file__).resolve().parents[2] / "packages" / "splitknit-match" / "src" / "splitknit_match" / "matching"

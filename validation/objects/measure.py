@@ -20,7 +20,6 @@ from render import PX_PER_MM, SHAPES, Rendered, rendered, spoilt
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.photometric.frames import HOLLOW
 
 TABLES = Path(__file__).with_name("tables")
 FIRST = 200
@@ -88,12 +87,12 @@ def sound() -> dict[str, object]:
     alarms, hollow = {}, []
     seeds = (*range(FIRST, FIRST + 50), *range(2 * FIRST, 2 * FIRST + 50))
     for seed in seeds:
-        said = list(errors(rendered(seed))[2].warnings)
+        findings = errors(rendered(seed))[2].findings
         if SHAPES[seed % len(SHAPES)] == "dish":
-            hollow += [seed] if HOLLOW in said else []
-            said = [text for text in said if text != HOLLOW]
-        if said:
-            alarms[str(seed)] = said
+            hollow += [seed] if any(each.code == "hollow" for each in findings) else []
+            findings = tuple(each for each in findings if each.code != "hollow")
+        if findings:
+            alarms[str(seed)] = [str(each) for each in findings]
     return {"sets": len(seeds), "with_alarm": len(alarms), "alarms": alarms, "dishes_named_hollow": len(hollow)}
 
 

@@ -17,9 +17,9 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
 from splitknit_match.batch.store import Store
-from splitknit_match.matching.minutiae import extract, nfiq2
-from splitknit_match.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.make import Print, enhance, make_print
+from splitknit_match.prints.minutiae import extract, nfiq2
+from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.sources import Source
 
 PX_PER_MM = 500.0 / 25.4

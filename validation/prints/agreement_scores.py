@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from agreement_compare import by_finger
 
-from splitknit_match.matching.minutiae import EDGE_MM, minutiae_match
-from splitknit_match.matching.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import EDGE_MM, minutiae_match
+from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
 
 Records = dict[tuple[str, int], dict[str, Any]]
 

@@ -29,8 +29,8 @@ from splitknit.io.capture import read_capture
 from splitknit.model import Capture, FloatArray
 from splitknit.photometric.lambertian import lambertian
 from splitknit.presets import preset_settings
-from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.minutiae_record import PPI, Minutiae
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_map import plane_map, resample
 
 REACH_MM, TURN_DEG = 0.3, 40.0

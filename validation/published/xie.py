@@ -231,7 +231,7 @@ def heights(capture: Capture) -> Reconstruction:
     facts = {"shape_source": "white", "separation": "none", "heights": "measured"}
     surface = FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, whole=True, facts=facts)
     result = placed(photographs, surface, settings.top_mm)
-    return replace(result, preset="xie", warnings=photographs.warnings)
+    return replace(result, preset="xie", findings=photographs.findings)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import BadInput, require
+from splitknit.folders import capture_of
 from splitknit.io.capture import write_capture
 from splitknit.io.enrolment import FINGERS, PLAN_FILE, PlannedCapture, open_enrolment, plan_enrolment
+from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import SUFFIXES
 from splitknit.io.plain import some_of
-from splitknit.jobs import Photographs
 
 _SIDE, _DIGIT = "right|left|r|l", "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
 _FIELDS = {
@@ -175,8 +176,8 @@ def import_people(
             written.append(words)
             continue
         try:
-            given = Photographs(folder=images, nir=nir[0] if nir else None, material="skin", **photographs)
-            capture, _ = given.read()
+            given = GivenPhotographs(images, nir=nir[0] if nir else None, material="skin", **photographs)
+            capture, _ = capture_of(given)
         except BadInput as error:
             faults.append(f"{place.words}: {error}")
             continue

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import enrolled
-from splitknit_match.matching import methods, minutiae
-from splitknit_match.prints import from_file
+from splitknit_match.matching import methods
+from splitknit_match.prints import from_file, minutiae
 from splitknit_match.prints.pressed import pressed_ridges
 
 

@@ -14,7 +14,7 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.pad import judge, not_covered, pad_features, pad_images, shipped_model
 from splitknit.pipeline import reconstruct
-from splitknit_match.cli import pad as verb
+from splitknit_match import pad as verb
 from splitknit_simulator.twin import twin_settings
 
 with scripts_of(VALIDATION / "pad") as script:

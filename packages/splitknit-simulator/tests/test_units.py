@@ -9,7 +9,6 @@ import numpy as np
 
 import splitknit
 import splitknit_simulator
-from splitknit.errors import Note
 from splitknit.io.npz import read_npz
 from splitknit.model import Capture, Led, Rig, camera_without_scale, vector_at_origin
 from splitknit.units import MILLIMETRES, pixels
@@ -40,12 +39,11 @@ def test_a_file_of_unknown_scale_is_in_pixels(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kept["height_px"], arrays["height_px"])
 
 
-def test_facts_in_pixels_have_names_and_sentences_of_pixels() -> None:
-    note = Note("it is {:.1f mm} wide.", 4.0)
+def test_facts_in_pixels_have_names_of_pixels() -> None:
     facts = {"white": {"motion_mm": [0.5, None], "sharpness": 2.0}, "scattering_per_mm": {"red": 3.0}, "rms_um": 20.0,
-             "area_mm2": 1.0, "assumed_px_per_mm": 10.0, "note": note, "count_mm": 3}  # fmt: skip
+             "area_mm2": 1.0, "assumed_px_per_mm": 10.0, "count_mm": 3}  # fmt: skip
     assert MILLIMETRES.converted(facts) is facts
     assert pixels(0.5).converted(facts) == {
         "white": {"motion_px": [1.0, None], "sharpness": 2.0}, "scattering_per_px": {"red": 1.5}, "rms_px": 0.04,
-        "area_px2": 4.0, "assumed_px_per_mm": 10.0, "note": "it is 8 px wide.", "count_px": 3,
+        "area_px2": 4.0, "assumed_px_per_mm": 10.0, "count_px": 3,
     }  # fmt: skip

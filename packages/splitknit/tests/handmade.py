@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.findings import Finding
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, rotation_about
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 
@@ -49,7 +50,7 @@ def finger(
         settings={"integrate": {"method": "poisson"}, "knit": {"mode": "crossover"}},
         quality={"focus": 0.8, "coverage": 0.97, "led_brightness": [1.0, 0.9, 1.1]},
         facts={"yaw_deg": yaw_deg, "crease_row": 400, "scattering_mm": 0.24},
-        warnings=("No flexion crease is in view; the whole visible finger was kept.",),
+        findings=(Finding("no-crease", "No flexion crease is in view; the whole visible finger was kept."),),
         timings_s={"preprocess": 0.5, "normals": 1.25},
         hashes={"white_0.png": "ab" * 32},
     )

@@ -8,7 +8,6 @@ import splitknit
 from rough_dome import scene, spoilt
 from splitknit.errors import BadInput
 from splitknit.methods.photographs import INVERTED
-from splitknit.photometric.frames import HOLLOW
 
 KINDS = {
     "uint8": lambda stack: np.rint(stack * 255).astype(np.uint8),
@@ -85,7 +84,8 @@ def test_a_spoilt_photograph_is_named_and_left_out(kind, sound):
     stack, lights, mask = photographs()
     stack[5] = spoilt(stack[5], kind)
     result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
-    assert sum("image 5" in warning and "left out" in warning for warning in result.warnings) == 1
+    (fault,) = (finding for finding in result.findings if finding.code == f"{kind}-photograph")
+    assert fault.files == ("image 5",) and "left out" in str(fault) and fault.effect_deg
     assert turned(result, sound) < 0.5
 
 
@@ -120,9 +120,10 @@ def test_lights_of_eight_colours(sound):
 
 def test_a_hollow_is_noted_and_not_spoilt(sound):
     stack, lights, mask = photographs()
-    assert HOLLOW not in sound.warnings
+    assert not {"hollow"} & {finding.code for finding in sound.findings}
     result = splitknit.reconstruct_images(stack, lights * [-1, -1, 1], mask, 10.0)
-    assert HOLLOW in result.warnings and "spoilt" not in result.facts
+    assert {finding.code: finding.severity for finding in result.findings}["hollow"] == "note"
+    assert all(finding.severity == "note" for finding in result.findings)
 
 
 def test_a_photograph_of_something_else_is_named_by_its_index(sound):

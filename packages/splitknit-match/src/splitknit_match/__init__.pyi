@@ -4,10 +4,10 @@ from splitknit_match.evaluation.evaluate import evaluate as evaluate
 from splitknit_match.evaluation.pair import compare_results as compare_results
 from splitknit_match.gallery.gallery import Gallery as Gallery
 from splitknit_match.gallery.gallery import enroll as enroll
-from splitknit_match.gallery.identify_job import identify as identify
-from splitknit_match.matching.match_job import make_template as make_template
-from splitknit_match.matching.match_job import match as match
-from splitknit_match.prints.print_job import make_print as make_print
+from splitknit_match.gallery.verbs import identify as identify
+from splitknit_match.matching.match import make_template as make_template
+from splitknit_match.matching.match import match as match
+from splitknit_match.prints.verbs import make_print as make_print
 
 __version__: str
 

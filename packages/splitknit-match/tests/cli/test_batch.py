@@ -10,7 +10,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit_match.cli.batch import _case
+from splitknit_match.batch.verbs import _case
 
 
 def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

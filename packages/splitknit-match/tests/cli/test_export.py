@@ -19,7 +19,7 @@ from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
 from splitknit_match.prints.export import SURFACES
-from splitknit_match.prints.export_job import PrintFormat
+from splitknit_match.prints.verbs import PrintFormat
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.print_formats import FORMATS, read_prints
 from splitknit_simulator.finger.finger import FingerPose

@@ -14,8 +14,8 @@ from splitknit.io.prints import read_print_png, write_print_png
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import Scores
 from splitknit_match.matching.methods import rate
-from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.minutiae_record import no_minutiae
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import no_minutiae
 
 
 def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object, method: str = "minutiae") -> dict:
@@ -114,7 +114,7 @@ def test_prints_are_fused_without_nbis(impressions: Path, capsys, monkeypatch) -
     def missing() -> None:
         raise BadInput("minutiae need nbis-py")
 
-    monkeypatch.setattr("splitknit_match.matching.minutiae._module", missing)
+    monkeypatch.setattr("splitknit_match.prints.minutiae._module", missing)
     prints = [impressions / name / "print.png" for name in ("a", "again")]
     assert facts_of(capsys, *prints, method="auto")["method"] == "fusion"
 

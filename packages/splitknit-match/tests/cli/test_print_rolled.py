@@ -13,7 +13,7 @@ import rolled_scene as scene
 from splitknit.cli.main import main
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
-from splitknit_match.cli.print import _words
+from splitknit_match.prints.verbs import _print_lines
 from written_files import read_ply
 
 
@@ -47,7 +47,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
     assert rolled["warnings"] == ["the left view is cut off."]
-    assert "Please note: the left view is cut off." in _words(facts)
+    assert "Please note: the left view is cut off." in _print_lines(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
     # the skin's true size: the width of the print is the length around the finger
     around = np.deg2rad(rolled["coverage_deg"]["median"]) * 0.5 * (scene.A + scene.B)

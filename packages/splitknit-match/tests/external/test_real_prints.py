@@ -10,9 +10,9 @@ import pytest
 from splitknit.io.prints import read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.minutiae import extract, minutiae_match
-from splitknit_match.matching.minutiae_record import pack_minutiae, unpack_minutiae
 from splitknit_match.matching.ridge import Prepared
+from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae_record import pack_minutiae, unpack_minutiae
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)

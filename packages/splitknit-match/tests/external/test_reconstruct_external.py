@@ -196,7 +196,8 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
         assert (mask & given).sum() > 0.94 * (mask | given).sum()
         assert np.isfinite(arrays["height_mm"][mask]).all()
     # its lamps stand in one plane, 3 units high: their light falls by the square of the distance, by 11 %
-    assert ["may differ in brightness, by 11 %" in one for one in facts["warnings"]] == [True]
+    messages = [each["message"] for each in facts["findings"]]
+    assert ["may differ in brightness, by 11 %" in message for message in messages] == [True]
     assert not (out / "print.png").exists()
     assert main(["print", str(out), "--method", "relief", "--out", str(tmp_path / "print")]) == 0
     prints = cv2.imread(str(tmp_path / "print" / "print.png"), cv2.IMREAD_GRAYSCALE)

@@ -13,9 +13,9 @@ from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.minutia_pairs import pair_minutiae
-from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
+from splitknit_match.prints.minutiae_record import Minutiae
 
 from test_open_gallery import PPI, press  # isort: skip
 

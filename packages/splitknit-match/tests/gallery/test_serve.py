@@ -26,10 +26,10 @@ from splitknit.io.prints import encode_print_png
 pytest.importorskip("starlette")
 httpx = pytest.importorskip("httpx")
 
-from splitknit_match.cli.serve import server_of  # noqa: E402
 from splitknit_match.gallery import serve  # noqa: E402
 from splitknit_match.gallery.gallery import Gallery  # noqa: E402
 from splitknit_match.gallery.serve import ACTS, make_app, openapi  # noqa: E402
+from splitknit_match.gallery.verbs import server_of  # noqa: E402
 
 from test_open_gallery import press  # noqa: E402  isort: skip
 
@@ -334,7 +334,7 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
         said = (tmp_path / "said").read_text()
         assert said.count("\n") == 1 and "name PEM files" in said, said
     with served(tmp_path, "--token-file", str(token), tls=False) as (first, port):
-        assert "Please note: the token" in (tmp_path / "said").read_text()
+        assert "note: the token" in (tmp_path / "said").read_text()
         (tmp_path / "second").mkdir()
         with served(tmp_path / "second", "--port", str(port), tls=False) as (second, _):
             assert second.wait(20) == 2

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit_match.matching.minutiae import extract
-from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.minutiae import extract
+from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView

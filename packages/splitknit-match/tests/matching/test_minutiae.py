@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
+from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
 
 BORDER = 20
@@ -195,7 +195,7 @@ def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> No
 
 
 def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from splitknit_match.matching import minutiae
+    from splitknit_match.prints import minutiae
 
     real = builtins.__import__
 

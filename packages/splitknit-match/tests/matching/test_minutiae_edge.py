@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.ridges import relief_print
-from splitknit_match.matching.minutiae import EDGE_MM, _edge_distance, extract
+from splitknit_match.prints.minutiae import EDGE_MM, _edge_distance, extract
 
 STEP_MM = 25.4 / 500
 

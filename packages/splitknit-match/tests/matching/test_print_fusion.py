@@ -16,9 +16,9 @@ from splitknit_match.matching import fusion
 from splitknit_match.matching.elastic import bent, compare_patches, patch_grid, shown_in_a
 from splitknit_match.matching.fusion import can_fuse, fused_match, fused_photo, with_fusion
 from splitknit_match.matching.minutia_pairs import Cylinders, minutia_cylinders, pair_minutiae
-from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template, pack, print_size, scaled, unpack
+from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
 
 
 def test_constants_are_those_that_were_fitted() -> None:

@@ -18,9 +18,9 @@ from splitknit_match import match
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
-from splitknit_match.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.matching.score import own_rates_document, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
+from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.records.templates import write_template
 
 

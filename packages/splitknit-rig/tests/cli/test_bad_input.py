@@ -204,7 +204,8 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
     assert main([*words, "--keep"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("The surface is spoilt: the photographs seem to be under other lights")
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["facts"]["spoilt"] == 1
+    findings = json.loads((tmp_path / "out" / "report.json").read_text())["findings"]
+    assert [each["code"] for each in findings if each["severity"] != "note"] == ["light-order"]
     shutil.rmtree(tmp_path / "out")
     refused([*words, "--keep", "--strict"], capsys, ("under other lights", "--strict"))
     assert not (tmp_path / "out").exists()

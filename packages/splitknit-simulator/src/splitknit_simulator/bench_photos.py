@@ -17,8 +17,7 @@ from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_capture
-from splitknit.model import Films, PixelArray, no_progress, nominal_rig
-from splitknit.verbs import Progress
+from splitknit.model import Films, PixelArray, Progress, no_progress, nominal_rig
 from splitknit_simulator.calibration_set.bench import (
     BenchSettings,
     SightLines,

@@ -5,16 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from splitknit import read_capture, reconstruct, write_capture
-from splitknit.accuracy import TRUTH_ARRAYS
-from splitknit.io.atomic import atomic_folder
-from splitknit.io.targets import check_target
-from splitknit.model import no_progress
-from splitknit.report.result import make_report, write_results
-from splitknit.verbs import Progress
-from splitknit_simulator.twin import simulate_capture, twin_settings
+from splitknit.arguments import AnyPath, Natural, Progress, Report, Scale, checked, silent
 
 PRESETS = ("metric", "ea")
 WRITTEN = {
@@ -26,13 +18,43 @@ WRITTEN = {
 }
 
 
-def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = no_progress) -> dict[str, Any]:
-    """Write ``capture``, ``metric``, ``ea`` and the report that compares them into `out`, all or nothing; return its
-    facts, with ``out``, ``written`` (name to words) and ``total_s``.
+@checked
+def demo(*, out: AnyPath = Path("demo"), seed: Natural = 1, scale: Scale = 0.5, progress: Progress = silent) -> Report:
+    """Simulate a finger, reconstruct it, compare it with the truth.
+
+    Parameters
+    ----------
+    out
+        Folder to write: ``capture``, ``metric``, ``ea`` and the report that compares them, all or nothing.
+    seed
+        Which finger.
+    scale
+        Size of the images, 1 = 3200 x 2200 pixels.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If `out` holds anything but an earlier demonstration.
+
+    Examples
+    --------
+    >>> demo(out="demo", scale=0.1).facts["comparison"]["metric"]["ridge_correlation"]  # doctest: +SKIP
+    0.97
     """
-    started = time.perf_counter()
-    check_target(out, "capture/truth.npz", "an earlier demonstration")
-    with atomic_folder(out) as target:
+    from splitknit import read_capture, reconstruct, write_capture
+    from splitknit.accuracy import TRUTH_ARRAYS
+    from splitknit.io.atomic import atomic_folder
+    from splitknit.io.targets import check_target
+    from splitknit.report.result import make_report, write_results
+    from splitknit_simulator.twin import simulate_capture, twin_settings
+
+    started, folder = time.perf_counter(), Path(out)
+    check_target(folder, "capture/truth.npz", "an earlier demonstration")
+    with atomic_folder(folder) as target:
         progress("simulating a finger", 0.02)
         simulated, truth = simulate_capture(seed, None, twin_settings(scale, None))
         progress("writing the capture", 0.35)
@@ -50,4 +72,13 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
         report = make_report(results[0], replace(capture, truth=None), compared, results[1:], title)
         facts = report.write(target, list(WRITTEN))
     progress("done", 1.0)
-    return {**facts, "out": str(out), "written": WRITTEN, "total_s": time.perf_counter() - started}
+    total_s = time.perf_counter() - started
+    lines = [f"A simulated finger was photographed, reconstructed and compared with the truth in {total_s:.0f} s."]
+    for preset, figure in facts["comparison"].items():
+        lines.append(
+            f"  {preset:7s} surface rms {figure['surface_rms_mm']:.3f} mm, "
+            f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
+        )
+    lines.append(f"Open {folder / 'report.html'} in a browser. Also written:")
+    lines += [f"  {folder / name}: {what}" for name, what in WRITTEN.items()]
+    return Report({**facts, "out": str(out), "written": WRITTEN, "total_s": total_s}, tuple(lines))

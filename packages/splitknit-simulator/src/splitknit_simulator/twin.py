@@ -17,9 +17,8 @@ from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import read_image
 from splitknit.io.targets import check_capture
-from splitknit.model import BoolArray, FloatArray, PixelArray, default_rig, no_progress
+from splitknit.model import BoolArray, FloatArray, PixelArray, Progress, default_rig, no_progress
 from splitknit.settings import override
-from splitknit.verbs import Progress
 from splitknit_simulator.finger.conditions import conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print

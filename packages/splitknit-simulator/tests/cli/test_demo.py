@@ -11,7 +11,6 @@ from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.report.result import FILES
-from splitknit_simulator import demo as demo_module
 
 
 @pytest.fixture
@@ -25,8 +24,8 @@ def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     def simulate(seed: int, pattern: str | None, settings: Any) -> tuple[Capture, dict[str, Any]]:
         return capture_of(result), truth
 
-    monkeypatch.setattr(demo_module, "reconstruct", reconstruct)
-    monkeypatch.setattr(demo_module, "simulate_capture", simulate)
+    monkeypatch.setattr("splitknit.reconstruct", reconstruct)
+    monkeypatch.setattr("splitknit_simulator.twin.simulate_capture", simulate)
 
 
 @pytest.mark.usefixtures("short_cut")

@@ -2,12 +2,12 @@
 
 from splitknit.accuracy import compare as compare
 from splitknit.errors import BadInput as BadInput
+from splitknit.folders import read_photographs as read_photographs
 from splitknit.io.capture import read_capture as read_capture
 from splitknit.io.capture import write_capture as write_capture
 from splitknit.io.results import read_result as read_result
 from splitknit.io.rig import read_rig as read_rig
 from splitknit.io.rig import write_rig as write_rig
-from splitknit.jobs import read_photographs as read_photographs
 from splitknit.model import Band as Band
 from splitknit.model import Camera as Camera
 from splitknit.model import Capture as Capture

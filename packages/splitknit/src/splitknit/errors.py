@@ -48,54 +48,6 @@ def printable(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-class Note(str):
-    """A sentence that holds lengths, in mm or um; :meth:`in_px` is the same sentence in pixels.
-
-    Every field of the template takes a length in mm: ``{:.1f mm}``, ``{:.0f um}``, or ``{:g mm-}`` without the unit.
-
-    >>> note = Note("the finger is {:.1f mm} wide, where {:g mm-} to {:g mm} is usual.", 40.0, 6.0, 35.0)
-    >>> print(note)
-    the finger is 40.0 mm wide, where 6 to 35 mm is usual.
-    >>> note.in_px(20.0)
-    'the finger is 800 px wide, where 120 to 700 px is usual.'
-    """
-
-    template: str
-    lengths_mm: tuple[float, ...]
-
-    def __new__(cls, template: str, *lengths_mm: float) -> Note:  # noqa: D102 - the class says it
-        note = super().__new__(cls, template.format(*map(_Length, lengths_mm)))
-        note.template, note.lengths_mm = template, lengths_mm
-        return note
-
-    def __getnewargs__(self) -> tuple[Any, ...]:
-        return self.template, *self.lengths_mm
-
-    def in_px(self, px_per_mm: float) -> str:
-        """The sentence with its lengths in pixels."""
-        return self.template.format(*(_Pixels(length * px_per_mm) for length in self.lengths_mm))
-
-    def after(self, beginning: str) -> Note:
-        """The sentence after a beginning that holds no length."""
-        return Note(beginning + self.template, *self.lengths_mm)
-
-
-class _Length(float):
-    """In mm."""
-
-    def __format__(self, spec: str) -> str:
-        number, unit = spec.split()
-        text = format(float(self) * (1000.0 if unit.startswith("um") else 1.0), number)
-        return text if unit.endswith("-") else f"{text} {unit}"
-
-
-class _Pixels(float):
-    """In pixels, whatever the unit of the field."""
-
-    def __format__(self, spec: str) -> str:
-        return f"{float(self):.3g}" if spec.endswith("-") else f"{float(self):.3g} px"
-
-
 class Refused(BadInput):
     """The input was understood and is not good enough; `facts` hold what was found all the same."""
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
 Array = NDArray[np.float64]
@@ -510,7 +511,8 @@ class Reconstruction:
     quality: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     """What the pipeline found or assumed (yaw, crease row, scattering, ...)."""
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    """What is wrong with the photographs, or was assumed of them, worst first."""
     timings_s: Mapping[str, float] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
 
@@ -525,6 +527,11 @@ class Reconstruction:
         warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         picture = "" if not bool(self.mask.any()) else resolve_name(_PREVIEW)(self)
         return f"{picture}<table>{rows}</table><ul>{warnings}</ul>"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(map(str, self.findings))
 
     @property
     def unit(self) -> LengthUnit:

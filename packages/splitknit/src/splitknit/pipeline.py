@@ -7,14 +7,15 @@ progress and results that several cases share wrap the steps from outside (:mod:
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 from splitknit import steps
 from splitknit.errors import require
+from splitknit.findings import Finding, worst_first
 from splitknit.methods import METHODS, method_for
-from splitknit.methods.photographs import FingerPhotographs, finger_photographs, mirror_views, on_mirror_shape, placed
+from splitknit.methods.photographs import finger_photographs, mirror_views, on_mirror_shape, placed
 from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
 from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
 from splitknit.photometric.uncalibrated import with_estimated_lights
@@ -73,7 +74,7 @@ def reconstruct(
     name, chosen = chosen_settings(preset, settings)
     capture = _opened(capture, memory, mirrors=chosen.shape.source == "mirror")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
-    capture, doubts = with_working_scale(capture)
+    capture, of_scale = with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
         photographs = finger_photographs(capture, chosen)
         seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
@@ -83,8 +84,8 @@ def reconstruct(
             surface = on_mirror_shape(photographs, surface, seen, chosen)
         result = placed(photographs, surface, chosen.top_mm)
     odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
-    result = _with_warnings(result, photographs, odd, (*notes, *doubts), surface.warnings)
-    result = replace(result, preset=name, settings=asdict(chosen), timings_s=dict(seconds))
+    findings = worst_first((*odd, *notes, *of_scale, *photographs.findings, *surface.findings))
+    result = replace(result, findings=findings, preset=name, settings=asdict(chosen), timings_s=dict(seconds))
     return result if result.scale_known else _of_unknown_scale(result)
 
 
@@ -130,8 +131,7 @@ def reconstruct_images(
 
     capture, notes = capture_of_arrays(images, lights, mask, px_per_mm, intensities)
     result = reconstruct(with_estimated_lights(capture))
-    said = [note for note in notes if not any(note in warning for warning in result.warnings)]
-    return replace(result, warnings=(*said, *result.warnings))
+    return replace(result, findings=worst_first((*notes, *result.findings)))
 
 
 def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None, *, mirrors: bool) -> Capture:
@@ -151,22 +151,9 @@ def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None, *,
     return capture
 
 
-def _with_warnings(
-    result: Reconstruction,
-    photographs: FingerPhotographs,
-    odd: Sequence[str],
-    before: Sequence[str],
-    after: Sequence[str],
-) -> Reconstruction:
-    """The result with its warnings, first those of what spoils the surface: the photographs, or an `odd` size."""
-    first = photographs.finger.facts.get("spoilt", 0)
-    spoilt, rest = (*photographs.warnings[:first], *odd), photographs.warnings[first:]
-    facts = {**result.facts, "spoilt": len(spoilt)} if spoilt else result.facts
-    return replace(result, warnings=(*spoilt, *before, *rest, *after), facts=facts)
-
-
 def _of_unknown_scale(result: Reconstruction) -> Reconstruction:
-    """The result with its warnings in pixels, a note on the scale, and without an uncertainty in micrometres."""
+    """The result with its findings in pixels, a note on the scale, and without an uncertainty in micrometres."""
     facts = {**result.facts, "scale": "unknown, heights in pixels", "assumed_px_per_mm": result.unit.per_mm}
-    warnings = (UNKNOWN_SCALE, *result.unit.converted(result.warnings))
-    return replace(result, uncertainty_um=None, facts=facts, warnings=warnings)
+    in_pixels = [finding.in_pixels(result.unit.per_mm) for finding in result.findings]
+    findings = worst_first((Finding("scale-unknown", UNKNOWN_SCALE), *in_pixels))
+    return replace(result, uncertainty_um=None, facts=facts, findings=findings)

@@ -1,8 +1,8 @@
 """Which verbs there are, and which distribution brings each: members register theirs by entry points.
 
 An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate camera``) and names a
-:class:`splitknit.cli.verb.Verb`. The group ``splitknit.imports`` extends a verb of the core,
-``splitknit.devices`` names what ``capture`` photographs with.
+function: its signature and docstring make the options and the help. The group ``splitknit.imports`` extends a verb of
+the core, ``splitknit.devices`` names what ``capture`` photographs with.
 The module imports next to nothing, so that ``splitknit --help`` is quick.
 """
 
@@ -10,11 +10,13 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Any
 
 GROUP = "splitknit.verbs"
 IMPORTS, DEVICES = "splitknit.imports", "splitknit.devices"
 CORE, SIMULATOR, RIG, MATCH = "splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match"
+MEMBERS = (CORE, SIMULATOR, RIG, MATCH)
 VERBS = {
     "demo": (SIMULATOR, "simulate a finger, reconstruct it, compare it with the truth"),
     "simulate": (
@@ -131,13 +133,34 @@ def load(value: str) -> Any:
     return found
 
 
+def verbs_known() -> list[str]:
+    """First words of all verbs: those of the program's own members, then anybody else's."""
+    return list(dict.fromkeys((*VERBS, *(name.split(" ")[0] for name in registered(GROUP)))))
+
+
 def objects_of(verb: str) -> dict[str, str]:
-    """A verb's objects by what follows it (nothing, or ``camera`` ... of ``calibrate``); none where not installed."""
+    """A verb's functions by what follows it (nothing, or ``camera`` ... of ``calibrate``); none where not installed."""
+    functions = registered(GROUP, VERBS[verb][0] if verb in VERBS else None)
+    return {name[len(verb) :].strip(): value for name, value in functions.items() if name.split(" ")[0] == verb}
 
-    def those(names: dict[str, str]) -> dict[str, str]:
-        return {name[len(verb) :].strip(): value for name, value in names.items() if name.split(" ")[0] == verb}
 
-    return those(registered(GROUP, VERBS[verb][0] if verb in VERBS else None))
+def refusal(words: Sequence[str]) -> str:
+    """Why the first word is no verb that can run, or why an option is none any more; nothing if all is well."""
+    typed = " ".join(words).replace("=", " ") + " "
+    for name, instead in GONE.items():
+        verb, _, option = name.partition(" --")
+        if typed.startswith(f"{verb} ") and (not option or f" --{option} " in typed):
+            return f"'{name}' left the program: {instead}"
+    verb = next((word for word in words if not word.startswith("-")), "")
+    if verb and verb not in VERBS and verb not in verbs_known():
+        from difflib import get_close_matches
+
+        near = get_close_matches(verb, VERBS, 1)
+        hint = f"did you mean '{near[0]}'?" if near else "'splitknit --help' lists them."
+        return f"there is no verb {verb[:100]!a}; {hint}"
+    if verb in VERBS and not objects_of(verb):
+        return not_installed(f"'splitknit {verb}'", VERBS[verb][0])
+    return ""
 
 
 def extension(group: str, name: str, what: str, distribution: str) -> Any:

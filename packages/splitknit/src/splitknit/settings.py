@@ -6,7 +6,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -49,7 +49,8 @@ class Limits:
             return f"{'above' if self.above else 'at least'} {self.min:g}"
         if math.isinf(self.min):
             return f"{'below' if self.below else 'at most'} {self.max:g}"
-        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{self.max:g}"
+        largest = "2^63 - 1" if self.max == 2**63 - 1 else f"{self.max:g}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{largest}"
 
 
 class Checked:
@@ -78,15 +79,19 @@ class Checked:
 def check_fields(settings: Checked) -> None:
     """Check each field of settings against the range or choices of its type; BadInput names field and value."""
     kind = type(settings)
-    for name, rule in _rules(typing.cast(Hashable, kind)):
-        value = getattr(settings, name)
-        if isinstance(rule, Limits):
-            sound, wanted = rule.hold(value), str(rule)
-        else:
-            wanted = "one of " + ", ".join(str(choice) for choice in rule)
-            sound = value in rule
-        if not sound:
-            raise BadInput(f"{_group(kind)}{name} must be {wanted}, but it is {shown(value)}.")
+    for name, rule in rules_of(kind):
+        check_value(f"{_group(kind)}{name}", rule, getattr(settings, name))
+
+
+def check_value(name: str, rule: Limits | tuple[Any, ...], value: Any) -> None:
+    """Refuse a value out of its range or choices; None is in each. Raises BadInput."""
+    if isinstance(rule, Limits):
+        sound, wanted = rule.hold(value), str(rule)
+    else:
+        wanted = "one of " + ", ".join(str(choice) for choice in rule)
+        sound = value is None or value in rule
+    if not sound:
+        raise BadInput(f"{name} must be {wanted}, but it is {shown(value)}.")
 
 
 def _group(kind: type[Checked]) -> str:
@@ -95,16 +100,26 @@ def _group(kind: type[Checked]) -> str:
     return "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix("_settings") + "."
 
 
-@cache
-def _rules(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
-    """Fields of a class whose types declare a range or choices."""
-    found: list[tuple[str, Limits | tuple[Any, ...]]] = []
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        if typing.get_origin(hint) is Annotated:
-            found += [(name, item) for item in hint.__metadata__ if isinstance(item, Limits)]
-        elif typing.get_origin(hint) is typing.Literal:
-            found.append((name, typing.get_args(hint)))
-    return tuple(found)
+def _all_rules(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
+    """Fields of a class, or arguments of a function, whose types declare a range or choices."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return tuple((name, rule) for name, hint in hints.items() for rule in _rules_in(hint))
+
+
+rules_of: Callable[[Any], tuple[tuple[str, Limits | tuple[Any, ...]], ...]] = cache(_all_rules)
+"""The same, kept."""
+
+
+def _rules_in(hint: Any) -> list[Limits | tuple[Any, ...]]:
+    if typing.get_origin(hint) is Annotated:
+        ranges = [item for item in hint.__metadata__ if isinstance(item, Limits)]
+        return [*ranges, *_rules_in(hint.__origin__)]
+    if typing.get_origin(hint) is typing.Literal:
+        return [typing.get_args(hint)]
+    kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
+    if typing.get_origin(hint) in (typing.Union, types.UnionType) and len(kinds) == 1:
+        return _rules_in(kinds[0])
+    return []
 
 
 def shown(value: Any) -> str:

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note
-
 
 @dataclass(frozen=True, slots=True)
 class LengthUnit:
@@ -52,8 +50,6 @@ class LengthUnit:
             return dict(self._entry(str(name), item, factor) for name, item in value.items())
         if isinstance(value, list | tuple):
             return [self._converted(item, factor) for item in value]
-        if isinstance(value, Note):
-            return value.in_px(self.per_mm)
         return value * factor if isinstance(value, float) else value
 
     def _entry(self, name: str, value: Any, outer: float) -> tuple[str, Any]:

@@ -51,16 +51,18 @@ def test_no_text_breaks_the_parser(text: str) -> None:
 def test_assignments_win_over_the_file(tmp_path: Path) -> None:
     file = tmp_path / "s.toml"
     file.write_text('[knit]\nmode = "addition"\nscales = 3\n')
-    assert read_changes(file, ["knit.mode=crossover"]) == {"knit.mode": "crossover", "knit.scales": 3}
-    assert read_changes(None, []) == {}
+    assert read_changes([("--settings", str(file)), ("--set", "knit.mode=crossover")]) == {
+        "knit.mode": "crossover",
+        "knit.scales": 3,
+    }
+    assert read_changes([]) == {}
 
 
 def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps({"knit": {"mode": "a"}, "x.y": [1]}))
     (tmp_path / "s.toml").write_text('"x.y" = [1]\n[knit]\nmode = "a"\n')
-    assert (
-        read_changes(tmp_path / "s.json", []) == read_changes(tmp_path / "s.toml", []) == {"knit.mode": "a", "x.y": [1]}
-    )
+    for name in ("s.json", "s.toml"):
+        assert read_changes([("--settings", str(tmp_path / name))]) == {"knit.mode": "a", "x.y": [1]}
 
 
 @pytest.mark.parametrize(
@@ -80,9 +82,9 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
 def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes, words: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(BadInput, match=words):
-        read_changes(tmp_path / name, [])
+        read_changes([("--settings", str(tmp_path / name))])
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="does not exist"):
-        read_changes(tmp_path / "none.json", [])
+        read_changes([("--settings", str(tmp_path / "none.json"))])

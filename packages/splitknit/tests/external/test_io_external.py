@@ -104,7 +104,7 @@ def test_the_encoding_of_eight_bits_shows_in_the_shading(data_dir, tmp_path, sto
         write_image(tmp_path / f"{k}.png", code)
     found = capture_from_photographs(tmp_path, bear["lights"][::3])
     assert found.capture.encoding == stored
-    assert "`encoding`" in found.notes[0]
+    assert "`encoding`" in str(found.notes[0])
 
 
 def test_renders_without_a_tone_curve_stay_linear(data_dir):

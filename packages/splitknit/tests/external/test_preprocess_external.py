@@ -8,7 +8,7 @@ import pytest
 
 from splitknit.finger.contrast import clahe
 from splitknit.finger.mask import finger_mask, touched_borders
-from splitknit.finger.motion import motion_warnings, shot_motion
+from splitknit.finger.motion import motion_findings, shot_motion
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 from splitknit.finger.quality import capture_quality, photometric_mask
@@ -45,6 +45,6 @@ def test_given_mask_through_all_steps(phalange):
     assert refined.sum() > 0.95 * given.sum()
     quality = capture_quality(stack, given, 37.0)
     assert quality["ridge_contrast"] > 0.02
-    assert motion_warnings(shot_motion(stack, given, 37.0)) == ()
+    assert motion_findings(shot_motion(stack, given, 37.0)) == ()
     equalised = clahe(stack[0], 37.0, mask=given)
     assert equalised[given].std() > 2 * stack[0][given].std() / stack[0][given].max() * 0.5

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger.motion import motion_warnings, shot_motion
+from splitknit.finger.motion import motion_findings, shot_motion
 
 
 def moved(stack, k, x_mm, y_mm, px_per_mm):
@@ -26,15 +26,15 @@ def test_a_still_finger_gives_no_alarm(scene):
     motion = shot_motion(scene.stack, scene.mask, 16.0)
     assert np.hypot(*motion.shift_mm.T).max() < 0.02
     assert motion.reliability.min() > 0.8
-    assert motion_warnings(motion) == ()
+    assert motion_findings(motion) == ()
 
 
 @pytest.mark.parametrize(("k", "x", "y"), [(0, 0.1, 0.0), (3, -0.08, 0.06), (6, 0.4, -0.3)])
 def test_a_moved_shot_is_measured(scene, k, x, y):
     motion = shot_motion(moved(scene.stack, k, x, y, 16.0), scene.mask, 16.0)
     np.testing.assert_allclose(motion.shift_mm[k], [x, y], atol=0.03)
-    (warning,) = motion_warnings(motion)
-    assert f"image {k} by" in warning
+    (warning,) = motion_findings(motion)
+    assert f"image {k} by" in str(warning) and warning.code == "moved-finger" and warning.files == (f"image {k}",)
 
 
 def test_light_order_does_not_matter(scene):
@@ -48,4 +48,4 @@ def test_few_shots_are_not_judged(scene):
     motion = shot_motion(scene.stack[:4], scene.mask, 16.0)
     assert motion.shift_mm.shape == (4, 2)
     assert (motion.reliability == 0).all()
-    assert motion_warnings(motion) == ()
+    assert motion_findings(motion) == ()

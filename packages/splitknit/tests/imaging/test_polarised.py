@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.polarised import doubts_of_series, separate_polarised, specular_picture, split_mosaic
+from splitknit.imaging.polarised import findings_on_series, separate_polarised, specular_picture, split_mosaic
 
 FILMS = {90: (0, 0), 45: (0, 1), 135: (1, 0), 0: (1, 1)}
 """Row and column of each in its block."""
@@ -110,8 +110,9 @@ def test_series_that_do_not_belong_together_are_doubted() -> None:
     noise = np.random.default_rng(0).normal(0, 0.02, crossed.shape).astype(np.float32)
     parallel, mask = crossed + 0.3 + noise, np.hypot(rows, columns) < 0.9
     beside = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides + np.pi / 7])
-    assert doubts_of_series(parallel, crossed, mask) == ()
-    assert doubts_of_series(parallel, beside.astype(np.float32), mask) == ()  # LEDs halfway to the next ones
-    assert "were their folders exchanged" in doubts_of_series(crossed, parallel, mask)[0]
-    (words,) = doubts_of_series(parallel, crossed[[1, 2, 3, 4, 5, 6, 0]], mask)
-    assert words.startswith("crossed image 0 is lit as parallel image 1 is, not as image 0")
+    assert findings_on_series(parallel, crossed, mask) == ()
+    assert findings_on_series(parallel, beside.astype(np.float32), mask) == ()  # LEDs halfway to the next ones
+    assert "were their folders exchanged" in str(findings_on_series(crossed, parallel, mask)[0])
+    (words,) = findings_on_series(parallel, crossed[[1, 2, 3, 4, 5, 6, 0]], mask)
+    assert words.code == "series-order"
+    assert str(words).startswith("crossed image 0 is lit as parallel image 1 is, not as image 0")

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from splitknit.cli import main as cli
+from splitknit.cli.exits import INTERRUPTS
 from splitknit.errors import UNFINISHED, BadInput, given_folders, read_bytes
 from splitknit.io import atomic
 from splitknit.io.atomic import GROUP_READABLE, MANIFEST, atomic_file, atomic_folder, manifest_of
@@ -245,7 +246,7 @@ def test_an_interrupt_while_tidying_waits_until_that_is_done(
             fill(tmp_path / "result", one="2")
     finally:
         signal.signal(number, earlier)
-        cli._interrupts.clear()
+        INTERRUPTS.clear()
     assert come and [path.name for path in tmp_path.iterdir()] == ["result"]
     assert visible(tmp_path / "result")["one"] in ("1", "2")
     assert UNFINISHED.depth == 0

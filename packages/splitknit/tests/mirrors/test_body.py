@@ -121,6 +121,6 @@ def test_a_mirror_turns_leans_and_shifts_as_said() -> None:
 def test_views_that_do_not_agree_are_told() -> None:
     misfit = {"front": np.full(9, 0.03), "left": np.full(9, 0.2)}
     fit = Fit(None, {}, misfit, {name: np.ones(9) for name in misfit})  # type: ignore[arg-type]
-    (said,) = MirrorShape(CAMERA, None, {}, {}, fit).doubts  # type: ignore[arg-type]
-    assert said.startswith("the left view's outline agrees with the others to 0.20 mm only")
-    assert MirrorShape(CAMERA, None, {}).doubts == ()  # type: ignore[arg-type]
+    (said,) = MirrorShape(CAMERA, None, {}, {}, fit).findings  # type: ignore[arg-type]
+    assert str(said).startswith("the left view's outline agrees with the others to 0.20 mm only")
+    assert MirrorShape(CAMERA, None, {}).findings == ()  # type: ignore[arg-type]

@@ -55,7 +55,7 @@ def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFi
     assert main([*given, "--out", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["facts"]["lights"] == "estimated"
-    assert any("bas-relief" in text for text in facts["warnings"])
+    assert "bas-relief" in {each["code"] for each in facts["findings"]}
     assert main([*given, "--material", "skin", "--out", str(tmp_path / "skin")]) == 2
     assert "unknown lights go with opaque things" in capsys.readouterr().err
 

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from handmade import capture_of, finger
+from splitknit.findings import Finding
 from splitknit.report.result import make_report, write_files
 
 Written = tuple[Path, dict[str, Any]]
@@ -87,7 +88,7 @@ def test_document_holds_the_same_facts(written: Written) -> None:
     facts = written[1]
     assert facts["format"] == "splitknit-report"
     assert facts["preset"] == "metric"
-    assert facts["warnings"] == ["No flexion crease is in view; the whole visible finger was kept."]
+    assert [each["code"] for each in facts["findings"]] == ["no-crease"]
     assert facts["timings_s"] == {"preprocess": 0.5, "normals": 1.25}
     assert facts["inputs_sha256"] == {"white_0.png": "ab" * 32}
     assert facts["comparison"]["metric"]["ridge_gain"] == pytest.approx(1.0, abs=1e-3)
@@ -101,7 +102,7 @@ def test_strings_cannot_become_markup() -> None:
     capture = replace(capture_of(result), subject={"id": evil, evil: "x"}, captured_at=evil)
     spiked = replace(
         result,
-        warnings=(evil,),
+        findings=(Finding("no-crease", evil),),
         facts={evil: evil, "nested": {evil: [1.0, evil]}},
         quality={"list": [evil], evil: [1.0, 2.0]},
         settings={evil: {evil: evil}},
@@ -135,7 +136,7 @@ def test_bare_result_has_a_report() -> None:
         result,
         quality={},
         facts={"odd": float("nan")},
-        warnings=(),
+        findings=(),
         timings_s={},
         settings={},
         hashes={},

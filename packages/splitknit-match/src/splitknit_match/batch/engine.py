@@ -15,8 +15,7 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import Refused, given_folders, require
 from splitknit.io.targets import check_file
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.batch.cases import Case, preset_cases
 from splitknit_match.batch.features import CaptureTask, extract_minutiae, reconstruct_capture
 from splitknit_match.batch.matchers import MATCHERS

@@ -10,8 +10,7 @@ from typing import Any
 
 from splitknit.errors import Refused, require
 from splitknit.io.enrolment import FINGERS
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit.workers import run_jobs
 from splitknit_match.gallery.file import Entry, GalleryFile, Key, check_session, known_finger, session_order
 from splitknit_match.gallery.gallery import (

@@ -24,10 +24,10 @@ from splitknit_match.batch.store import TEMPLATES
 from splitknit_match.batch.surfaces import pack_surface
 from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
 from splitknit_match.batch.tasks import Done
-from splitknit_match.matching.minutiae import extract
-from splitknit_match.matching.minutiae_record import no_minutiae, pack_minutiae
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import pack
+from splitknit_match.prints.minutiae import extract
+from splitknit_match.prints.minutiae_record import no_minutiae, pack_minutiae
 
 PRINT_PPI = 500.0
 _QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")

@@ -8,8 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 from splitknit_match.batch.store import Place
-from splitknit_match.matching.minutiae import EDGE_MM, minutiae_match
-from splitknit_match.matching.minutiae_record import Minutiae, unpack_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import unpack
@@ -21,6 +19,8 @@ from splitknit_match.matching.thesis import (
     thesis_match,
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
+from splitknit_match.prints.minutiae import EDGE_MM, minutiae_match
+from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")

@@ -14,8 +14,7 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import require
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.evaluation import rates
 from splitknit_match.evaluation.fusion import FITS, Fused
 from splitknit_match.evaluation.fusion import fuse as fuse_systems

@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.io.provenance import file_hash
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order
 from splitknit_match.matching.fusion import fused_match, with_fusion
-from splitknit_match.matching.minutiae import minutiae_match
-from splitknit_match.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import unpack
+from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
 _BLOCK = 32  # fingers kept ready at a time: 2 to 9 MB each
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import re
 import select
@@ -15,20 +16,21 @@ import sqlite3
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
+from splitknit.arguments import AnyPath
 from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
-from splitknit.io.atomic import private_modes
+from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit.verbs import AnyPath
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import MinutiaIndex
 
+_LOG = logging.getLogger(__name__)
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
 VERSION = 4
@@ -154,6 +156,8 @@ class Key:
     """64 hexadecimal digits, or a passphrase. Is never shown."""
 
     text: str
+    file: Path | None = field(default=None, compare=False)
+    """Where it was read from."""
 
     @property
     def pragma(self) -> str:
@@ -189,7 +193,13 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     sound = len(content) <= _MAX_KEY_BYTES and text.isprintable() and "\ufffd" not in text and len(text) >= 8
     expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
     require(sound, f"{where} holds no key: {expected}")
-    return Key(text)
+    return Key(text, None if file is None else Path(file))
+
+
+def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
+    """Log a warning of a secret file that others can read."""
+    if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
+        _LOG.warning("the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file)
 
 
 class People:
@@ -248,7 +258,11 @@ class GalleryFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *unused: object) -> None:
+    def __exit__(self, kind: object, *unused: object) -> None:
+        if kind is None:
+            warn_of_readers(self.path, "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
+            if self.key is not None and self.key.file is not None:
+                warn_of_readers(self.key.file, "key file")
         self.close()
 
     def close(self) -> None:

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splitknit import BadInput, Capture, Reconstruction, read_capture
+from splitknit.arguments import AnyPath, Preset
 from splitknit.errors import require
 from splitknit.io.provenance import file_hash
-from splitknit.model import no_progress
-from splitknit.verbs import AnyPath, Progress
+from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
     Entry,
     GalleryFile,
@@ -31,16 +31,16 @@ from splitknit_match.gallery.identify import (
     MINUTIAE_HASH,
     TEMPLATES_HASH,
     Identification,
+    Merge,
     RankedCandidate,
     identify_finger,
 )
-from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.matching.inputs import Held, Pixels, Side, held, is_of_minutiae, read_side, undoubted
-from splitknit_match.matching.match_job import Finger
+from splitknit_match.matching.match import Finger
 from splitknit_match.matching.methods import side_minutiae
-from splitknit_match.matching.minutiae_record import pack_minutiae
-from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.matching.template import mirrored
+from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.prints.photo_finger import PhotoFinger
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _DISSIMILAR_FMR = 0.01
@@ -139,11 +139,28 @@ class Gallery(GalleryFile):
     ...     gallery.remove("Ann", "right_index")
     """
 
-    def identify(self, probe: Finger, *, side: Side | None = None, **how: Any) -> Identification:
-        """Who is it? `how`: as of :func:`splitknit_match.identify` (``resolution_ppi``, ``top``, ``fmr``, ``person``
-        for verification ...). Raises BadInput as it.
-        """
-        return identify_finger(IdentifyJob(self.path, probe, **how), gallery=self, side=side)
+    def identify(
+        self,
+        probe: Finger,
+        *,
+        top: int = 10,
+        person: str | None = None,
+        finger: str | None = None,
+        fmr: float = 1e-4,
+        merge: Merge = "person",
+        input_ppi: float | None = None,
+        resolution_ppi: float | None = None,
+        preset: Preset = "metric",
+        progress: Progress = no_progress,
+    ) -> Identification:
+        """Who is it? Arguments, and what is raised, as of :func:`splitknit_match.identify`."""
+
+        def read(progress: Progress) -> Side:
+            return read_side(held(probe, resolution_ppi), preset, progress, input_ppi)
+
+        return identify_finger(
+            self, read, top=top, person=person, finger=finger, fmr=fmr, merge=merge, progress=progress
+        )
 
     def enroll(
         self,
@@ -285,12 +302,9 @@ class _Review:
             compared = earlier and not of_minutiae and side.template is not None
             self.notes.append(self._dissimilar(side, earlier) if compared else "")
 
-    def _identify(self, side: Side, **how: Any) -> Identification:
-        return self.gallery.identify(b"", side=side, **how)
-
     def _duplicates(self, side: Side) -> list[RankedCandidate]:
         """Candidates beyond the threshold that are other fingers."""
-        identification = self._identify(side, merge="finger")
+        identification = identify_finger(self.gallery, lambda _: side, merge="finger")
         decision = identification.decision
         alike = [
             candidate
@@ -311,13 +325,14 @@ class _Review:
     def _dissimilar(self, side: Side, count: int) -> str:
         """A note where a finger matches none of its earlier captures."""
         person, finger = self.names
-        own = self._identify(side, person=person, finger=finger)
+        own = identify_finger(self.gallery, lambda _: side, person=person, finger=finger)
         fmr = own.candidates[0].fmr if own.candidates else None
         if own.answer != "no match" or fmr is None or fmr < _DISSIMILAR_FMR:
             return ""
         assert side.template is not None
         turned = replace(side, template=mirrored(side.template))
-        if self._identify(turned, person=person, finger=finger).answer == "match":
+        mirror = identify_finger(self.gallery, lambda _: turned, person=person, finger=finger)
+        if mirror.answer == "match":
             return "it matches its earlier captures only in a mirror: the picture is mirrored; turn it round."
         return f"it is unlike the {count} earlier captures of this finger: is it another finger?"
 

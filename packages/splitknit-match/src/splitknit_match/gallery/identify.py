@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Literal
 
 from splitknit import BadInput
-from splitknit.errors import naming
-from splitknit.io.provenance import settings_hash
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.arguments import text_of
+from splitknit.errors import naming, require
+from splitknit.io.provenance import known_json, settings_hash
+from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import Entry, GalleryFile, People, check_person, known_finger, session_order
-from splitknit_match.gallery.identify_job import IdentifyJob
 from splitknit_match.gallery.minutia_index import each, unpacked
+from splitknit_match.gallery.words import identification_lines
 from splitknit_match.matching.fusion import fused_match, with_fusion
-from splitknit_match.matching.inputs import Side, held, read_side
+from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
     ComparedSide,
     FmrBasis,
@@ -30,10 +30,10 @@ from splitknit_match.matching.methods import (
     side_minutiae,
     similarity_at,
 )
-from splitknit_match.matching.minutiae import minutiae_match
-from splitknit_match.matching.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template
+from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared."""
@@ -44,6 +44,11 @@ TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
 """What galleries that keep minutiae have in place of :data:`TEMPLATES_HASH`."""
+
+
+Merge = Literal["person", "finger", "none"]
+_MERGED = {"person": 1, "finger": 2, "none": 3}
+"""How many of person, finger and session make one candidate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +116,14 @@ class Identification:
     presentation: str | None = None
     """``live`` or ``unknown``, where attacks were to be refused."""
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain JSON."""
+        return dict(known_json(self))
+
+    def __str__(self) -> str:
+        return text_of(identification_lines(self))
+
 
 @dataclass(frozen=True, slots=True)
 class _Comparison:
@@ -130,47 +143,51 @@ class _Comparison:
 
 
 def identify_finger(
-    job: IdentifyJob,
-    progress: Progress = no_progress,
+    gallery: GalleryFile,
+    read: Callable[[Progress], Side],
     *,
-    gallery: GalleryFile | None = None,
-    side: Side | None = None,
+    top: int = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float = 1e-4,
+    merge: Merge = "person",
+    progress: Progress = no_progress,
 ) -> Identification:
-    """Who is it? That nobody is found is a result, no error. Raises BadInput as :class:`IdentifyJob` states.
+    """Who is it? That nobody is found is a result, no error. Raises BadInput as :func:`splitknit_match.identify`.
 
-    `gallery`: where it is open already; `side`: the probe, where it was read already.
+    `read`: reads the probe, once all else is known to be sound.
     """
-    person = None if job.person is None else check_person(job.person)
-    finger = None if job.finger is None else known_finger(job.finger)
-    file = GalleryFile(job.gallery, job.key) if gallery is None else gallery
-    with contextlib.closing(file) if gallery is None else contextlib.nullcontext():
-        people = file.people(person)
+    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
+    require(0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr:g}.")
+    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    person = None if person is None else check_person(person)
+    finger = None if finger is None else known_finger(finger)
+    people = gallery.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    file.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH)
+    gallery.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH)
     entries = people.of(person, finger)
     # refused here, before anything is made, where no such rate was measured
-    similarity_at(job.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+    similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 
     def reading(stage: str, fraction: float) -> None:
         progress(stage, 0.5 * fraction)
 
-    if side is None:
-        side = read_side(held(job.probe, job.resolution_ppi), job.preset, reading, job.input_ppi)
+    side = read(reading)
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
-        raise BadInput(f"{side.path} holds minutiae, but '{job.gallery}' keeps ridges; {cure}.")
+        raise BadInput(f"{side.path} holds minutiae, but '{gallery.path}' keeps ridges; {cure}.")
     acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
     in_part = person is None and finger is None
-    most = max(job.top, round(NEAREST * len(entries))) if in_part else len(entries)
+    most = max(top, round(NEAREST * len(entries))) if in_part else len(entries)
     comparisons, searched = _search(people, probe, entries, most=most, progress=progress)
     table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
     if table == "fusion" and side.kind == "photo":
         table = "fingerphotos"
-    best = _merged(comparisons, job.merge)[: job.top]
-    rated = [comparison.rated(table, area_mm2, job.fmr) for comparison in best]
+    best = _merged(comparisons, merge)[:top]
+    rated = [comparison.rated(table, area_mm2, fmr) for comparison in best]
     candidates = tuple(
         _candidate(rank, comparison, rates.fmr, searched.captures)
         for rank, (comparison, rates) in enumerate(zip(best, rated, strict=True), start=1)
@@ -180,8 +197,8 @@ def identify_finger(
     undoubted = doubt is None and searched.compared == searched.captures and table == "fusion"
     if isinstance(probe, Template) and undoubted and rated and rated[0].answer != "match":
         row = best[0].entry.row
-        doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), job.fmr)
-    decision, undecided = _decided(rated, table, job.fmr, searched.captures)
+        doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), fmr)
+    decision, undecided = _decided(rated, table, fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
         decision, undecided = None, doubt
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
@@ -190,14 +207,14 @@ def identify_finger(
     basis = rated[0].basis if rated else fmr_basis(table)
     progress("done", 1.0)
     return Identification(
-        gallery=str(job.gallery),
+        gallery=str(gallery.path),
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
         mode="identification" if person is None else "verification",
         person=person,
         finger=finger,
         by="minutiae" if of_minutiae else "ridges",
         searched=searched,
-        merge=job.merge,
+        merge=merge,
         candidates=candidates,
         fmr_basis=basis,
         decision=decision,
@@ -304,7 +321,7 @@ def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> l
 
 def _merged(comparisons: Sequence[_Comparison], merge: str) -> list[_Comparison]:
     """The best of each person or finger, best first."""
-    count = {"person": 1, "finger": 2, "none": 3}[merge]
+    count = _MERGED[merge]
     best: dict[tuple[str, ...], _Comparison] = {}
     for comparison in comparisons:
         best.setdefault(comparison.entry.names[:count], comparison)

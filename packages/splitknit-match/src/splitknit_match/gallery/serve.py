@@ -29,10 +29,10 @@ from splitknit.io.provenance import known_json
 from splitknit_match.gallery.file import MAX_NAME, Unavailable
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
-from splitknit_match.matching.match_job import make_template
-from splitknit_match.matching.minutiae_record import PPI, pack_minutiae
+from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
+from splitknit_match.prints.minutiae_record import PPI, pack_minutiae
 from splitknit_match.records.print_formats import decode_prints
 
 MAX_BODY = 10_000_000

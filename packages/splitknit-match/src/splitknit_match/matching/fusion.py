@@ -26,7 +26,6 @@ from splitknit_match.matching.elastic import (
     shown_in_a,
 )
 from splitknit_match.matching.minutia_pairs import Laid, Places, agreeing, on_ridges, pair_minutiae
-from splitknit_match.matching.minutiae_record import pack_minutiae
 from splitknit_match.matching.ridge import (
     Prepared,
     RidgeMatch,
@@ -39,6 +38,7 @@ from splitknit_match.matching.ridge import (
     starts_by_ridges,
 )
 from splitknit_match.matching.template import Template, scaled
+from splitknit_match.prints.minutiae_record import pack_minutiae
 
 _BENDS = 2
 """Times that the shifts of patches are smoothed and followed."""

@@ -15,18 +15,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, open_file, require
 from splitknit.io.fields import read_json
-from splitknit.model import Surface, no_progress, surface_of
-from splitknit.verbs import Progress
-from splitknit_match.matching.minutiae import at_500_ppi
-from splitknit_match.matching.minutiae_record import (
-    PPI,
-    Minutiae,
-    holds_minutiae,
-    no_minutiae,
-    pack_minutiae,
-    unpack_minutiae,
-)
-from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit.model import Progress, Surface, no_progress, surface_of
 from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import (
@@ -39,6 +28,16 @@ from splitknit_match.matching.template import (
     unpack,
     with_minutiae,
 )
+from splitknit_match.prints.minutiae import at_500_ppi
+from splitknit_match.prints.minutiae_record import (
+    PPI,
+    Minutiae,
+    holds_minutiae,
+    no_minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
 
 if TYPE_CHECKING:

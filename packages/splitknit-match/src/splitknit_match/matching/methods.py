@@ -14,23 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
+from splitknit.arguments import text_of
 from splitknit.errors import naming, require
-from splitknit.model import no_progress
+from splitknit.io.provenance import known_json
+from splitknit.model import Progress, no_progress
 from splitknit.settings import override
-from splitknit.verbs import Progress, path
 from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
-from splitknit_match.matching.inputs import Side, held, is_photo, read_side, undoubted
-from splitknit_match.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit_match.matching.minutiae_record import PPI, Minutiae
-from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit_match.matching.inputs import Held, Side, is_photo, read_side, undoubted
 from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
 from splitknit_match.matching.score import FmrTable, OwnRates, read_own_rates
 from splitknit_match.matching.surface import MatchingSettings, surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
+from splitknit_match.matching.words import failure_notes, match_lines, template_line
+from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:
-    from splitknit_match.matching.match_job import MakeTemplateJob, MatchJob
     from splitknit_match.matching.thesis import FingerImages, ThesisSettings
 
 TABLES = {
@@ -157,6 +158,16 @@ class Match:
     template: TemplateFile | None = None
     """Template of side A, where one was written."""
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain JSON, without what the method does not measure."""
+        kept = ("fmr", "fmr_missing", "fmr_basis", "decision", "undecided")
+        own = {"fusion": ("similarity_of_minutiae",), "minutiae": ("nfiq2",)}.get(self.method, ())
+        return dict(known_json(self, (*kept, *own)))
+
+    def __str__(self) -> str:
+        return text_of(match_lines(self))
+
 
 @dataclass(frozen=True, slots=True)
 class TemplateMade:
@@ -168,26 +179,45 @@ class TemplateMade:
     payload: bytes | None = None
     """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to acquire."""
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain JSON, without the template itself."""
+        return dict(known_json(replace(self, payload=None)))
 
-def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
+    def __str__(self) -> str:
+        lines = failure_notes("ridge", self.a)
+        return text_of(lines if self.template is None else [*lines, template_line(self.template)])
+
+
+def match_fingers(
+    fingers: tuple[Path | Held, Path | Held],
+    *,
+    method: str,
+    preset: str,
+    settings: Mapping[str, Any] | None,
+    fmr: float | None,
+    decision: Path | None,
+    template: Path | None,
+    input_ppi: float | None,
+    where: PhotoFinger,
+    progress: Progress = no_progress,
+) -> Match:
     """Compare two fingers. Raises BadInput, naming the file at fault, or if `fmr` is below what was measured.
 
     Where a photograph of a finger is compared with a print, `input_ppi` is the resolution of the photograph alone.
     """
-    require(job.fmr is None or 0 < job.fmr < 1, f"`fmr` must lie between 0 and 1, but it is {job.fmr}.")
-    fingers, method, template = (held(job.a), held(job.b)), str(job.method), path(job.template)
-    thesis = override(MatchingSettings(), job.settings or {}).thesis
-    own = None if job.decision is None else read_own_rates(path(job.decision))
+    require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
+    thesis = override(MatchingSettings(), settings or {}).thesis
+    own = None if decision is None else read_own_rates(decision)
     if template is not None:
         _check_template_file(template, *fingers)
-    where = PhotoFinger(job.mask, job.box)
-    photos = [(job.input_ppi is not None or where.given) and is_photo(finger) for finger in fingers]
+    photos = [(input_ppi is not None or where.given) and is_photo(finger) for finger in fingers]
     chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
 
     def read(number: int) -> Side:
         return read_side(
-            fingers[number], job.preset, no_progress if number else progress,
-            job.input_ppi if photos[number] or not any(photos) else None,
+            fingers[number], preset, no_progress if number else progress,
+            input_ppi if photos[number] or not any(photos) else None,
             where=where if number == chosen else None,
         )  # fmt: skip
 
@@ -203,21 +233,21 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
         method = "minutiae" if not ridges else "fusion" if can_fuse(_template(a), _template(b)) else "ridge"
     require(
         own is None or own.method == method,
-        f"'{job.decision}' is for the method {'' if own is None else own.method}, but {method} compares these.",
+        f"'{decision}' is for the method {'' if own is None else own.method}, but {method} compares these.",
     )
     progress("comparing", 0.9)
     compare: dict[str, Callable[[Side, Side], Match]] = {
         "ridge": _by_ridges,
-        "fusion": partial(_fused, job.input_ppi is None),
+        "fusion": partial(_fused, input_ppi is None),
         "thesis": partial(_by_thesis, thesis),
         "thesis-code": _by_thesis_code,
         "minutiae": _by_minutiae,
     }
-    found = _rated(compare[method](a, b), _scores_of(method, a, b), job.fmr, own)
+    found = _rated(compare[method](a, b), _scores_of(method, a, b), fmr, own)
     if method == "fusion" and "photo" not in (a.kind, b.kind) and found.fmr is not None and found.answer != "match":
         sides = _template(a), _template(b)
-        doubt = scale_doubt(*sides, job.fmr, own)
-        if found.answer == "no match" and doubt is None and _prints_match(mirrored(sides[0]), sides[1], job.fmr, own):
+        doubt = scale_doubt(*sides, fmr, own)
+        if found.answer == "no match" and doubt is None and _prints_match(mirrored(sides[0]), sides[1], fmr, own):
             doubt = "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
         found = found if doubt is None else replace(found, answer="undecided", undecided=doubt, decision=None)
     written = None if template is None else _written(template, a)
@@ -225,13 +255,21 @@ def match_fingers(job: MatchJob, progress: Progress = no_progress) -> Match:
     return replace(found, template=written)
 
 
-def make_template_file(job: MakeTemplateJob, progress: Progress = no_progress) -> TemplateMade:
+def make_template_file(
+    finger: Path | Held,
+    template: Path | None,
+    *,
+    preset: str,
+    settings: Mapping[str, Any] | None,
+    input_ppi: float | None,
+    where: PhotoFinger,
+    progress: Progress = no_progress,
+) -> TemplateMade:
     """Write the template of one finger; refusals as of :func:`match_fingers`."""
-    override(MatchingSettings(), job.settings or {})  # refuses unknown ones
-    finger, template = held(job.a), path(job.template)
+    override(MatchingSettings(), settings or {})  # refuses unknown ones
     if template is not None:
         _check_template_file(template, finger)
-    side = read_side(finger, job.preset, progress, job.input_ppi, where=PhotoFinger(job.mask, job.box))
+    side = read_side(finger, preset, progress, input_ppi, where=where)
     written = None if template is None else _written(template, side)
     progress("done", 1.0)
     return TemplateMade(_side(side), written, undoubted(side).payload)

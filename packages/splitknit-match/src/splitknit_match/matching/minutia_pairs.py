@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae_record import Minutiae
+from splitknit_match.prints.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae_record import LARGEST_MM2
+from splitknit_match.prints.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4

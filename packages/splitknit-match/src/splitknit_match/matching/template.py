@@ -3,7 +3,7 @@
 A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each), number of runs (uint32),
 pitch in micrometres (uint16); the lengths of alternating runs of missing and valid pixels in row order (uint16 each, or
 65535 and a uint32 for longer ones); two bits for each valid pixel, the first pixel in the lowest bits; and of a print,
-where they were found, its minutiae (:func:`splitknit_match.matching.minutiae_record.pack_minutiae`, with a version of
+where they were found, its minutiae (:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of
 their own). A finger that could not be acquired is a payload of zero bytes.
 """
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae_record import (
+from splitknit_match.matching.ridge_band import RidgeBand
+from splitknit_match.prints.minutiae_record import (
     LARGEST_MM2,
     PPI,
     Minutiae,
@@ -28,7 +29,6 @@ from splitknit_match.matching.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
-from splitknit_match.matching.ridge_band import RidgeBand
 
 VERSION = 1
 """Version of the payload; a reader refuses others."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from splitknit import BadInput, Led, read_capture, read_result, reconstruct
+from splitknit.arguments import AnyPath
 from splitknit.errors import naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
@@ -23,11 +24,7 @@ from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.results import SURFACES as MESHES
 from splitknit.io.results import surface_bytes
 from splitknit.io.targets import check_target
-from splitknit.model import no_progress
-from splitknit.verbs import AnyPath, Progress, path
-from splitknit_match.matching.minutiae import extract
-from splitknit_match.matching.minutiae_record import PPI, no_minutiae
-from splitknit_match.prints.export_job import ExportJob
+from splitknit.model import Progress, no_progress
 from splitknit_match.prints.from_file import (
     coded_finger,
     finger_view,
@@ -37,6 +34,8 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
 )
 from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
+from splitknit_match.prints.minutiae import extract
+from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
@@ -45,7 +44,6 @@ FACTS_FILE = "export.json"
 SURFACES = (*MESHES, "lp")
 """Formats of surfaces, and of lights."""
 _FORMAT = "splitknit-export"
-_PARAMETERS = ("to", "finger", "impression", "compression", "owner", "minutiae", "input_ppi", "preset")
 _KEPT_PPI = (500, 1000)
 """Resolutions that records have; prints of others are resampled to 500."""
 
@@ -67,17 +65,35 @@ class _Finger:
     """The picture as it was made of a surface."""
 
 
-def export_records(job: ExportJob, progress: Progress = no_progress) -> Facts:
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """How fingers are written."""
+
+    to: str | None = None
+    """A format; None: pictures as PNG, minutiae as ISO 19794-2."""
+    finger: str | None = None
+    impression: str | None = None
+    """Which finger and kind of impression it is; None: as the sources state."""
+    compression: str = "none"
+    owner: int = 0x0103
+    minutiae: str = "phase"
+    """``phase`` or ``mindtct``: how they are found."""
+    input_ppi: float | None = None
+    preset: str = "metric"
+
+
+def export_records(
+    sources: Sequence[Path], out: Path, options: ExportOptions, progress: Progress = no_progress
+) -> Facts:
     """Write fingers in a format of other systems, one file each, all or none; return the facts of ``export.json``.
 
     Raises BadInput, naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at
     all.
     """
-    sources, out = [Path(source) for source in job.sources], path(job.out)
-    known = job.finger is None or job.finger in FINGER_CODES
-    require(known, f"'{job.finger}' is not a finger; choose one of {', '.join(FINGER_CODES)}.")
-    known = job.impression is None or job.impression in IMPRESSIONS
-    require(known, f"'{job.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
+    known = options.finger is None or options.finger in FINGER_CODES
+    require(known, f"'{options.finger}' is not a finger; choose one of {', '.join(FINGER_CODES)}.")
+    known = options.impression is None or options.impression in IMPRESSIONS
+    require(known, f"'{options.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
     require(sources, "name what is to be exported: captures, results, prints or records.")
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
@@ -87,14 +103,14 @@ def export_records(job: ExportJob, progress: Progress = no_progress) -> Facts:
     with atomic_folder(out) as folder:
         for number, source in enumerate(sources):
             progress(source.name, number / len(sources))
-            if job.to in SURFACES:
-                write = _write_lights if job.to == "lp" else _write_mesh
-                rows.append(write(source, folder, job, taken, hashes))
+            if options.to in SURFACES:
+                write = _write_lights if options.to == "lp" else _write_mesh
+                rows.append(write(source, folder, options, taken, hashes))
                 continue
             own: dict[str, str] = {}
-            for finger in _fingers(source, job, own):
-                form = FORMATS[job.to or ("iso-19794-2" if finger.picture is None else "png")]
-                data, facts = naming(source, lambda: _encoded(finger, form, job, own))  # noqa: B023
+            for finger in _fingers(source, options, own):
+                form = FORMATS[options.to or ("iso-19794-2" if finger.picture is None else "png")]
+                data, facts = naming(source, lambda: _encoded(finger, form, options, own))  # noqa: B023
                 file = _free(finger.name, form.suffix, taken)
                 (folder / file).write_bytes(data)
                 rows.append({"file": file, "source": str(source), "kind": finger.kind, **facts})
@@ -102,10 +118,10 @@ def export_records(job: ExportJob, progress: Progress = no_progress) -> Facts:
         require(rows, f"'{sources[0]}' holds no finger to export.")
         facts = {
             "format": _FORMAT,
-            "to": job.to,
+            "to": options.to,
             "files": rows,
             "failures_to_acquire": [row["file"] for row in rows if row.get("minutiae") == 0],
-            "provenance": provenance({name: getattr(job, name) for name in _PARAMETERS}, hashes),
+            "provenance": provenance(options, hashes),
         }
         (folder / FACTS_FILE).write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
@@ -120,15 +136,15 @@ def import_records(
     Raises BadInput, naming the file at fault.
     """
     for file in map(Path, files):
-        cure = f"photographs of a folder are imported by `folder` {file} `lights` FILE"
+        cure = f"photographs of a folder are imported by `images` {file} `lights` FILE"
         require(not file.is_dir(), f"'{file}' is a folder; {cure}.")
-    return export_records(ExportJob(tuple(files), to=None, out=out, input_ppi=input_ppi), progress)
+    return export_records([Path(file) for file in files], Path(out), ExportOptions(input_ppi=input_ppi), progress)
 
 
 # What a source holds.
 
 
-def _fingers(source: Path, job: ExportJob, hashes: dict[str, str]) -> Iterator[_Finger]:
+def _fingers(source: Path, options: ExportOptions, hashes: dict[str, str]) -> Iterator[_Finger]:
     try:
         there, folder = source.exists(), source.is_dir()
     except (OSError, ValueError):
@@ -138,10 +154,10 @@ def _fingers(source: Path, job: ExportJob, hashes: dict[str, str]) -> Iterator[_
     if folder and (source / "print.png").is_file() and (source / "map.npz").is_file():
         yield _of_print_folder(source, name, hashes)
     elif folder or source.suffix.lower() == ".npz":
-        yield _of_surface(source, name, job, hashes)
+        yield _of_surface(source, name, options, hashes)
     else:
         hashes[source.name] = file_hash(source)
-        prints = read_print_file(source, job.input_ppi)
+        prints = read_print_file(source, options.input_ppi)
         for number, held in enumerate(prints, start=1):
             numbered = name if len(prints) == 1 else f"{name}-{number}"
             if isinstance(held, PrintFile):
@@ -150,12 +166,12 @@ def _fingers(source: Path, job: ExportJob, hashes: dict[str, str]) -> Iterator[_
                 yield _Finger(numbered, "minutiae", view=held)
 
 
-def _of_surface(source: Path, name: str, job: ExportJob, hashes: dict[str, str]) -> _Finger:
+def _of_surface(source: Path, name: str, options: ExportOptions, hashes: dict[str, str]) -> _Finger:
     """Print of a capture or a result, as ``splitknit print`` makes it."""
     known = not source.is_dir() or any((source / file).is_file() for file in ("capture.json", "height.npz"))
     kinds = "a capture (capture.json), result (height.npz) or print (print.png)"
     require(known, f"'{source}' is not {kinds}; name one {photographs_hint(source)}.")
-    taken = read_source(source, photo=False, surface=True, preset=job.preset)
+    taken = read_source(source, photo=False, surface=True, preset=options.preset)
     hashes.update(taken.hashes)
     made = naming(source, lambda: make_print(taken, "unroll", None, PPI))
     finger = coded_finger(taken.subject.get("finger"))
@@ -174,7 +190,7 @@ def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Finger
     return _Finger(name, "print", dataclasses.replace(picture, finger=finger, impression=impression), view)
 
 
-def _write_lights(source: Path, folder: Path, _: ExportJob, taken: set[str], hashes: dict[str, str]) -> Facts:
+def _write_lights(source: Path, folder: Path, _: ExportOptions, taken: set[str], hashes: dict[str, str]) -> Facts:
     capture = read_capture(source)
     band = capture.bands.get("white")
     names = read_json(source / "capture.json", f"{source}: capture.json is damaged.")[0]["bands"].get("white", {})
@@ -188,21 +204,21 @@ def _write_lights(source: Path, folder: Path, _: ExportJob, taken: set[str], has
     return {"file": file, "source": str(source), "kind": "capture", "lights": len(leds)}
 
 
-def _write_mesh(source: Path, folder: Path, job: ExportJob, taken: set[str], hashes: dict[str, str]) -> Facts:
+def _write_mesh(source: Path, folder: Path, options: ExportOptions, taken: set[str], hashes: dict[str, str]) -> Facts:
     arrays = source / "height.npz" if source.is_dir() else source
     if source.is_dir() and not arrays.is_file() and (source / "capture.json").is_file():
         capture = read_capture(source)
         hashes.update(capture.hashes)
-        kind, result = "capture", naming(source, lambda: reconstruct(capture, job.preset))
+        kind, result = "capture", naming(source, lambda: reconstruct(capture, options.preset))
     else:
         named = arrays.suffix.lower() == ".npz" and arrays.is_file()
         require(named, f"'{source}' has no surface to export; name a result (height.npz) or a capture (capture.json).")
         hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
         kind, result = "result", read_result(source)
-    assert job.to is not None
-    title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or job.preset}"
-    facts, content = naming(source, lambda: surface_bytes(result, cast(str, job.to), title))
-    file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{job.to}", taken)
+    assert options.to is not None
+    title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or options.preset}"
+    facts, content = naming(source, lambda: surface_bytes(result, cast(str, options.to), title))
+    file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{options.to}", taken)
     (folder / file).write_bytes(content)
     return {"file": file, "source": str(source), "kind": kind, **facts}
 
@@ -222,12 +238,12 @@ def _safe(name: str) -> str:
 # A finger in the format that was asked for.
 
 
-def _encoded(item: _Finger, form: PrintFormat, job: ExportJob, hashes: dict[str, str]) -> tuple[bytes, Facts]:
+def _encoded(item: _Finger, form: PrintFormat, options: ExportOptions, hashes: dict[str, str]) -> tuple[bytes, Facts]:
     stated = item.view or item.picture
     assert stated is not None
-    finger = job.finger or stated.finger
+    finger = options.finger or stated.finger
     touched = stated.impression == "unknown" and item.kind == "print"
-    impression = job.impression or ("live_plain" if touched else stated.impression)
+    impression = options.impression or ("live_plain" if touched else stated.impression)
     facts: Facts = {"finger": finger, "impression": impression}
     if item.picture is not None and (item.picture.doubt or item.picture.note):
         facts["note"] = " ".join(filter(None, (item.picture.doubt, item.picture.note)))
@@ -241,14 +257,14 @@ def _encoded(item: _Finger, form: PrintFormat, job: ExportJob, hashes: dict[str,
         if form.name == "iso-39794-4":
             quality = facts["quality"] = minutiae_in(picture, "none", item.made).finger_quality
         text = provenance_texts(provenance({"to": form.name}, hashes))
-        return cast(Any, form.encode)(picture, Writing(job.compression, text, quality, job.owner)), facts
+        return cast(Any, form.encode)(picture, Writing(options.compression, text, quality, options.owner)), facts
     view = item.view
     if view is None:
         assert item.picture is not None
-        view = minutiae_in(item.picture, job.minutiae, item.made)
+        view = minutiae_in(item.picture, options.minutiae, item.made)
     view = dataclasses.replace(view, finger=finger, impression=impression)
     facts |= {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
-    return cast(Any, form.encode)(view, Writing(owner=job.owner)), facts
+    return cast(Any, form.encode)(view, Writing(owner=options.owner)), facts
 
 
 def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:

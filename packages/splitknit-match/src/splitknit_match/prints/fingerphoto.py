@@ -24,16 +24,16 @@ from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 from splitknit.finger.regions import largest_component, reduce_image
 from splitknit.finger.ridge_period import PEOPLE
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.photos import SUFFIXES, Photo, read_photo
 from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray
 from splitknit.plausible import FINGER_WIDTH
-from splitknit_match.matching.minutiae import disc
-from splitknit_match.matching.minutiae_record import PPI
-from splitknit_match.matching.photo_finger import PhotoFinger
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.minutiae_record import PPI
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
@@ -166,7 +166,7 @@ def source_of_photo(
         note = " ".join(
             [
                 f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
-                *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale"),
+                *map(str, FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")),
             ]
         )
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."

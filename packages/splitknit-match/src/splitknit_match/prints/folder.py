@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +19,7 @@ from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
-from splitknit_match.matching.minutiae_record import PPI
-from splitknit_match.matching.photo_finger import PhotoFinger
+from splitknit.model import Progress, no_progress
 from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import (
@@ -33,8 +31,9 @@ from splitknit_match.prints.make import (
     measured,
     minutiae_by_phase,
 )
+from splitknit_match.prints.minutiae_record import PPI
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.pressed import pressed_ridges
-from splitknit_match.prints.print_job import PrintJob
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source, read_source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
@@ -44,65 +43,133 @@ if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
 
 
-def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
+def print_to_folder(
+    path: Path,
+    out: Path,
+    *,
+    method: str | None = None,
+    surface: str | None = None,
+    ppi: float = PPI,
+    px_per_mm: float | None = None,
+    ridge_period_mm: float | None = None,
+    input_ppi: float | None = None,
+    where: PhotoFinger | None = None,
+    preset: str = "metric",
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
     A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
     shape. Raises BadInput, naming the input at fault.
     """
-    path, out, ppi = job.path, Path(job.out), float(job.ppi)
-    method, place = _how(job)
+    where = where or PhotoFinger()
+    known_scale = px_per_mm is not None or ridge_period_mm is not None
+    kind = _kind_of(path, where)
+    if kind == "photo":
+        fits = method in (None, "photo") and ridge_period_mm is None and input_ppi is None
+        only = "its `method` is photo, its scale, if it is known, `px_per_mm`."
+        require(fits, f"'{path}' is a photograph of a finger: {only}")
+        method, place = "photo", checked_surface("photo", surface or "free")
+    elif kind == "file":
+        plain = (method, surface) == (None, None) and not known_scale and ppi == PPI
+        left_out = "leave out `method`, `surface`, `ppi` and scales."
+        require(plain, f"'{path}' is a print already, to be made one of 500 ppi; {left_out}")
+        method, place = "file", "paper"
+    else:
+        method = method or "unroll"
+        place = checked_surface(method, surface)
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
-        source, made, around = _printed(job, method, place, progress)
-        chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
-        origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
-        progress("enhancing", 0.85)
-        enhanced = naming(path, lambda: enhance(made, ppi))
-        progress("writing", 0.92)
-        texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-        pictures = {"print": made.image, "enhanced": enhanced.image}
-        for name, picture in pictures.items():
-            write_print_png(target / f"{name}.png", picture, ppi, texts)
-        arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
-        write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(made.map.surface)})
-        periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
-        facts: dict[str, Any] = {
-            "method": method,
-            "surface": place,
-            "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
-            "ppi": ppi,
-            **({"scale": source.scale} if source.scale else {}),
-            "size": list(made.image.shape),
-            "mirrored": True,
-            "ridges": "dark",
-            "ridge_period_mm": {k: round(one, 4) for k, one in zip(("p5", "median", "p95"), periods, strict=True)},
-            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
-        }
-        if made.unrolled is not None:
-            facts["distortion"] = made.unrolled.distortion
-        if around is not None:
-            from splitknit_match.prints.rolled import write_rolled  # slow to import
+        around = None
+        if method == "file":
+            source, made = _of_file(path, input_ppi)
+        elif method == "rolled":
+            require(not known_scale, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
+            from splitknit_match.prints.rolled import read_rolled  # slow to import
 
-            facts["rolled"] = write_rolled(target, around)
-        quality = measured(made, enhanced, ppi)
-        facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
-        score = quality.score if source.quality is None else source.quality
-        view = finger_view(
-            minutiae_by_phase(made, enhanced, ppi), round(score), source.subject.get("finger"),
-            "live_plain" if method == "file" else "contactless",
-        )  # fmt: skip
-        facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
-        write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        if source.height_mm is not None and method != "rolled":
-            page = _page(source, made, view, pictures, facts, score)
-            write_file(target / "report.html", page.encode("utf-8"))
-        facts["provenance"] = origin
-        facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
-        write_file(target / "report.json", json_text(facts).encode("ascii"))
+            source, around = read_rolled(path, preset, progress)
+            progress("printing", 0.75)
+            made = naming(path, partial(make_rolled_print, around, source, place, ppi))
+        else:
+            photo = method == "photo"
+            if kind == "photo":
+                source = read_fingerphoto(path, px_per_mm, where)
+            else:
+                source = read_source(
+                    path, photo=photo, surface=not photo or place != "plane", preset=preset, progress=progress,
+                    px_per_mm=px_per_mm, ridge_period_mm=ridge_period_mm,
+                )  # fmt: skip
+            progress("printing", 0.75)
+            made = naming(path, partial(make_print, source, method, place, ppi))
+            if source.quality is not None and ppi == PPI:
+                sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
+                weight = np.where(sure.inside, made.weight, 0)
+                made = replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
+        facts = _write(target, path, source, made, around, method=method, place=place, ppi=ppi, progress=progress)
     progress("done", 1.0)
     return {**facts, "out": str(out)}
+
+
+def _write(
+    target: Path,
+    path: Path,
+    source: Source,
+    made: Print,
+    around: Rolled | None,
+    *,
+    method: str,
+    place: str,
+    ppi: float,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write all files of a print into an existing folder, and return the facts of its report."""
+    chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
+    origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
+    progress("enhancing", 0.85)
+    enhanced = naming(path, lambda: enhance(made, ppi))
+    progress("writing", 0.92)
+    texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+    pictures = {"print": made.image, "enhanced": enhanced.image}
+    for name, picture in pictures.items():
+        write_print_png(target / f"{name}.png", picture, ppi, texts)
+    arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
+    write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(made.map.surface)})
+    periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
+    facts: dict[str, Any] = {
+        "method": method,
+        "surface": place,
+        "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
+        "ppi": ppi,
+        **({"scale": source.scale} if source.scale else {}),
+        "size": list(made.image.shape),
+        "mirrored": True,
+        "ridges": "dark",
+        "ridge_period_mm": {k: round(one, 4) for k, one in zip(("p5", "median", "p95"), periods, strict=True)},
+        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+    }
+    if made.unrolled is not None:
+        facts["distortion"] = made.unrolled.distortion
+    if around is not None:
+        from splitknit_match.prints.rolled import write_rolled  # slow to import
+
+        facts["rolled"] = write_rolled(target, around)
+    quality = measured(made, enhanced, ppi)
+    facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
+    score = quality.score if source.quality is None else source.quality
+    view = finger_view(
+        minutiae_by_phase(made, enhanced, ppi), round(score), source.subject.get("finger"),
+        "live_plain" if method == "file" else "contactless",
+    )  # fmt: skip
+    facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
+    write_file(target / "minutiae.iso", encode_minutiae_record(view))
+    if source.height_mm is not None and method != "rolled":
+        page = _page(source, made, view, pictures, facts, score)
+        write_file(target / "report.html", page.encode("utf-8"))
+    facts["provenance"] = origin
+    facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
+    write_file(target / "report.json", json_text(facts).encode("ascii"))
+    return facts
 
 
 def _page(  # noqa: PLR0917
@@ -138,68 +205,27 @@ def _page(  # noqa: PLR0917
     )
 
 
-def _how(job: PrintJob) -> tuple[str, str]:
-    """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
-    path = job.path
+def _kind_of(path: Path, where: PhotoFinger) -> str:
+    """``photo`` of a finger, ``file`` of a print that is there already, or ``surface``."""
     photo = None if path.suffix.lower() == ".npz" else fingerphoto(path)
-    require(
-        photo is not None or (job.mask, job.box) == (None, None),
-        f"`mask` and `box` choose the finger of a photograph in colour, and '{path}' is none.",
-    )
+    unused = photo is not None or not where.given
+    require(unused, f"`mask` and `box` choose the finger of a photograph in colour, and '{path}' is none.")
     if not path.is_file() or path.suffix.lower() == ".npz":
-        method = job.method or "unroll"
-        return method, checked_surface(method, job.surface)
-    if photo is not None:
-        method = job.method or "photo"
-        require(
-            (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
-            f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
-        )
-        return method, checked_surface(method, job.surface or "free")
-    require(
-        (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
-        f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
-    )
-    return "file", "paper"
+        return "surface"
+    return "file" if photo is None else "photo"
 
 
-def _printed(job: PrintJob, method: str, place: str, progress: Progress) -> tuple[Source, Print, Rolled | None]:
-    """What the print is made from, the print, and the finger around its front where it is rolled."""
-    path, ppi = job.path, float(job.ppi)
-    if method == "file":
-        item = read_one_finger(path, job.input_ppi)
-        if not isinstance(item, PrintFile):
-            raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
-        made = naming(path, lambda: pressed_print(item))
-        source = Source(
-            "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
-            item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
-            scale=" ".join(filter(None, (item.doubt, item.note))),
-        )  # fmt: skip
-        return source, made, None
-    if method == "rolled":
-        unscaled = job.px_per_mm is None and job.ridge_period_mm is None
-        require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
-        from splitknit_match.prints.rolled import read_rolled  # slow to import
-
-        source, around = read_rolled(path, job.preset, progress)
-        progress("printing", 0.75)
-        return source, naming(path, lambda: make_rolled_print(around, source, place, ppi)), around
-    photo = method == "photo"
-    if photo and path.is_file():
-        source = read_fingerphoto(path, job.px_per_mm, PhotoFinger(job.mask, job.box))
-    else:
-        source = read_source(
-            path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
-            px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
-        )  # fmt: skip
-    progress("printing", 0.75)
-    made = naming(path, lambda: make_print(source, method, place, ppi))
-    if source.quality is not None and ppi == PPI:
-        sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
-        weight = np.where(sure.inside, made.weight, 0)
-        made = replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
-    return source, made, None
+def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
+    item = read_one_finger(path, input_ppi)
+    if not isinstance(item, PrintFile):
+        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+    made = naming(path, lambda: pressed_print(item))
+    source = Source(
+        "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+        item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+        scale=" ".join(filter(None, (item.doubt, item.note))),
+    )  # fmt: skip
+    return source, made
 
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
@@ -215,7 +241,7 @@ def _quality_facts(
     found: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
 ) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality of a photograph."""
-    from splitknit_match.matching.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
+    from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
         return {name: None if value is None else round(value, 3) for name, value in values.items()}

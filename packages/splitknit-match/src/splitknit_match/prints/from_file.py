@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.regions import fill_holes, largest_component
+from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import at_500_ppi, disc, is_a_fingers
-from splitknit_match.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
+from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
+from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
 from splitknit_match.records.fmr_bytes import ISO_2005

@@ -12,9 +12,9 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import ink
 from splitknit.model import FloatArray
-from splitknit_match.matching.minutiae_record import Minutiae
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
+from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit_match.prints.print_quality import PrintQuality, print_quality

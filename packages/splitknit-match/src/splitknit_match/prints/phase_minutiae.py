@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import FloatArray
-from splitknit_match.matching.minutiae_record import BIFURCATION, ENDING, Minutiae
 from splitknit_match.prints.enhance import Enhanced
+from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
 
 Array = NDArray[np.float64]
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))

@@ -17,9 +17,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import blur, fill_holes
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import disc
 from splitknit_match.prints.ridge_field import overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi

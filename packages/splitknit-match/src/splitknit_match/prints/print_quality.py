@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import disc
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.ridge_field import RidgeField
 

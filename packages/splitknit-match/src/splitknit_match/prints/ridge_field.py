@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
+from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.minutiae import disc
 
 # lengths in mm on the print
 _STEP_MM = 0.2

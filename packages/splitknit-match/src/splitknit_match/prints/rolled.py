@@ -13,8 +13,7 @@ from splitknit import preset_settings, read_capture
 from splitknit.errors import naming, require
 from splitknit.imaging.polarised import without_films
 from splitknit.io.mesh import surface_mesh, write_ply
-from splitknit.model import BoolArray, FloatArray
-from splitknit.verbs import Progress
+from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit_match.prints.print_map import PrintMap, unrolled_map
 from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import KINDS, NODES_MM, RINGS, SurfaceGrid, Unrolled, extrapolated, unroll

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, require
-from splitknit.model import BoolArray, FloatArray, no_progress
-from splitknit.verbs import Progress
+from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit_match.prints.pressed import PressedRidges
 
 

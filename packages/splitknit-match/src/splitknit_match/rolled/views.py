@@ -130,7 +130,7 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
         for name in mirrors
         if name not in SIDES
     ]
-    return MirrorViews(tuple(found), shape.model, (*shape.doubts, *notes))
+    return MirrorViews(tuple(found), shape.model, (*map(str, shape.findings), *notes))
 
 
 def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int) -> BoolArray:

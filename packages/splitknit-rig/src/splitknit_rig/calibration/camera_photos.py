@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
+from splitknit.arguments import text_of
 from splitknit.errors import naming, read_bytes, require
 from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.plain import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file
-from splitknit.model import Array, PixelArray, default_rig, no_progress
+from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress
 from splitknit.plausible import CAMERA_HEIGHT
-from splitknit.verbs import Progress
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
+from splitknit_rig.calibration.words import camera_lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,14 @@ class MeasuredCamera:
     """Whether the rig file's LEDs are the drawing's, as no rig was given."""
     boardless: tuple[str, ...] = ()
     """Photographs in which no board is in full view."""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All that was measured, as plain JSON."""
+        return camera_facts(self)
+
+    def __str__(self) -> str:
+        return text_of(camera_lines(self.facts))
 
 
 def calibrate_to_rig(
@@ -121,7 +130,7 @@ def _assembled(
     if poses:
         height = mean_pose(list(poses.values()), _focal_px(camera)).height_mm
         remedy = "check the side of the board's squares (`square_mm`)"
-        warnings += CAMERA_HEIGHT.notes(height, remedy)
+        warnings += map(str, CAMERA_HEIGHT.notes(height, remedy))
         if base is not None and not 0.6 < height / old.height_mm < 1.6:
             warnings.append(f"the camera is {height:.0f} mm high, by {rig_name} {old.height_mm:.0f} mm: {remedy}.")
     return replace(camera, height_mm=height, px_per_mm=_focal_px(camera) / height), poses, warnings

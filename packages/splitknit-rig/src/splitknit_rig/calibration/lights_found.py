@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, Camera, Led, Rig
+from splitknit.arguments import text_of
 from splitknit.errors import require
 from splitknit.imaging.view import plane_points
 from splitknit.model import Array
@@ -25,6 +26,7 @@ from splitknit_rig.calibration.lights import (
     pixels,
 )
 from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
+from splitknit_rig.calibration.words import light_lines
 
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
@@ -72,6 +74,9 @@ class CalibratedLights:
     warnings: tuple[str, ...]
     facts: Mapping[str, Any]
     """What ``splitknit calibrate lights`` prints as JSON: also each step, plain."""
+
+    def __str__(self) -> str:
+        return text_of(light_lines(self.facts))
 
 
 @dataclass(frozen=True, slots=True)

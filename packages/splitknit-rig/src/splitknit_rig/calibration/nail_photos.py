@@ -19,8 +19,7 @@ from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.plain import natural_order
 from splitknit.io.targets import check_file, check_picture
-from splitknit.model import Array, FloatArray, no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Array, FloatArray, Progress, no_progress
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
 

@@ -24,8 +24,7 @@ from splitknit.io.capture import with_rig
 from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.targets import check_picture, check_rig_file
-from splitknit.model import Array, BoolArray, Films, FloatArray, no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
 from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
 
 _CLIPPED = 0.985

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from splitknit import Band, Capture, Led, Rig
+from splitknit.arguments import text_of
 from splitknit.errors import refusing, require
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.model import Array, FloatArray
 from splitknit_rig.calibration.card_model import CardPlane, card_light
 from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
+from splitknit_rig.calibration.words import radiometry_lines
 
 _ACROSS = 40  # cells along the image's longer side
 _INNER = 5  # a cell's brightness is the median of the means of this many blocks a side
@@ -184,8 +186,13 @@ class RadiometricCalibration:
     flat_field: FlatField
     images: CardImages
     facts: Mapping[str, Any]
-    """What is stored in the rig's provenance: plain JSON."""
+    """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out`` and ``files``."""
     warnings: tuple[str, ...]
+    base_tilt: bool = False
+    """Whether the card was taken to lie as the rig's base does."""
+
+    def __str__(self) -> str:
+        return text_of(radiometry_lines(self.facts, base_tilt=self.base_tilt))
 
 
 def fit_radiometry(

@@ -18,8 +18,7 @@ from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.targets import check_picture, check_rig_file
-from splitknit.model import Array, FloatArray, PixelArray, no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.radiometry import (
     DRIFT_PERCENT,
@@ -77,7 +76,8 @@ def calibrate_to_file(
         write_image(residuals, _residual_picture(found))
     write_rig(rig, out)
     progress("done", 1.0)
-    return replace(found, rig=rig, facts=facts)
+    files = [str(file) for file in (out, residuals) if file is not None]
+    return replace(found, rig=rig, facts={**facts, "out": str(out), "files": files}, base_tilt=card_tilt_deg is None)
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:

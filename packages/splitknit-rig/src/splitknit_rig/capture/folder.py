@@ -18,8 +18,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.enrolment import Enrolment, PlannedCapture
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_capture
-from splitknit.model import no_progress
-from splitknit.verbs import Progress
+from splitknit.model import Progress, no_progress
 from splitknit_rig.capture.session import Session, SessionSettings, WatchFocus, run_session
 
 MARKER = "session.json"

@@ -20,8 +20,7 @@ from splitknit.devices import CameraDevice, Frame, LightBank, Turn
 from splitknit.errors import require
 from splitknit.finger.mask import finger_mask
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray, no_progress, spectral_band
-from splitknit.verbs import Progress
+from splitknit.model import BoolArray, FloatArray, Progress, no_progress, spectral_band
 from splitknit_rig.calibration.lights import listed
 from splitknit_rig.capture.exposure import (
     BRIGHT,

@@ -24,9 +24,8 @@ from splitknit.io.enrolment import PLAN_FILE, Enrolment, PlannedCapture, open_en
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import file_hash, json_text, plain_json, provenance, settings_hash
 from splitknit.io.targets import check_file
-from splitknit.model import no_progress
+from splitknit.model import Progress, no_progress
 from splitknit.settings import differing
-from splitknit.verbs import Progress
 from splitknit.workers import run_jobs
 from splitknit_simulator.finger.finger import SimulatedFinger
 from splitknit_simulator.finger.master_print import MasterPrint

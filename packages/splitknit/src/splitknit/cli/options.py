@@ -14,14 +14,19 @@ from splitknit.settings import flatten
 _MAX_BYTES = 64_000  # settings documents here have 2 kB; the parser's time grows with the square of a name's length
 
 
-def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
-    """Return all changed settings as ``stage.field`` and value; assignments win over the file. Raises BadInput if the
-    file cannot be read or an assignment is not ``stage.field=value``.
+def read_changes(given: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return all changed settings as ``stage.field`` and value, of pairs of option (``--set``, ``--settings``) and
+    word; assignments win over files. Raises BadInput if a file cannot be read or an assignment is not
+    ``stage.field=value``.
     """
-    changes = {} if file is None else _read_settings_file(file)
-    for assignment in assignments:
-        name, value = parse_assignment(assignment)
-        changes[name] = value
+    changes: dict[str, Any] = {}
+    for option, file in given:
+        if option == "--settings":
+            changes |= _read_settings_file(Path(file))
+    for option, assignment in given:
+        if option == "--set":
+            name, value = parse_assignment(assignment)
+            changes[name] = value
     return changes
 
 

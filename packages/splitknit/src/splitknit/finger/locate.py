@@ -11,16 +11,17 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from splitknit.errors import BadInput, Note, require
+from splitknit.errors import BadInput, require
+from splitknit.findings import Finding, Severity
 from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask, finger_masks
-from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
+from splitknit.finger.motion import MotionSettings, motion_findings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import (
     capture_quality,
     outline_figures,
     photometric_mask,
-    quality_warnings,
+    quality_findings,
 )
 from splitknit.finger.regions import reduce_image, reduction
 from splitknit.imaging.areas import without_mirrors
@@ -46,7 +47,7 @@ SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
 SURVEY_SIDE = 64
 """... with so many pixels a side, where the image has them, whatever scale was stated."""
-NO_CREASE = Crease(False, float("nan"), float("nan"), None, verdict="none is sought on an opaque thing")
+NO_CREASE = Crease(False, float("nan"), float("nan"), None)
 _BESIDE_MM = 3.0
 """Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
 BEYOND_CREASE_MM = 2.5
@@ -84,9 +85,7 @@ class Finger:
     upright: Upright
     facts: Mapping[str, Any]
     quality: Mapping[str, Any]
-    warnings: tuple[str, ...]
-    doubts: Mapping[str, tuple[str, bool]] = field(default_factory=dict)
-    """By band: what spoils a surface from its photographs, and whether too much for one."""
+    findings: tuple[Finding, ...] = ()
 
     @property
     def inside(self) -> BoolArray:
@@ -94,7 +93,7 @@ class Finger:
         return self.wider[self.window]
 
 
-def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
+def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[Finding, ...]]:
     """The capture under the settings' camera model and lights, and notes. Raises BadInput as :func:`as_lit`."""
     bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
     if any(band is not capture.bands[name] for name, band in bands.items()):
@@ -144,17 +143,17 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
         beyond = replace(crease, row=crease.row + BEYOND_CREASE_MM * small_px)
         wider = phalange_mask(outline, beyond, upright) if cut else outline
-        quality, warnings = looking.result()
+        quality, of_quality = looking.result()
     full = capture.shape
     if given:
         mask = wide = np.asarray(capture.mask)
     else:
         wide = enlarged_mask(wider & (usable | ~kept), full, binning)
         mask = enlarged_mask(usable, full, binning) & wide
-    notes = [upright.note] if upright.note else []
+    findings = [Finding("unsure-tip", upright.note)] if upright.note else []
     odd = _check_width(kept if given else usable, small_px, given) if skin else ()
     if cut and not crease.found:
-        notes.append(crease.verdict)
+        findings.append(crease.verdict)
     large = _scaled(upright, binning)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
@@ -162,27 +161,24 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         "mask": "given" if given else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
-        "crease_verdict": crease.verdict,
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
     alone = not skin or given or capture.rig.mirrors
-    doubts = {"width": (odd[0], False)} if odd else {}
-    doubts |= {} if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
+    others = () if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
     window = bounding_box(wide, round(0.5 * px_per_mm))
-    return Finger(mask, wide, window, large, facts, quality, (*notes, *warnings), doubts)
+    return Finger(mask, wide, window, large, facts, quality, (*others, *odd, *findings, *of_quality))
 
 
-def _other_fingers(image: FloatArray, px_per_mm: float) -> dict[str, tuple[str, bool]]:
+def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
     """A doubt where several fingers lie side by side in the view."""
     scale = reduction(image.shape[:2], px_per_mm, SURVEY_PX_PER_MM / 3, 600)
     try:
         count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
     except BadInput:
-        return {}
+        return ()
     cut = "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'"
-    return (
-        {"view": (f"the view shows {count} fingers, of which one is reconstructed: {cut}.", False)} if count > 1 else {}
-    )
+    words = f"the view shows {count} fingers, of which one is reconstructed: {cut}."
+    return (Finding("several-fingers", words, Severity.DOUBT),) if count > 1 else ()
 
 
 def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
@@ -209,7 +205,7 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Li
     return outline
 
 
-def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, ...]:
+def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[Finding, ...]:
     """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an odd one."""
     padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
     width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
@@ -220,20 +216,21 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, .
         narrow = f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are needed"
         remedy = "mark the whole finger, or check the rig's px_per_mm."
     require(width_mm >= least, f"{narrow}; {remedy}")
-    return FINGER_WIDTH.notes(width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask")
+    odd = FINGER_WIDTH.notes(width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask")
+    return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
 
 
 def _quality(
     capture: Capture, white: FloatArray, outline: BoolArray, binning: int
-) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Quality figures and warnings of every band, on images reduced by `binning`."""
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Quality figures and findings of every band, on images reduced by `binning`."""
     px_per_mm = capture.rig.camera.px_per_mm / binning
     rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
     window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
     inside = outline[rows, columns]
     skin = capture.material == "skin"
 
-    def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
+    def of_band(name: str) -> tuple[dict[str, Any], list[Finding]]:
         band, stack = capture.bands[name], white[:, rows, columns]
         saturation = saturation_levels(band, capture.encoding)
         if name != "white":
@@ -249,20 +246,19 @@ def _quality(
         found |= outline_figures(outline, px_per_mm)
         names = band.image_names
         promised = skin or not capture.rig.intensities_assumed
-        doubts = quality_warnings(found, finger=skin, names=names, promised=promised)
-        words = [*few_lights(lights), *doubts]
+        of_figures = quality_findings(found, finger=skin, names=names, promised=promised)
+        findings = [*few_lights(lights), *of_figures]
         if len(stack) >= 4 and skin:
             motion = shot_motion(stack, inside, px_per_mm)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
-            words += motion_warnings(motion, names)
-        begin = f"{name} band: "
-        return found, [text.after(begin) if isinstance(text, Note) else begin + text for text in words]
+            findings += motion_findings(motion, names)
+        return found, [replace(finding, message=f"{name} band: {finding.message}") for finding in findings]
 
     with ThreadPoolExecutor(2) as pool:
         found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
     quality = {name: figures for name, (figures, _) in found.items()}
-    return quality, tuple(text for _, words in found.values() for text in words)
+    return quality, tuple(finding for _, findings in found.values() for finding in findings)
 
 
 def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import cv2
 import numpy as np
 
-from splitknit.errors import Note
+from splitknit.findings import Finding, escaped
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
@@ -84,15 +84,17 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
-def motion_warnings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[str, ...]:
-    """Warnings for shots in which the finger moved by more than `WARN_MM`; `names`: of the photographs' files."""
+def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Finding, ...]:
+    """A finding of shots in which the finger moved by more than `WARN_MM`; `names`: of the photographs' files."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:
         return ()
-    which = ", ".join(f"{names[int(k)] if names else f'image {k}'} by {{:.2f mm}}" for k in moved)
+    files = tuple(names[int(k)] if names else f"image {k}" for k in moved)
+    which = ", ".join(f"{escaped(file)} by {{:.2f mm}}" for file in files)
     remedy = "the relief is blurred there; rest the finger on its support and capture again."
-    return (Note(f"the finger moved between the shots ({which}): {remedy}", *length[moved].tolist()),)
+    words = f"the finger moved between the shots ({which}): {remedy}"
+    return (Finding("moved-finger", words, files=files, lengths_mm=tuple(length[moved].tolist())),)
 
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from splitknit.errors import Note
+from splitknit.findings import Finding
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import smoothed, warp
@@ -47,6 +47,9 @@ _DOUBLET_FRACTION = 0.75
 """Least depth of the upper of two such lines, over that of the lower one, for the upper to be taken."""
 
 
+NOT_SOUGHT = Finding("no-crease", "none is sought on an opaque thing")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Crease:
     """The first flexion crease, or the statement that none was seen."""
@@ -60,8 +63,8 @@ class Crease:
     """Two ends of the crease, (column, row) in the input."""
     candidates: tuple[_Valley, ...] = field(default=())
     """All transverse valleys that were seen, from the tip down."""
-    verdict: str = ""
-    """What was decided and why, as text."""
+    verdict: Finding = NOT_SOUGHT
+    """What was decided, and why."""
 
 
 def find_crease(
@@ -114,11 +117,12 @@ def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: fl
     return warp(small, transform, size), warp(fraction, transform, size) > 0.9
 
 
-def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, str]:
+def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, Finding]:
     """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
-        return None, Note(f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}", length_mm)
+        words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
+        return None, Finding("no-crease", words, lengths_mm=(length_mm,))
     low, high = _RATIO_RANGE
     near, far = _DISTANCE_RANGE_MM
     near, far = max(near, low * width_mm), min(far, high * width_mm)
@@ -126,8 +130,8 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
         none = f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}"
-        distances = (valley.distance_mm for valley in candidates)
-        return None, Note(f"dark lines lie {places} below the tip, {none}", *distances, width_mm)
+        lengths_mm = (*(valley.distance_mm for valley in candidates), width_mm)
+        return None, Finding("no-crease", f"dark lines lie {places} below the tip, {none}", lengths_mm=lengths_mm)
 
     def weight(valley: _Valley) -> float:
         offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
@@ -141,7 +145,8 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
             break
     others = len(candidates) - 1
     extra = "" if others == 0 else f" ({others} further dark line{'s' if others > 1 else ''} weighed against it)"
-    return best, Note(f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}.", best.distance_mm)
+    words = f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}."
+    return best, Finding("crease", words, lengths_mm=(best.distance_mm,))
 
 
 def _ends(valley: _Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import Note, require
+from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
 from splitknit.finger.motion import CORRECT_MM, MIN_RELIABILITY, MOST_LEFT, WARN_MM
 from splitknit.finger.regions import dilate, erode
@@ -176,10 +177,11 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         least = _SERIES_MM if has_colour(capture.bands["white"]) else CORRECT_MM
         helps = _helps(registered.facts["motion_white_crossed"])
         if motion.correct == "off" or registered.most_mm < least or not helps:
-            moved = Note(f"the finger moved by {{:.2f mm}} between the {where}.", registered.most_mm)
+            words = f"the finger moved by {{:.2f mm}} between the {where}."
+            moved = Finding("moved-finger", words, lengths_mm=(registered.most_mm,))
             doubt = (moved,) if helps and registered.most_mm >= WARN_MM else ()
             facts = {**finger.facts, **registered.facts}
-            return capture, replace(finger, facts=facts, warnings=(*finger.warnings, *doubt))
+            return capture, replace(finger, facts=facts, findings=(*finger.findings, *doubt))
     if registered is None:
         return capture, finger
     _check(registered, settings)
@@ -187,11 +189,11 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
     undone = f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled."
-    note = Note(undone, registered.most_mm)
-    return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
+    note = Finding("undone-motion", undone, lengths_mm=(registered.most_mm,))
+    return steadied, replace(again, facts=facts, findings=(note, *again.findings))
 
 
-def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple[str, ...]]:
+def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple[Finding, ...]]:
     """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
     where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
     """
@@ -211,7 +213,7 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
     known = _SURE * float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart))
     if np.hypot(*apart.mean(axis=0)) >= max(CORRECT_MM, known):
         bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
-        return replace(capture, bands=bands), (SIDE_MOVED,)
+        return replace(capture, bands=bands), (Finding("side-moved", SIDE_MOVED),)
     alone = np.hypot(*(apart - np.median(apart, axis=0)).T) > _ALONE_MM
     if not alone.any():
         return capture, ()
@@ -221,7 +223,7 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
         if band.side is not None:
             kept = [k for k in range(len(band.side.leds)) if k not in out]
             bands[name] = replace(band, side=band.side.of_images(kept))
-    return replace(capture, bands=bands), (SOME_MOVED.format(len(out)),)
+    return replace(capture, bands=bands), (Finding("side-moved", SOME_MOVED.format(len(out))),)
 
 
 def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> Array:

@@ -13,6 +13,12 @@ from splitknit.imaging.view import pixels_of
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
 
+def disc(radius: int) -> NDArray[np.uint8]:
+    """(2 radius + 1, 2 radius + 1) round structuring element."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(kernel, dtype=np.uint8)
+
+
 def enlarged_box(
     cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
 ) -> tuple[slice, slice]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.imaging.band import linear_channels, saturation_levels, srgb_code
 from splitknit.model import COLOURS, Array, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits
@@ -29,7 +30,7 @@ class LightsSettings(Checked):
     """Divide the images of each colour by the finger's mean brightness in that colour."""
 
 
-def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:
+def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[Finding, ...]]:
     """The capture under the lights that the settings require, and notes; BadInput as :func:`composed`."""
     white = capture.bands["white"]
     if settings.compose == 0 or white.colours:
@@ -38,7 +39,7 @@ def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[s
     require(not white.polarisation, f"{polarised}; choose another preset, or `settings` lights.compose=0.")
     exposures = max(1, min(settings.compose, len(white.leds) // len(COLOURS)))
     words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
-    return composed(capture, exposures), (f"{words} {COMPOSED}",)
+    return composed(capture, exposures), (Finding("composed-colours", f"{words} {COMPOSED}"),)
 
 
 def balanced(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
@@ -121,7 +122,7 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape)
 
 
-def few_lights(vectors: Array) -> list[str]:
+def few_lights(vectors: Array) -> list[Finding]:
     """A warning where three or four lights leave little to check, with the error that noise then causes: by the
     covariance s^2 (L'L)^-1 of normal times albedo, for a surface that faces the camera. `vectors`: (L, 3), mean length
     one.
@@ -135,4 +136,5 @@ def few_lights(vectors: Array) -> list[str]:
     if len(vectors) == 3:
         lack = "none is spare, so that shadows and highlights bend the surface unnoticed"
     tilt = f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
-    return [f"{len(vectors)} lights, of which {lack}; {tilt}. Seven lights are a good number."]
+    words = f"{len(vectors)} lights, of which {lack}; {tilt}. Seven lights are a good number."
+    return [Finding("few-lights", words)]

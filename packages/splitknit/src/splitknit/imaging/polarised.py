@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.imaging.band import CHUNK_ROWS, GREY_WEIGHTS, linear_stack
 from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.imaging.light_field import lights_in_front
@@ -120,11 +121,11 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     return np.maximum(parallel - crossed, 0.0), crossed
 
 
-def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray) -> tuple[str, ...]:
-    """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
+def findings_on_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray) -> tuple[Finding, ...]:
+    """A finding where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
     series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
-        return (NOT_SPECULAR,)
+        return (Finding("not-specular", NOT_SPECULAR),)
     shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
     alike = np.corrcoef(*shares)[: len(parallel), len(parallel) :]
     wrong = np.flatnonzero(np.diag(alike) < alike.max(axis=0) - _AS_ALIKE)
@@ -132,7 +133,7 @@ def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray)
         return ()
     k, like = wrong[0], alike[:, wrong[0]].argmax()
     lit = f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
-    return (f"{lit}: list both series in the same order of lights.",)
+    return (Finding("series-order", f"{lit}: list both series in the same order of lights."),)
 
 
 def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:

@@ -1,86 +1,76 @@
-"""What is known of photographs that any camera took, beside their lights and their scale."""
+"""What is known of photographs that any camera took."""
 
 from __future__ import annotations
 
-import contextlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from cyclopts import Parameter
+
+from splitknit.arguments import PYTHON_ONLY, AnyPath, Encoding, refuse_given
 from splitknit.errors import require
-from splitknit.verbs import AnyPath, Encoding, Help, Job, check
+from splitknit.settings import check_value, rules_of
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from splitknit.model import Rig
+
+    Lights = AnyPath | NDArray[np.float64] | Rig
+else:
+    Lights = AnyPath
 
 
-def _value_or_file(text: str) -> float | Path:
-    with contextlib.suppress(ValueError):
-        return float(text)
-    return Path(text)
-
-
-PxPerMm = Annotated[
-    float | None, Help("scale on the object, where the input has none; without it heights are in pixels", "X")
-]
-RidgePeriod = Annotated[
-    float | None,
-    Help(
-        "take the scale from a finger's ridges, which lie MM apart: 0.45 is usual, people differ by 8 %",
-        "MM",
-        option="--ridge-period",
-    ),
-]
-
-
-def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
-    """Refuse two scales, and numbers that are none. Raises BadInput."""
-    both = px_per_mm is not None and ridge_period_mm is not None
-    require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
-    usual = px_per_mm is None or 1e-3 <= px_per_mm <= 1e5
-    require(usual, f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.")
+def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:
+    word = tokens[0].value
+    try:
+        return float(word)
+    except ValueError:
+        return Path(word)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PhotographOptions(Job):
-    """What is known of photographs beside their lights and their scale."""
+class PhotographOptions:
+    """What is known of photographs beside their lights and their scale. Raises BadInput where two do not agree."""
 
-    # fmt: off
-    mask: Annotated[AnyPath | None, Help(
-        "image, white = object, or transparent elsewhere; all: it fills the photographs (default: mask.png beside the "
-        "images, or their transparency, if any)", "FILE")] = None
-    material: Annotated[Literal["skin", "opaque"] | None, Help(
-        "skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies")] = None
-    tip_direction_deg: Annotated[float | None, Help(
-        "where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found",
-        "DEG", option="--tip-direction")] = None
-    encoding: Annotated[Encoding | None, Help(
-        "of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 bits; "
-        "else by their shading)")] = None
-    brightness: Annotated[Literal["estimate", "equal"] | None, Help(
-        "of the lights of an opaque thing: estimated with its surface, or equal, whatever the list states (default: as "
-        "the list states it, else estimated where that explains the photographs clearly better)")] = None
-    max_megapixels: Annotated[float | None, Help(
-        "reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)",
-        "MEGAPIXELS", option="--max-size")] = None
-    background: Annotated[float | AnyPath | None, Help(
-        "stored value that every pixel has without light, or a photograph with all lights off",
-        "VALUE|FILE", read=_value_or_file)] = None
-    crossed: Annotated[AnyPath | None, Help(
-        "folder of the same photographs in the same order through crossed polarising films; those of `folder` are then"
-        " the ones through parallel films; one exposure for all", "DIR")] = None
-    mosaic: Annotated[Literal["mono", "colour"] | None, Help(
-        "the photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees; mono: Sony "
-        "IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image")] = None
-    film_deg: Annotated[float, Help(
-        "of `mosaic`: direction of the film before the LEDs, 0 along the rows", "DEG", option="--film-angle")] = 90.0
-    flat: Annotated[AnyPath | None, Help(
-        "photographs of a flat matt surface, one for each light in the same order and exposure: those of the object "
-        "are divided by them", "DIR")] = None
-    nir: Annotated[AnyPath | None, Help(
-        "near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR LEDs of the rig,"
-        " or those of a list in their own folder", python_only=True)] = None
-    # fmt: on
+    mask: AnyPath | None = None
+    """Image, white = object, or transparent elsewhere; all: it fills the photographs (default: mask.png beside the
+    images, or their transparency, if any)."""
+    material: Literal["skin", "opaque"] | None = None
+    """skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies."""
+    tip_direction_deg: Annotated[float | None, Parameter("--tip-direction")] = None
+    """Where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found."""
+    encoding: Encoding | None = None
+    """Of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 bits; else
+    by their shading)."""
+    brightness: Literal["estimate", "equal"] | None = None
+    """Of the lights of an opaque thing: estimated with its surface, or equal, whatever the list states (default: as
+    the list states it, else estimated where that explains the photographs clearly better)."""
+    max_megapixels: Annotated[float | None, Parameter("--max-size")] = None
+    """Reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)."""
+    background: Annotated[float | AnyPath | None, Parameter(converter=_value_or_file, n_tokens=1)] = None
+    """Stored value that every pixel has without light, or a photograph with all lights off."""
+    crossed: AnyPath | None = None
+    """Folder of the same photographs in the same order through crossed polarising films; the others are then the ones
+    through parallel films; one exposure for all."""
+    mosaic: Literal["mono", "colour"] | None = None
+    """The photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees; mono: Sony
+    IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image."""
+    film_deg: Annotated[float, Parameter("--film-angle")] = 90.0
+    """Of `mosaic`: direction of the film before the LEDs, 0 along the rows."""
+    flat: AnyPath | None = None
+    """Photographs of a flat matt surface, one for each light in the same order and exposure: those of the object are
+    divided by them."""
+    nir: Annotated[AnyPath | None, PYTHON_ONLY] = None
+    """Near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR LEDs of the rig, or
+    those of a list in their own folder."""
 
     def __post_init__(self) -> None:
-        check(self)
+        for name, rule in rules_of(type(self)):
+            check_value(f"`{name}`", rule, getattr(self, name))
         tip, size = self.tip_direction_deg, self.max_megapixels
         turned = tip is None or abs(tip) <= 360.0
         require(turned, "`tip_direction_deg` must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.")
@@ -96,3 +86,59 @@ class PhotographOptions(Job):
     def background_image(self) -> AnyPath | None:
         """The image with all lights off, if there is one."""
         return None if isinstance(self.background, float | int) else self.background
+
+
+@dataclass(frozen=True, slots=True)
+class GivenPhotographs(PhotographOptions):
+    """Photographs of one object under one light after the other, and all that is known of them."""
+
+    images: AnyPath | None = None
+    """Folder of photographs, one for each light, in the order of their names (or a pattern of names, such as
+    'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos' HEIC and camera RAW."""
+    lights: Lights | None = None
+    """Directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to the
+    camera; a fourth number is its brightness (a fourth to sixth: red, green, blue), else light_intensities.txt beside
+    the list has it; places in mm where the first line is 'x_mm y_mm z_mm'; also .lp files of RTI and rig files;
+    unknown: they are estimated (default: lights.txt beside the images)."""
+    px_per_mm: float | None = None
+    """Scale on the object, where the input has none; without it heights are in pixels."""
+    _: KW_ONLY
+    light_frame: str | None = None
+    """Where x and y of the lights' directions point in the image, where not right-up: right-down (y down), left-up
+    (mirrored), left-down, up-left, up-right, down-left, down-right."""
+    ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None
+    """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %."""
+
+    def __post_init__(self) -> None:
+        PhotographOptions.__post_init__(self)
+        check_scale(self.px_per_mm, self.ridge_period_mm)
+
+    def refuse_without_images(self) -> None:
+        """Refuse what only photographs have where there are none. Raises BadInput."""
+        if self.images is None:
+            refuse_given(
+                "goes with `images`.",
+                lights=self.lights, mask=self.mask, material=self.material, encoding=self.encoding,
+                brightness=self.brightness, background=self.background, max_megapixels=self.max_megapixels,
+                crossed=self.crossed, mosaic=self.mosaic, flat=self.flat,
+            )  # fmt: skip
+
+    def refuse(self, why: str) -> None:
+        """Refuse whatever is known of photographs; `why` follows its name. Raises BadInput."""
+        self.refuse_without_images()
+        refuse_given(
+            why, tip_direction_deg=self.tip_direction_deg, light_frame=self.light_frame, px_per_mm=self.px_per_mm,
+            ridge_period_mm=self.ridge_period_mm,
+        )  # fmt: skip
+
+
+def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
+    """Refuse two scales, and numbers that are none. Raises BadInput."""
+    both = px_per_mm is not None and ridge_period_mm is not None
+    require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
+    usual = px_per_mm is None or 1e-3 <= px_per_mm <= 1e5
+    require(usual, f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.")
+
+
+AllPhotographs = Annotated[GivenPhotographs, Parameter("*", group="Photographs")]
+NO_PHOTOGRAPHS = GivenPhotographs()

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, check_mask, naming, refusing, require
+from splitknit.findings import Finding
 from splitknit.imaging.band import (
     block_means,
     coarse_flat,
@@ -76,7 +77,7 @@ class Photographs:
     capture: Capture
     skipped: tuple[str, ...]
     """Files of the folder that were not used, each with the reason."""
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
     """What was assumed or done, one sentence each."""
 
 
@@ -139,9 +140,9 @@ def capture_from_photographs(
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if masks:
-        notes.append(f"the mask is {masks[0].name}, which lies beside the photographs.")
+        notes.append(Finding("assumed-mask", f"the mask is {masks[0].name}, which lies beside the photographs."))
     if skipped:
-        notes.append(f"skipped in {root}: {some_of(skipped)}.")
+        notes.append(Finding("skipped-files", f"skipped in {root}: {some_of(skipped)}."))
     white = Photographs(capture, tuple(skipped), tuple(notes))
     if options.nir is None:
         return white
@@ -167,7 +168,7 @@ def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs
     band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
     hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
     capture = replace(one, rig=replace(one.rig, leds=leds), bands={**one.bands, "nir": band}, hashes=hashes)
-    notes = [note if note in white.notes else f"NIR: {note}" for note in nir.notes]
+    notes = [note if note in white.notes else note.of_band("nir") for note in nir.notes]
     return Photographs(capture, white.skipped + nir.skipped, tuple(dict.fromkeys([*white.notes, *notes])))
 
 
@@ -326,7 +327,7 @@ def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[
 
 def capture_of_arrays(
     images: Any, lights: Any, mask: Any = None, px_per_mm: float | None = None, intensities: Any = None
-) -> tuple[Capture, list[str]]:
+) -> tuple[Capture, list[Finding]]:
     """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images` takes them."""
     with refusing("`images` must be one array, or arrays of one shape."):
         stack = np.asarray(images)
@@ -372,8 +373,9 @@ def capture_of_arrays(
     check_contents([band])
     inside = None if mask is None else check_mask(mask, shape[1:3])
     rig = replace(rig, camera=camera)
-    notes = [UNKNOWN_SCALE] if scale is None else []
-    notes += [f"the encoding {encoding} {why} of images of 8 bits."] if kind == np.uint8 else []
+    notes = [Finding("scale-unknown", UNKNOWN_SCALE)] if scale is None else []
+    if kind == np.uint8:
+        notes.append(Finding("assumed-encoding", f"the encoding {encoding} {why} of images of 8 bits."))
     return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
 
 
@@ -385,7 +387,7 @@ def _assembled(  # noqa: PLR0917
     announce: Callable[[str], None] | None = None,
     crossed: Sequence[Path] = (),
     colours: NDArray[np.float64] | None = None,
-) -> tuple[Capture, list[str]]:
+) -> tuple[Capture, list[Finding]]:
     """The capture, and notes on it; `colours`: (L, 3) light of each photograph's red, green and blue, relative."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
     every = [*files, *crossed]
@@ -411,7 +413,7 @@ def _assembled(  # noqa: PLR0917
         ambient = reading.reduced(photo, Path(options.background_image))
         hashes[Path(options.background_image).name] = photo.sha256
     inside, how = _inside(options.mask, reading, hashes)
-    notes += [how] if how else []
+    notes += [Finding("assumed-mask", how)] if how else []
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     count, series = len(files), len(stack) // len(files)
     flat, hashes = _flat_of(options, count, encoding, hashes)
@@ -435,7 +437,7 @@ def _assembled(  # noqa: PLR0917
         other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
         bands["white_crossed"] = other
         parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
-        notes += [NOT_SPECULAR] if crossed_mean >= parallel else []
+        notes += [Finding("not-specular", NOT_SPECULAR)] if crossed_mean >= parallel else []
     check_contents(bands.values())
     capture = Capture(
         rig=replace(rig, camera=camera),
@@ -538,24 +540,26 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
     return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
 
 
-def _notes(capture: Capture, turn: int) -> list[str]:
-    notes = [UNKNOWN_SCALE] if not capture.rig.camera.scale_known else []
+def _notes(capture: Capture, turn: int) -> list[Finding]:
+    notes = [Finding("scale-unknown", UNKNOWN_SCALE)] if not capture.rig.camera.scale_known else []
     turned = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
-    return notes + ([turned] if turn != 1 else []) + few_lights(capture.rig.light_vectors())
+    notes += [Finding("turned-photographs", turned)] if turn != 1 else []
+    return notes + few_lights(capture.rig.light_vectors())
 
 
-def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[str]]:
+def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[Finding]]:
     """The encoding that is stated, or found by :func:`splitknit.io.photos.encoding_of`; and notes on it."""
     if options.mosaic is not None:
         return "linear", []
     if options.encoding is None:
         encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
-        return encoding, [note]
+        return encoding, [Finding("assumed-encoding", note)]
     if options.material == "skin" or options.flat is not None:
         return options.encoding, []
     curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
     right = curved is None or curved == (options.encoding == "srgb")
-    return options.encoding, [] if right else [_OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)]
+    words = _OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)
+    return options.encoding, [] if right else [Finding("other-encoding", words)]
 
 
 def _shading_is_srgb(
@@ -622,11 +626,12 @@ class _Reading:
         memory = f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
         return f"{count} photographs of {used:.1f} megapixels need {memory}; `max_megapixels` 10 reduces them."
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Finding]:
         """That photographs were reduced, where they were."""
         side, left = f"{self.factor:g}", f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
         reduced = f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
-        return [f"{reduced}, by means over {side} x {side} pixels."] if self.factor > 1 else []
+        words = f"{reduced}, by means over {side} x {side} pixels."
+        return [Finding("reduced-photographs", words)] if self.factor > 1 else []
 
     def level(self, stored: float) -> float:
         """A stored value, on the scale of :meth:`stack`."""

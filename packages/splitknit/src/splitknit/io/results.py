@@ -12,10 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
+from splitknit.findings import Finding
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
@@ -41,7 +41,7 @@ class _Origin(Struct):
 
 class _Report(Struct):
     preset: str = ""
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     settings: dict[str, Any] = {}
     quality: dict[str, Any] = {}
     facts: dict[str, Any] = {}
@@ -92,7 +92,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
         albedo = np.where(arrays["mask"], level, np.nan)
-    return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **asdict(report))
+    stated_facts = {name: getattr(report, name) for name in report.__struct_fields__}
+    return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **stated_facts)
 
 
 def read_fields(

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from splitknit import steps
-from splitknit.errors import Note, require
+from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.finger.regions import erode
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
-from splitknit.methods.photographs import SIDE_UNUSED, FingerBand, FingerPhotographs, FingerSurface
+from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface, side_unused
 from splitknit.methods.photometry import (
     MAX_SLOPE,
     OPAQUE,
@@ -105,17 +106,17 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
     """
     slopes, albedo, normals = near_slopes(white, p.photometry.normals, p.height)
-    warnings = doubt_of_walls(*slopes, white.inside)
+    findings = doubt_of_walls(*slopes, white.inside)
     height_mm = integrated(slopes, white, p.height)
     relief = ridge_relief(slopes, white, p.shapelets)
     if nir != white:
         shape = integrated(near_slopes(nir, p.photometry.normals, p.height)[0], nir, p.height)
         height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
-    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, warnings=warnings)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, findings=findings)
 
 
-def doubt_of_walls(gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolArray) -> tuple[str, ...]:
-    """A sentence where the surface (h, w) has walls, as a coin's rim: slopes longer than `MAX_SLOPE`, which are cut.
+def doubt_of_walls(gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolArray) -> tuple[Finding, ...]:
+    """A note where the surface (h, w) has walls, as a coin's rim: slopes longer than `MAX_SLOPE`, which are cut.
 
     A ball has few of these (3 % of its view) beside many slopes that are nearly as steep; a wall has none beside it.
     """
@@ -128,10 +129,11 @@ def doubt_of_walls(gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolA
     angle, part = np.rad2deg(np.arctan(MAX_SLOPE)), 100 * cut / int(inside.sum())
     what = "has a steep rim" if at_rim > 0.5 else "has steep walls"
     advice = "give a `mask` that ends inside the rim" if at_rim > 0.5 else "photograph it from another side"
-    return (
+    words = (
         f"the object {what}: {part:.1f} % of the surface is steeper than {angle:.0f} deg, where slopes are cut, so "
-        f"that heights drop too little there; {advice} where that matters.",
+        f"that heights drop too little there; {advice} where that matters."
     )
+    return (Finding("steep-walls", words),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,12 +317,12 @@ def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> 
     require(not photographs.bands[0].colours, COLOURED)
     images = _working_images(photographs, settings.metric)
     aside = photographs.bands[0].side
-    unused = () if aside is None or images.side is not None else (SIDE_UNUSED.format(len(aside.leds)),)
+    unused = () if aside is None or images.side is not None else (side_unused(len(aside.leds)),)
     coarse = photographs.capture.rig.camera.px_per_mm < _JPEG_COARSE
     lost = (JPEG_LOSS_COARSE if coarse else JPEG_LOSS) if "jpeg" in photographs.finger.facts else 0.0
     photographs.release()
     surface = _on_pixels(images, settings, lost)
-    return replace(surface, warnings=(*unused, *surface.warnings)) if unused else surface
+    return replace(surface, findings=(*unused, *surface.findings)) if unused else surface
 
 
 def undoes_blur(material: str, skin: SkinSettings) -> bool:
@@ -357,7 +359,7 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
     }
     return FingerSurface(
         shape_mm + ridge_mm, ridge_mm, shape_mm, albedo,
-        uncertainty_um=deviation_um, facts=facts, warnings=_doubts_of(images, found),
+        uncertainty_um=deviation_um, facts=facts, findings=_findings_on(images, found),
     )  # fmt: skip
 
 
@@ -376,26 +378,27 @@ def _reporting(networks: Networks | None) -> Networks | None:
     return replace(networks, relief=reported)
 
 
-def _doubts_of(images: SkinImages, found: SkinSurface) -> tuple[str, ...]:
-    """Warnings where the ridges' heights are hardly known, known up to a common factor, or odd."""
+def _findings_on(images: SkinImages, found: SkinSurface) -> tuple[Finding, ...]:
+    """Notes where the ridges' heights are hardly known, known up to a common factor, or odd."""
     facts = found.facts
-    notes = [*images.warnings]
+    notes = [*images.findings]
     fitted, unused = facts.get("specular", {}).get("side_lights", 0), facts["relief_by"] not in {"polarised", "side"}
     lost = 0 if images.side is None else len(images.side[2].leds) - fitted
     if "specular" in facts and unused:
-        notes.insert(0, NO_WHITE if images.crossed is None else NO_SPECULAR)
+        notes.insert(0, Finding("specular-unused", NO_WHITE if images.crossed is None else NO_SPECULAR))
     if lost and not (fitted and unused):  # where fitted images are not used, the note above says why
-        notes.append(SIDE_MISFIT.format(round(lost)))
+        notes.append(Finding("side-misfit", SIDE_MISFIT.format(round(lost))))
     if facts["relief_by"] == "network":
         error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
         if error > DOUBTFUL * relief:
             hardly = "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
-            notes.append(Note(hardly, relief / 1000.0, error / 1000.0))
+            notes.append(Finding("hardly-measured", hardly, lengths_mm=(relief / 1000.0, error / 1000.0)))
         if facts["gloss"] < LITTLE_GLOSS:
-            notes.append(
+            words = (
                 "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and may all "
                 f"be off by a common factor (standard deviation {100 * gain:.0f} %)."
             )
+            notes.append(Finding("little-gloss", words))
     some = found.relief_mm[images.grid.mask > 0.5]
     relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
     remedy = (

@@ -14,12 +14,13 @@ from splitknit import steps
 from splitknit.diagnosis.lights import doubt_of_places, fitted_places, sure_of_places
 from splitknit.diagnosis.relief import LEAST_PX_PER_MM, bare_patch, doubt_of_patch, unlike_image
 from splitknit.errors import BadInput, require
+from splitknit.findings import Finding, Severity, refuse, worst_first
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.regions import erode
 from splitknit.finger.steady import find_steady_finger, without_moved_side
 from splitknit.imaging.band import bin_mean, has_colour, linear_channels, linear_stack, pick_channel, saturation_levels
 from splitknit.imaging.light_field import flat_promised
-from splitknit.imaging.polarised import aligned, doubts_of_series, specular_of, without_films, without_side_lights
+from splitknit.imaging.polarised import aligned, findings_on_series, specular_of, without_films, without_side_lights
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import place
 from splitknit.methods.response import ENCODING, ResponseDoubt, doubt_of_response
@@ -33,13 +34,12 @@ from splitknit.photometric.checks import (
 )
 from splitknit.photometric.frames import (
     HIGH_RESIDUAL,
-    HOLLOW,
     SPOILT_DEG,
     TURNED,
     LightFit,
-    doubts_of_lights,
+    doubt_of_lights,
     fit_lights,
-    spoils,
+    spoils_skin,
 )
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
@@ -76,10 +76,17 @@ TILTED = (
     "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and taken out: that gives "
     "the ridges, but leaves open by some degrees how the finger is tilted."
 )
-SIDE_UNUSED = (
+_SIDE_UNUSED = (
     "the {} white images lit far more from the side than the others are not used: by the published cases, and where no "
     "network estimates the ridges, the shadows in them would be taken for the skin's shape."
 )
+
+
+def side_unused(count: int) -> Finding:
+    """That images lit from the side were not used."""
+    return Finding("side-unused", _SIDE_UNUSED.format(count))
+
+
 INVERTED = (
     "the mask looks inverted: it runs around the picture, and what it leaves out turns more with the light than "
     "what it holds, so that the table is measured; paint the object white and all else black."
@@ -142,8 +149,7 @@ class FingerPhotographs:
     capture: Capture
     finger: Finger
     bands: tuple[Band, ...]  # the white band, and the near-infrared one if the shape is to come from it
-    warnings: tuple[str, ...] = ()
-    """First what spoils the surface: as many as the finger's fact `spoilt`, where there are any."""
+    findings: tuple[Finding, ...] = ()
     specular: FloatArray | None = None
     """(H, W) picture of the specular reflection, of a polarised capture."""
 
@@ -164,81 +170,114 @@ class FingerPhotographs:
 def finger_photographs(capture: Capture, settings: PipelineSettings) -> FingerPhotographs:
     """Find the finger; where it moved between the shots, that is undone. Raises BadInput if there is none."""
     capture, finger = locate_finger(_with_promised_light(capture), settings.finding())
-    bands, warnings = [capture.bands["white"]], finger.warnings
+    bands = [capture.bands["white"]]
+    findings = list(finger.findings)
     side = bands[0].side
     if side is not None and settings.method == "thesis":
-        warnings = (*warnings, SIDE_UNUSED.format(len(side.leds)))
+        findings.append(side_unused(len(side.leds)))
     if settings.shape.source == "nir" and not settings.visible_alone:
         if "nir" in capture.bands:
             bands.append(capture.bands["nir"])
         elif capture.material == "skin":
-            warnings = (*warnings, NO_NIR)
+            findings.append(Finding("no-nir", NO_NIR))
+    if len(bands) == 1:  # what is wrong with a band that is not used spoils nothing
+        findings = [each for each in findings if each.severity == Severity.NOTE or each.band == "white"]
     if (unsure := bas_relief_of(capture.rig)) is not None:
-        warnings = (bas_relief_note(unsure), *warnings)
-    kinds = ("view", "width", "response", "relief", "places", "jpeg", *(band.name for band in bands))
-    doubts = [finger.doubts[kind] for kind in kinds if kind in finger.doubts]
-    for words, worthless in doubts:
-        require(settings.keep or not worthless, f"{words.rstrip('.')}; `keep` (the setting keep) goes on all the same.")
-    spoilt = tuple(words for words, _ in doubts)
-    if spoilt:  # else the same object: cases share what follows from it
-        finger = replace(finger, facts={**finger.facts, "spoilt": len(spoilt)})
-    return FingerPhotographs(capture, finger, tuple(bands), spoilt + warnings, specular_of(capture, finger.mask))
+        findings.insert(0, Finding("bas-relief", bas_relief_note(unsure)))
+    ordered = worst_first(findings)
+    refuse(ordered, keep=settings.keep)
+    return FingerPhotographs(capture, finger, tuple(bands), ordered, specular_of(capture, finger.mask))
 
 
 @shared
 @step("finger")
 def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
-    """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
-    lit, notes = prepared_capture(capture, settings)
+    """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone; and what
+    is wrong with the photographs.
+    """
+    lit, prepared = prepared_capture(capture, settings)
     lit, films = aligned(lit)  # before motion is measured, which would take the shift of the image for one
     steady, finger = find_steady_finger(without_side_lights(lit), settings)
-    steady, moved = without_moved_side(steady, finger)
+    steady, side_moved = without_moved_side(steady, finger)
     steady = without_films(steady)
-    said: list[str] = []
-    white, fit = steady.bands["white"], None
-    if steady.material == "opaque":
-        with suppress(BadInput):  # refused below
-            fit = _fit(steady, white, finger)
-        reordered = fit is not None and fit.frame != TURNED and fit.order != tuple(range(len(fit.order)))
-        if not reordered:
-            steady, compared, said = _compared(steady, finger)  # in another order, none of them is at fault
-            films |= compared
-    facts, doubts = {**finger.facts, **films}, dict(finger.doubts)
-    fit, response = _response(steady, finger) if steady.material == "skin" else (fit, None)
-    doubts |= {"response": (response.words, response.worthless)} if response is not None and response.sure else {}
-    if fit is not None and steady.mask is not None and not white.colours:
-        stack, vectors, some = _sampled(steady, white)
-        if leaves_out_object(stack, vectors, finger.mask[some]):
-            doubts["view"] = (INVERTED, False)
-    for band in (steady.bands[name] for name in ("white", "nir") if name in steady.bands):
-        known = fit if band is white else None
-        found, doubt = ({}, None) if band.colours else _doubt_of_lights(steady, band, finger, known, response)
-        gains = found.get("light_brightness", ()) if steady.material == "skin" else ()  # of others see `_compared`
-        if gains and len({led.intensity for led in steady.rig.select(band.lights).leds}) == 1:  # nobody measured it
-            bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
-            alike = replace(band, transmission=bright * (1.0 if band.transmission is None else band.transmission))
-            steady = replace(steady, bands={**steady.bands, band.name: alike})
-            begin = "" if band.name == "white" else f"{band.name} band: "
-            said.append(begin + TILTED.format(100 * float(np.std(np.log(gains)))))
-            doubt = doubt if doubt is not None and doubt[1] else None
-        facts |= {(name if band.name == "white" else f"{name}_{band.name}"): value for name, value in found.items()}
-        if doubt is not None and doubt[0].endswith(HOLLOW):
-            said.append(HOLLOW)
-            doubt = None
-        if doubt is not None:
-            doubts[band.name] = doubt
-    if steady.material == "skin":
-        relief, noted = _doubt_of_relief(steady, finger, fits="white" not in doubts)
-        places, moved_leds = ({}, ()) if response is not None or "white" in doubts else _doubt_of_places(steady, finger)
-        doubts, said = doubts | relief | places, [*said, *noted, *moved_leds]
+    judge = _judged_skin if steady.material == "skin" else _judged_thing
+    steady, facts, findings = judge(steady, finger)
     if any(_was_jpeg(band, finger) for band in lit.bands.values()):
         facts["jpeg"] = True
-        doubts |= {"jpeg": (JPEG, False)} if capture.material == "skin" else {}
-    if capture.material == "skin" and "nir" in steady.bands and "nir" not in doubts:
-        doubts |= _doubt_of_outline(steady, finger)
-    between = _doubt_of_films(steady, finger)
-    finger = replace(finger, facts=facts, doubts=doubts, warnings=(*notes, *said, *finger.warnings, *moved, *between))
-    return steady, finger
+        findings += [Finding("jpeg", JPEG, Severity.DOUBT)] if capture.material == "skin" else []
+    between = _findings_on_films(steady, finger)
+    every = (*findings, *prepared, *finger.findings, *side_moved, *between)
+    return steady, replace(finger, facts={**finger.facts, **films, **facts}, findings=every)
+
+
+def _judged_thing(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[Finding]]:
+    """An opaque thing without the photographs that do not fit the others; facts, and what is wrong."""
+    white, fit = capture.bands["white"], None
+    with suppress(BadInput):  # refused below
+        fit = _fit(capture, white, finger)
+    facts, findings = dict[str, Any](), list[Finding]()
+    reordered = fit is not None and fit.frame != TURNED and fit.order != tuple(range(len(fit.order)))
+    if not reordered:  # in another order, none of them is at fault
+        capture, facts, findings = _compared(capture, finger)
+    if fit is not None:
+        findings += _inverted_mask(capture, finger)
+    for name in _judged_bands(capture):
+        band = capture.bands[name]
+        of_band, doubt = _doubt_of_lights(capture, band, finger, fit if name == "white" else None, None)
+        facts |= _named(of_band, name)
+        findings += [] if doubt is None else [doubt]
+    return capture, facts, findings
+
+
+def _judged_skin(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[Finding]]:
+    """Photographs of a finger, as bright as their lights turn out to be; facts, and what is wrong."""
+    fit, response = _response(capture, finger)
+    facts, findings = dict[str, Any](), list[Finding]()
+    if fit is not None:
+        findings += _inverted_mask(capture, finger)
+    if response is not None and response.sure:
+        findings.append(response.finding)
+    doubted = set()
+    for name in _judged_bands(capture):
+        band = capture.bands[name]
+        of_band, doubt = _doubt_of_lights(capture, band, finger, fit if name == "white" else None, response)
+        gains = of_band.get("light_brightness", ())
+        if gains and len({led.intensity for led in capture.rig.select(band.lights).leds}) == 1:  # nobody measured it
+            bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
+            alike = replace(band, transmission=bright * (1.0 if band.transmission is None else band.transmission))
+            capture = replace(capture, bands={**capture.bands, name: alike})
+            words = TILTED.format(100 * float(np.std(np.log(gains))))
+            findings.append(Finding("estimated-brightness", words).of_band(name))
+            doubt = doubt if doubt is not None and doubt.severity == Severity.SPOILS else None
+        facts |= _named(of_band, name)
+        if doubt is not None:
+            findings.append(doubt)
+            doubted.add(name)
+    findings += _findings_on_relief(capture, finger, fits="white" not in doubted)
+    if response is None and "white" not in doubted:
+        findings += _findings_on_places(capture, finger)
+    if "nir" in capture.bands and "nir" not in doubted:
+        findings += _findings_on_outline(capture, finger)
+    return capture, facts, findings
+
+
+def _judged_bands(capture: Capture) -> list[str]:
+    return [name for name in ("white", "nir") if name in capture.bands and not capture.bands[name].colours]
+
+
+def _named(facts: Mapping[str, Any], band: str) -> dict[str, Any]:
+    """Facts under names that say of which band they are."""
+    return {(name if band == "white" else f"{name}_{band}"): value for name, value in facts.items()}
+
+
+def _inverted_mask(capture: Capture, finger: Finger) -> list[Finding]:
+    """A doubt where the given mask holds what lies around the object."""
+    white = capture.bands["white"]
+    if capture.mask is None or white.colours:
+        return []
+    stack, vectors, some = _sampled(capture, white)
+    inverted = leaves_out_object(stack, vectors, finger.mask[some])
+    return [Finding("inverted-mask", INVERTED, Severity.DOUBT)] if inverted else []
 
 
 def _was_jpeg(band: Band, finger: Finger) -> bool:
@@ -283,10 +322,10 @@ def _response(capture: Capture, finger: Finger) -> tuple[LightFit | None, Respon
     return fit, doubt_of_response(capture, finger) if sound else None
 
 
-def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[str]]:
+def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any], list[Finding]]:
     """The capture without the photographs that do not fit the others, its lights as bright as they are found to be
-    where nobody stated it; facts and sentences on that."""
-    bands, facts, said = dict(capture.bands), dict[str, Any](), list[str]()
+    where nobody stated it; facts and notes on that."""
+    bands, facts, notes = dict(capture.bands), dict[str, Any](), list[Finding]()
     for name, band in capture.bands.items():
         if len(band.lights) != len(band.pixels) or band.crossed is not None or band.polarisation:
             continue
@@ -301,27 +340,30 @@ def _compared(capture: Capture, finger: Finger) -> tuple[Capture, dict[str, Any]
         lights = capture.rig.select(band.lights).light_vectors()
         faults = faulty_photographs(stack, lights, inside, levels)
         out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
-        said += [_fault_words(band.image_names[fault.photograph], fault, binning) for fault in faults]
+        notes += [_fault_finding(band.image_names[fault.photograph], fault, binning) for fault in faults]
         clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
         if clipped.mean() > _FEW_CLIPPED:
             where = f"{100 * clipped.mean():.1f} % of the surface is overexposed in all photographs but two or fewer"
-            said.append(f"{where}: its slopes there are unknown; photograph it again with a shorter exposure.")
+            words = f"{where}: its slopes there are unknown; photograph it again with a shorter exposure."
+            notes.append(Finding("overexposed-surface", words))
         kept = [k for k in range(len(stack)) if k not in out]
         if out:
             bands[name] = band.of_images(kept)
         free = capture.rig.intensities_assumed and band.flat is None and bas_relief_of(capture.rig) is None
         if name == "white" and free and len(bands[name].lights) > 4:
-            bands[name], found, notes = _brightness(bands[name], capture, finger, binning)
-            facts, said = facts | found, [*said, *notes]
+            bands[name], found, of_lights = _brightness(bands[name], capture, finger, binning)
+            facts, notes = facts | found, [*notes, *of_lights]
         if faults:
             named = [(band.image_names[one.photograph], one.kind, round(one.effect_deg, 2)) for one in faults]
             facts[f"faulty_{name}"] = [list(one) for one in named]
-    return replace(capture, bands=bands), facts, said
+    return replace(capture, bands=bands), facts, notes
 
 
-def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> tuple[Band, dict[str, Any], list[str]]:
+def _brightness(
+    band: Band, capture: Capture, finger: Finger, binning: int
+) -> tuple[Band, dict[str, Any], list[Finding]]:
     """The band whose images are divided by the brightness of their lights, in each colour, where that is clearly
-    unequal; facts and sentences."""
+    unequal; facts and notes."""
     inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
     lights, levels = capture.rig.select(band.lights).light_vectors(), saturation_levels(band, capture.encoding)
     channels = ("red", "green", "blue") if band.pixels.shape[3] == 3 else ("grey",)
@@ -342,7 +384,8 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
         numbers = " ".join(f"{gain:.3f}" for gain in gains / gains.mean())
         doubt = f"the lights may differ in brightness, by {100 * spread:.0f} %, {turned}, or shine and shadow look so"
         cure = "if they do, give `brightness` estimate, or as fourth numbers of the list, in its order"
-        return band, {}, [f"{doubt}: they are taken as equal; {cure}: {numbers}."]
+        words = f"{doubt}: they are taken as equal; {cure}: {numbers}."
+        return band, {}, [Finding("unequal-lights", words, effect_deg=turned_deg)]
     of_colours = np.stack(found[1:], axis=1)
     weak = _WEAK_COLOUR * each[1:][:, :, inside].mean() > each[1:][:, :, inside].mean(axis=2).T
     shown_gains = [round(float(one), 3) for one in gains / gains.mean()]
@@ -353,31 +396,47 @@ def _brightness(band: Band, capture: Capture, finger: Finger, binning: int) -> t
     else:
         of_colours = np.repeat(gains[:, None], len(channels), axis=1)
     note = f"the lights differ in brightness, {turned}; that was estimated with the surface and taken out: {shown}."
-    return replace(band, transmission=of_colours), facts, [note]
+    finding = Finding("estimated-brightness", note, effect_deg=turned_deg)
+    return replace(band, transmission=of_colours), facts, [finding]
 
 
-def _fault_words(name: str, fault: PhotographFault, binning: int) -> str:
+def _fault_finding(name: str, fault: PhotographFault, binning: int) -> Finding:
+    """That a photograph was not used, or not all of it."""
     turned = f"turned the normals by {fault.effect_deg:.2g} deg (median)"
     px, percent = f"{binning * fault.size:.2g} px", f"{100 * fault.size:.2g} %"
+    known = not np.isnan(fault.effect_deg)
     if fault.kind == "overexposed":
-        unknown = bool(np.isnan(fault.effect_deg))
-        effect = "" if unknown else f"; used, they would have {turned} there"
-        return f"{name} is overexposed: {percent} of the surface is clipped. The clipped values are not used{effect}."
-    what = {
-        "moved": f"is shifted by {px} against the others",
-        "blurred": f"is blurred by {px} (sigma) against the others",
-        "double": f"shows everything twice, {px} apart",
-        "underexposed": f"has {percent} of the others' light",
-        "unlike": f"does not fit the others: it is {percent} off what they predict",
-    }[fault.kind]
-    return f"{name} {what}. It was left out; it would have {turned}."
+        effect = f"; used, they would have {turned} there" if known else ""
+        clipped = f"{name} is overexposed: {percent} of the surface is clipped"
+        words = f"{clipped}. The clipped values are not used{effect}."
+    else:
+        what = {
+            "moved": f"is shifted by {px} against the others",
+            "blurred": f"is blurred by {px} (sigma) against the others",
+            "double": f"shows everything twice, {px} apart",
+            "underexposed": f"has {percent} of the others' light",
+            "unlike": f"does not fit the others: it is {percent} off what they predict",
+        }[fault.kind]
+        words = f"{name} {what}. It was left out; it would have {turned}."
+    effect_deg = fault.effect_deg if known else None
+    return Finding(_FAULT_CODES[fault.kind], words, files=(name,), effect_deg=effect_deg)
+
+
+_FAULT_CODES = {
+    "overexposed": "overexposed-photograph",
+    "moved": "moved-photograph",
+    "blurred": "blurred-photograph",
+    "double": "double-photograph",
+    "underexposed": "underexposed-photograph",
+    "unlike": "unlike-photograph",
+}
 
 
 def _doubt_of_lights(
     capture: Capture, band: Band, finger: Finger, fit: LightFit | None, response: ResponseDoubt | None
-) -> tuple[dict[str, Any], tuple[str, bool] | None]:
-    """How well a band's photographs fit their lights (`fit`, where it is known), and a warning where another order or
-    frame fits better, one does not belong to the others, or the camera's response is wrong."""
+) -> tuple[dict[str, Any], Finding | None]:
+    """How well a band's photographs fit their lights (`fit`, where it is known), and what is wrong where another order
+    or frame fits better, one does not belong to the others, or the camera's response is wrong."""
     try:
         fit = fit or _fit(capture, band, finger)
     except BadInput:
@@ -389,55 +448,73 @@ def _doubt_of_lights(
         "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
     }
     if fit.brightness:
-        facts["light_brightness"] = [round(one, 3) for one in fit.brightness]
+        facts["light_brightness"] = [round(each, 3) for each in fit.brightness]
     skin = capture.material == "skin"
-    doubts = [(one, skin and spoils(fit)) for one in doubts_of_lights(fit, band.image_names, capture.material)]
+    doubt = doubt_of_lights(fit, band.image_names, capture.material)
     in_order = fit.frame == "right-up" and fit.order == tuple(range(len(fit.order)))
     strange = fit.strange is not None
-    worse = strange or (bool(doubts) and doubts[0][1] and not fit.brightness)
+    spoils = doubt is not None and doubt.severity == Severity.SPOILS
+    worse = strange or (spoils and not fit.brightness)
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
-        said_here = band.name == "white" and not response.sure
-        return facts, (response.words, response.worthless) if said_here else None
-    if skin and in_order and not strange and (doubts or fit.residual > _CURVED):
+        here = band.name == "white" and not response.sure
+        return facts, response.finding if here else None
+    if skin and in_order and not strange and (doubt is not None or fit.residual > _CURVED):
         other = "linear" if capture.encoding == "srgb" else "srgb"
         stored = _fit(replace(capture, encoding=other), band, finger)  # unequal lights stay so, a wrong curve does not
-        explained = doubts and not doubts_of_lights(stored, band.image_names, capture.material)
+        explained = doubt is not None and doubt_of_lights(stored, band.image_names, capture.material) is None
         if explained or stored.residual < 0.5 * fit.residual:
-            doubts = [(ENCODING.format(capture.encoding, other), spoils(fit))]
-    if not doubts and skin and fit.residual < _DISTANT:  # LEDs beside the finger are not such lights
-        stack, vectors, some = _sampled(capture, band)
-        faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
-        faults = tuple(one for one in faults if one.kind != "overexposed")  # highlights, which no method takes for skin
-        bad = sorted((one for one in faults if one.effect_deg > NOTED_DEG), key=lambda one: -one.effect_deg)
-        for one in bad[:1]:
-            how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(one.kind, one.kind)
-            turns = f"it turns the surface by {one.effect_deg:.1f} deg (median)"
-            words = f"{band.image_names[one.photograph]} does not fit the other photographs ({how}): {turns}"
-            doubts = [(f"{words}; capture it again.", one.effect_deg > SPOILT_DEG)]
-    begin = "" if band.name == "white" else f"{band.name} band: "
-    return facts, (begin + doubts[0][0], doubts[0][1]) if doubts else None
+            severity = Severity.SPOILS if spoils_skin(fit) else Severity.DOUBT
+            doubt = Finding("other-encoding", ENCODING.format(capture.encoding, other), severity)
+    if doubt is None and skin and fit.residual < _DISTANT:  # LEDs beside the finger are not such lights
+        doubt = _faulty_photograph(capture, band, finger)
+    return facts, None if doubt is None else doubt.of_band(band.name)
 
 
-def _doubt_of_outline(capture: Capture, finger: Finger) -> dict[str, tuple[str, bool]]:
+def _faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding | None:
+    """The photograph of skin that fits the others least, if it turns the surface."""
+    stack, vectors, some = _sampled(capture, band)
+    faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
+    # highlights are overexposed, and no method takes them for skin
+    bad = [fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > NOTED_DEG]
+    if not bad:
+        return None
+    fault = max(bad, key=lambda each: each.effect_deg)
+    how = {"double": "a double image", "unlike": "unlike what the others predict"}.get(fault.kind, fault.kind)
+    turns = f"it turns the surface by {fault.effect_deg:.1f} deg (median)"
+    name = band.image_names[fault.photograph]
+    return Finding(
+        _FAULT_CODES[fault.kind],
+        f"{name} does not fit the other photographs ({how}): {turns}; capture it again.",
+        Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT,
+        files=(name,),
+        effect_deg=fault.effect_deg,
+    )
+
+
+def _findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
     """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
     (white, _, some), (nir, *_) = (_sampled(capture, capture.bands[name]) for name in ("white", "nir"))
     inside, px = finger.mask[some], capture.rig.camera.px_per_mm / some[0].step
     rim = inside & ~erode(inside, 1.5 * px)
     core = inside & ~rim
     if not core.any():
-        return {}
+        return []
     means = white.mean(axis=0), nir.mean(axis=0)
     own, dark = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
-    other = f"nir band: {100 * dark:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * own:.0f} % in white"
-    check = "check that both bands are of one finger in one place."
-    return {"nir": (f"{other}: {check}", dark - own > OTHER_OUTLINE[1])} if dark - own > OTHER_OUTLINE[0] else {}
+    noted, spoils = OTHER_OUTLINE
+    if dark - own <= noted:
+        return []
+    other = f"{100 * dark:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * own:.0f} % in white"
+    words = f"{other}: check that both bands are of one finger in one place."
+    severity = Severity.SPOILS if dark - own > spoils else Severity.DOUBT
+    return [Finding("other-outline", words, severity).of_band("nir")]
 
 
-def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[str, bool]], tuple[str, ...]]:
+def _findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
     """A doubt, or a note, where the white LEDs seem to stand elsewhere than the rig states."""
     band, camera = capture.bands["white"], capture.rig.camera
     if band.colours or any(led.position_mm is None for led in capture.rig.leds):
-        return {}, ()
+        return []
     every = max(1, round(_SAMPLED_MM * camera.px_per_mm))
     binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
     names = ("red", "green", "blue") if has_colour(band) else ("grey",)
@@ -446,8 +523,9 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[
     rows, columns = (n // (every * binning) for n in capture.shape)
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
-        return {}, ()
-    stack = sum((one / max(float(one[:, inside].mean()), 1e-9) for one in images), np.zeros_like(images[0]))
+        return []
+    levelled = (image / max(float(image[:, inside].mean()), 1e-9) for image in images)
+    stack = sum(levelled, np.zeros_like(images[0]))
     pitch_mm = every * binning * camera.pitch_mm
     depth_mm = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
     view = view_of(camera, binning=every * binning, along_rays=True)
@@ -455,37 +533,39 @@ def _doubt_of_places(capture: Capture, finger: Finger) -> tuple[dict[str, tuple[
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
     words = "" if places is None else doubt_of_places(places, rig)
     if places is None or not words:
-        return {}, ()
-    return ({"places": (words, False)}, ()) if sure_of_places(places) else ({}, (words,))
+        return []
+    return [Finding("led-places", words, Severity.DOUBT if sure_of_places(places) else Severity.NOTE)]
 
 
-def _doubt_of_relief(
-    capture: Capture, finger: Finger, *, fits: bool
-) -> tuple[dict[str, tuple[str, bool]], tuple[str, ...]]:
-    """A doubt where one white photograph shows other ridges than the rest, or a large part of the finger none; a note
-    on a smaller part, which gloss may hide."""
+def _findings_on_relief(capture: Capture, finger: Finger, *, fits: bool) -> list[Finding]:
+    """A doubt where a white photograph shows other ridges than the rest, or a large part of the finger none; a note on
+    a smaller part, which gloss may hide."""
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
     inside = bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
     area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
-    patch = doubt_of_patch(area_mm2, part)
-    noted, words = ((), [patch]) if part > _MUCH_BARE or not patch else ((patch,), list[str]())
+    findings = []
+    if words := doubt_of_patch(area_mm2, part):
+        severity = Severity.DOUBT if part > _MUCH_BARE else Severity.NOTE
+        findings.append(Finding("bare-patch", words, severity))
     if fits and len(band.lights) == len(stack):
         lights = capture.rig.select(band.lights).light_vectors()
         unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
-        words += [] if unlike is None else [OTHER_RIDGES.format(band.image_names[unlike])]
-    return ({"relief": (" Also, ".join(filter(None, words)), False)} if any(words) else {}), noted
+        if unlike is not None:
+            name = band.image_names[unlike]
+            findings.append(Finding("other-ridges", OTHER_RIDGES.format(name), Severity.DOUBT, files=(name,)))
+    return findings
 
 
-def _doubt_of_films(capture: Capture, finger: Finger) -> tuple[str, ...]:
+def _findings_on_films(capture: Capture, finger: Finger) -> tuple[Finding, ...]:
     white = capture.bands["white"]
     if white.crossed is None or white.colours:
         return ()
     (parallel, _, some), (crossed, *_) = (
-        _sampled(capture, one) for one in (replace(white, crossed=None), white.crossed)
+        _sampled(capture, series) for series in (replace(white, crossed=None), white.crossed)
     )
-    return doubts_of_series(parallel, crossed, finger.mask[some])
+    return findings_on_series(parallel, crossed, finger.mask[some])
 
 
 def _with_promised_light(capture: Capture) -> Capture:
@@ -512,7 +592,7 @@ class FingerSurface:
     whole: bool = False
     """Whether the surface is not split into relief and shape: its height is what the thesis's matcher takes."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 @step("result")
@@ -590,5 +670,5 @@ def on_mirror_shape(
     shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, detail_mm)
     photographs.finger = replace(photographs.finger, mask=mask)
     facts = {**surface.facts, **facts}
-    said = (*surface.warnings, *seen.shape.doubts)
-    return replace(surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts=facts, warnings=said)
+    findings = (*surface.findings, *seen.shape.findings)
+    return replace(surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts=facts, findings=findings)

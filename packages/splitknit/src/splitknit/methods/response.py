@@ -16,6 +16,7 @@ from splitknit.diagnosis.response import (
     shading_exponent,
     tone_exponent,
 )
+from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import erode
 from splitknit.imaging.band import has_colour, linear_channels
@@ -80,9 +81,7 @@ _FEWEST_LIGHTS, _FEWEST = 5, 1000
 class ResponseDoubt:
     """What is wrong with a camera's response to light."""
 
-    words: str
-    worthless: bool
-    """Whether the surface is then not worth having."""
+    finding: Finding
     sure: bool = True
     """Whether it holds even where the photographs are not in the order of their lights."""
 
@@ -103,18 +102,21 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         coloured, some = name == "white" and has_colour(band), band.sampled(every)
         stack = linear_channels(some, capture.encoding, ("red", "green", "blue") if coloured else ("grey",))
         if coloured and (blue := blue_over_red(stack[..., core])) > _BLUE:
-            found.append(ResponseDoubt(SWAPPED.format(blue), True))
+            found.append(ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS)))
         part, image, colour = clipped_part(some.pixels[:, inside])
         if part > _CLIPPED:
             channel = ("red", "green", "blue")[colour] if coloured else "grey"
-            found.append(ResponseDoubt(CLIPPED.format(100 * part, band.image_names[image], channel), False))
+            name_of = band.image_names[image]
+            words = CLIPPED.format(100 * part, name_of, channel)
+            found.append(ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(name_of,))))
         surface, vectors = _coarse_surface(stack.sum(axis=0), capture, band, inside, every)
         gains, at = image_gains(stack[..., core], vectors[..., core]), vectors[..., core].mean(axis=-1)
         if (spread := colour_spread(gains)) > _COLOURS:
             odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
             light, towards = np.delete(stack, odd, axis=1), np.delete(vectors, odd, axis=0)
             others_too = colour_spread(image_gains(light[..., core], towards[..., core])) > _COLOURS
-            found.append(ResponseDoubt(WHITE_BALANCE.format(100 * spread), True, others_too))
+            words = WHITE_BALANCE.format(100 * spread)
+            found.append(ResponseDoubt(Finding("white-balance", words, Severity.SPOILS), others_too))
         strength = np.linalg.norm(at, axis=1)
         level = strength * (band.exposure if len(band.exposure) == len(strength) else 1.0)
         toned.append((gains.mean(axis=0), at / strength[:, None], level))
@@ -126,15 +128,17 @@ def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> 
         return found[0] if found else None
     doubt, (tone, sure) = None, tone_exponent(toned)
     if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not others):  # another encoding must fit well
-        doubt = ResponseDoubt(TONE.format(tone), bool(abs(tone - 1) > _TONE_SPOILS))
+        severity = Severity.SPOILS if abs(tone - 1) > _TONE_SPOILS else Severity.DOUBT
+        doubt = ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
     elif np.isnan(tone) and not (np.isnan(exponent) or _SHADED[0] < exponent < _SHADED[1]):
-        doubt = ResponseDoubt(TONE.format(exponent), False, False)
+        doubt = ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
     elif _HOLLOW < height < _FLAT:
-        doubt = ResponseDoubt(FLAT.format(height), False, False)
+        doubt = ResponseDoubt(Finding("flat-finger", FLAT.format(height), Severity.DOUBT), False)
     if doubt is not None and others:
         other = "linear" if capture.encoding == "srgb" else "srgb"
         if doubt_of_response(replace(capture, encoding=other), finger, others=False) is None:
-            return replace(doubt, words=ENCODING.format(capture.encoding, other))
+            words = ENCODING.format(capture.encoding, other)
+            return replace(doubt, finding=replace(doubt.finding, code="other-encoding", message=words))
     return doubt or (_doubt_of_drift(names, toned) if "radiometry" in capture.rig.provenance else None)
 
 
@@ -144,7 +148,9 @@ def _doubt_of_drift(names: list[tuple[str, ...]], toned: list[tuple[Array, Array
         drift = drifted_light(gains, directions) if np.isfinite(gains).all() else None
         if drift is not None:
             percent, word = 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
-            return ResponseDoubt(DRIFTED.format(files[drift[0]], percent, word), False, False)
+            file = files[drift[0]]
+            words = DRIFTED.format(file, percent, word)
+            return ResponseDoubt(Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False)
     return None
 
 

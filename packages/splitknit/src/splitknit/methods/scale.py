@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from splitknit.errors import BadInput, require
+from splitknit.findings import Finding, Severity
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.methods.photographs import FingerPhotographs, locate_finger, placed
 from splitknit.methods.thesis import thesis_surface
@@ -47,7 +48,7 @@ def with_scale(
     return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
 
 
-def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tuple[str, ...]:
+def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
     """Notes where the skin is oddly deep, or its ridges lie oddly far apart. Raises BadInput if no finger is so deep.
 
     `metric`: whether it is the method `metric`, whose normals show the ridges' distance also at a rig's scale.
@@ -56,10 +57,11 @@ def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tup
         return ()
     depth_mm = float(np.ptp(result.height_mm[result.mask]))
     deep = DEPTH.notes(depth_mm, "check the images, the order and directions of the lights, and the scale")
-    return deep + _doubt_of_scale(capture, result, metric)
+    odd = deep + _doubt_of_scale(capture, result, metric)
+    return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
 
 
-def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> tuple[str, ...]:
+def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
     camera = capture.rig.camera
     stated = all(led.position_mm is None for led in capture.rig.leds)
     if not camera.scale_known or "scale" in capture.rig.provenance or not (stated or metric):
@@ -88,7 +90,7 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
     return result.normals, result.mask
 
 
-def with_working_scale(capture: Capture) -> tuple[Capture, tuple[str, ...]]:
+def with_working_scale(capture: Capture) -> tuple[Capture, tuple[Finding, ...]]:
     """Skin at a plausible scale, and a note where the scale is odd, also an object's: methods for skin work in mm.
 
     Where the scale of skin is unknown, that at which the ridges lie as usual; it is still marked as unknown.

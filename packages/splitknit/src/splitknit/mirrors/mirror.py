@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from splitknit.errors import BadInput, require
+from splitknit.findings import Finding
 from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import pixels_of, view_of
@@ -188,11 +189,15 @@ class MirrorShape:
         return nominal if pose is None else pose.of(nominal)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """A sentence on each view that does not agree with the others."""
+    def findings(self) -> tuple[Finding, ...]:
+        """A note on each view that does not agree with the others."""
         return tuple(
-            f"the {name} view's outline agrees with the others to {rms:.2f} mm only (usual: 0.02 to 0.07), so that the "
-            "shape may be off by some tenths of a millimetre: check its outline in the report, and the mirrors' light."
+            Finding(
+                "mirror-outline",
+                f"the {name} view's outline agrees with the others to {rms:.2f} mm only (usual: 0.02 to 0.07), so that "
+                "the shape may be off by some tenths of a millimetre: check its outline in the report, and the light "
+                "of the mirrors.",
+            )
             for name, rms in (self.fit.rms_mm.items() if self.fit is not None else ())
             if rms > APART_MM
         )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.photometric.lambertian import lambertian
@@ -220,62 +221,81 @@ def _strange(gram: Array, lights: Array) -> int | None:
     return one if left[one] < _STRANGE * expected else None
 
 
-def spoils(fit: LightFit) -> bool:
-    """Whether what :func:`doubts_of_lights` says of skin makes its surface worthless."""
+def spoils_skin(fit: LightFit) -> bool:
+    """Whether what is wrong of skin makes its surface worthless."""
     other = fit.order != tuple(range(len(fit.order))) or fit.frame != "right-up"
     bad = fit.residual > SPOILT_RESIDUAL or fit.variety < _ONE_LIGHT
     return other or bad or ((fit.strange is not None or bool(fit.brightness)) and fit.turned_deg > SPOILT_DEG)
 
 
-def doubts_of_lights(  # noqa: PLR0911 - one for each kind
-    fit: LightFit, names: Sequence[str] = (), material: str = "skin"
-) -> tuple[str, ...]:
-    """One warning at most, of photographs that do not fit their lights or each other, or fit in another order or frame.
+def doubt_of_lights(fit: LightFit, names: Sequence[str] = (), material: str = "skin") -> Finding | None:
+    """What is wrong with photographs that do not fit their lights or each other, or fit in another order or frame.
 
-    `names` are the photographs', by default ``image 0`` and so on.
+    `names` are the photographs', by default ``image 0`` and so on. Of skin it may spoil the surface; of an opaque thing
+    it is a doubt, and that it may be a hollow a note.
     """
     names = names or [f"image {k}" for k in range(len(fit.order))]
+    code_and_words = _fault_of_lights(fit, names, material)
+    if code_and_words is None:
+        return None
+    code, words = code_and_words
+    severity = Severity.SPOILS if material == "skin" and spoils_skin(fit) else Severity.DOUBT
+    files = (names[fit.strange],) if code == "strange-photograph" and fit.strange is not None else ()
+    return Finding(
+        code,
+        words,
+        Severity.NOTE if code == "hollow" else severity,
+        files=files,
+        effect_deg=fit.turned_deg or None,
+    )
+
+
+def _fault_of_lights(  # noqa: PLR0911 - one for each kind
+    fit: LightFit, names: Sequence[str], material: str
+) -> tuple[str, str] | None:
+    """Code and sentence of :func:`doubt_of_lights`."""
     if material == "skin" and fit.variety < _ONE_LIGHT:
-        return (f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone.",)
+        return "one-light", f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone."
     turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
     if fit.brightness:
         most = int(np.argmax(np.abs(np.log(fit.brightness))))
         spread = 100 * float(np.std(np.log(fit.brightness)))
-        return (
+        return "unequal-lights", (
             f"the lights are not as bright as is stated of them: they seem to differ by {spread:.0f} % (most that of "
-            f"{names[most]}, {fit.brightness[most]:.2f} of the mean), and {turned}; calibrate their brightness.",
+            f"{names[most]}, {fit.brightness[most]:.2f} of the mean), and {turned}; calibrate their brightness."
         )
     if fit.strange is not None and (material == "skin" or fit.turned_deg > _TURNS_DEG):
-        return (
+        return "strange-photograph", (
             f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that it is of the same "
-            "thing in the same place, under its own light, or capture it again.",
+            "thing in the same place, under its own light, or capture it again."
         )
     if material == "opaque" and fit.frame == TURNED:
-        return (HOLLOW,)
+        return "hollow", HOLLOW
     left = f"{100 * fit.residual:.0f} % of the light"
     moved = [k for k, light in enumerate(fit.order) if light != k]
     if moved:
         words = _order_words(fit.order, names)
         if fit.frame != "right-up":
-            return (f"{_frame_words(fit.frame, material).rstrip('.')}; or their order is another: {words}.",)
+            frame = _frame_words(fit.frame, material).rstrip(".")
+            return "light-order", f"{frame}; or their order is another: {words}."
         others = "the photographs seem to be under other lights than those they are given"
         if fit.residual_in_order < _LESS * fit.residual:
             better = f"{100 * fit.residual_in_order:.0f} % would in another order"
-            return (f"{others}: {left} does not fit them, {better}, and {turned}: {words}.",)
+            return "light-order", f"{others}: {left} does not fit them, {better}, and {turned}: {words}."
         only = "only in another order do one surface's slopes follow from them"
-        return (f"{others}, shifted or reversed along the ring: {only}; {words}.",)
+        return "light-order", f"{others}, shifted or reversed along the ring: {only}; {words}."
     if fit.frame != "right-up":
-        return (_frame_words(fit.frame, material),)
+        return "light-frame", _frame_words(fit.frame, material)
     if fit.curl > _CURL:
-        return (_NO_SURFACE.format(100 * fit.curl),)
+        return "no-surface", _NO_SURFACE.format(100 * fit.curl)
     if fit.residual < HIGH_RESIDUAL:
-        return ()
+        return None
     usual = float(np.median(fit.residual_per_image))
     odd = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > 1.4 * usual][:4]
-    return (
+    return "light-residual", (
         f"the photographs do not fit the lights they are given: {left} is none that a matt surface reflects (1 to 15 % "
         f"is usual){'; most in ' + ', '.join(odd) if odd else ''}; check the order and directions of the lights, "
-        "their brightness, `encoding` and `background`; shine and deep shadows leave much too.",
+        "their brightness, `encoding` and `background`; shine and deep shadows leave much too."
     )
 
 

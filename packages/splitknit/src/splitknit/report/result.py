@@ -52,7 +52,7 @@ _COMPARED = (
 """Figure, words, unit, what good looks like."""
 
 
-_OF_FINGERS = ("crease_found", "crease_distance_mm", "crease_verdict", "crease_line", "tip_direction", "heights")
+_OF_FINGERS = ("crease_found", "crease_distance_mm", "crease_line", "tip_direction", "heights")
 """Facts that the page of an opaque thing leaves out."""
 
 
@@ -160,7 +160,7 @@ def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequenc
             "area_mm2": area_px * result.pitch_mm**2 if unit.known else None,
             "area_px": area_px,
         },
-        "warnings": list(result.warnings),
+        "findings": [finding.facts for finding in result.findings],
         "quality": _plain(unit.converted(result.quality)),
         "facts": _plain(unit.converted(result.facts)),
         "settings": _plain(result.settings),

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import cv2
 import numpy as np
 
+from splitknit.findings import Finding
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import contrast
@@ -76,7 +77,7 @@ class SkinImages:
     finer: bool  # whether the working grid has half the blocks' pitch, so that the networks can read it
     place: Window  # rows and columns of the window that the grid covers: those of the finger
     size: tuple[int, int]  # rows, columns of the window
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     def on_pixels(self, field: FloatArray) -> FloatArray:
         """A field of the working grid on the window's pixels."""
@@ -117,10 +118,14 @@ def working_images(
         if side is not None:
             side = finer_images(side[0]), None if side[1] is None else finer_images(side[1]), side[2]
     networks = shipped_networks(settings) if able else None
-    warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
+    findings: tuple[Finding, ...] = ()
+    if not has_colour(bands[0]):
+        findings = (Finding("grey-photographs", GREY),)
+    elif wanted and not able:
+        findings = (Finding("no-network", NO_NETWORK),)
     size = inside.shape[0], inside.shape[1]
     parallel = capture.rig.select(bands[0].leds) if crossed is not None else images[0].rig
-    return SkinImages(grid, images, crossed, parallel, side, networks, binning, finer, (rows, columns), size, warnings)
+    return SkinImages(grid, images, crossed, parallel, side, networks, binning, finer, (rows, columns), size, findings)
 
 
 def _crossed(capture: Capture, band: Band, both: BandImages, window: Window, binning: float) -> BandImages | None:

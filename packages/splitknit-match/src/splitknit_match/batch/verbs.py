@@ -1,0 +1,311 @@
+"""Verbs on many fingers: ``splitknit batch``, and ``enroll``, of one finger or a whole population."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from splitknit.arguments import (
+    AnyPath,
+    Device,
+    Fraction,
+    Natural,
+    Preset,
+    Progress,
+    Report,
+    checked,
+    count,
+    refuse_given,
+    silent,
+)
+from splitknit.errors import BadInput, require
+
+if TYPE_CHECKING:
+    from splitknit_match.batch.cases import Case
+    from splitknit_match.gallery.file import Key
+    from splitknit_match.gallery.gallery import EnrolledCapture, Enrolling
+    from splitknit_match.gallery.identify import RankedCandidate
+
+
+@checked
+def batch(
+    population: AnyPath,
+    *,
+    out: AnyPath,
+    cases: str | None = None,
+    case: Sequence[str] = (),
+    matchers: str = "ridge",
+    impostors: Fraction = 1.0,
+    seed: Natural = 0,
+    surfaces: Annotated[bool, Parameter(negative="--no-surfaces")] = True,
+    jobs: Natural = 2,
+    device: Device = "cpu",
+    scheduler: str | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Reconstruct and compare a whole population, or what of it is missing.
+
+    Parameters
+    ----------
+    population
+        Folder of 'splitknit simulate population' or an enrolment.
+    out
+        Folder of the results; may be there.
+    cases
+        Presets with commas (default: metric,snk,pr,ea).
+    case
+        A case of your own, NAME=PRESET:STAGE.FIELD=VALUE,...: a preset with settings changed; may be repeated.
+    matchers
+        ridge, thesis, thesis-code, minutiae, with commas; or none.
+    impostors
+        Fraction of the comparisons of two fingers.
+    seed
+        Which of them.
+    surfaces
+        --no-surfaces: keep no surfaces, which only the matcher thesis needs: a tenth of the disk.
+    jobs
+        Processes at most, if memory allows.
+    device
+        Where networks run: cpu (always the same bytes), cuda (other last digits; needs onnxruntime-gpu), or auto, cuda
+        where there is one.
+    scheduler
+        Dask scheduler tls://HOST:PORT whose workers do it instead.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        As :func:`splitknit_match.batch.engine.run_batch`.
+
+    Examples
+    --------
+    >>> batch("population", out="store", cases="metric").facts["captures"]  # doctest: +SKIP
+    """
+    from splitknit_match.batch.cases import preset_cases
+    from splitknit_match.batch.engine import run_batch
+
+    own = tuple(_case(text) for text in case)
+    if cases is not None:
+        presets = _names(cases, "`cases`", "such as metric,ea")
+        own = (*preset_cases(tuple(presets)), *own)
+    names = _names(matchers, "`matchers`", "such as ridge, or none")
+    facts = run_batch(
+        Path(population), Path(out), cases=own or preset_cases(), matchers=[] if names == ["none"] else names,
+        impostors=impostors, seed=seed, surfaces=surfaces, jobs=jobs, scheduler=scheduler, device=device,
+        progress=progress,
+    )  # fmt: skip
+    return Report(facts, tuple(_batch_lines(facts)))
+
+
+def _names(text: str, option: str, such: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    require(names, f"{option} needs a name at least, {such}, but it is '{text}'.")
+    return names
+
+
+def _case(text: str) -> Case:
+    """Read ``NAME=PRESET:STAGE.FIELD=VALUE,...``; commas inside brackets belong to a value."""
+    from splitknit.cli.options import parse_assignment
+    from splitknit_match.batch.cases import Case
+
+    name, _, rest = text.partition("=")
+    preset, _, changes = rest.partition(":")
+    fault = f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,..."
+    require(preset.strip(), fault)
+    assignments = re.findall(r"(?:\[[^\]]*\]|[^,\[])+", changes)
+    parts = [parse_assignment(part) for part in assignments if part.strip()]
+    return Case(name.strip(), preset.strip(), dict(parts))
+
+
+def _batch_lines(facts: Mapping[str, Any]) -> list[str]:
+    work = f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there"
+    cases = f"{len(facts['cases'])} cases ({', '.join(facts['cases'])})"
+    lines = [f"{work}: {facts['captures']} captures in {cases} in {facts['out']}."]
+    if waiting := facts["planned"] - facts["captures"]:
+        lines.append(f"{waiting} captures of the plan are not there yet; run the same again when they are.")
+    if failures := facts["failures"]:
+        lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
+    for scores in facts["scores"]:
+        each = scores["ms_per_comparison"]
+        speed = "" if each is None else f" ({each:.1f} ms each on one core)"
+        compared = f"{scores['compared']} comparisons made now"
+        lines.append(f"{scores['case']}, {scores['matcher']}: {compared}{speed}.")
+    if facts["csv"]:
+        lines.append(f"Score files for 'splitknit evaluate --scores': {', '.join(facts['csv'])}.")
+    return lines
+
+
+@checked
+def enroll(
+    gallery: AnyPath,
+    sources: Sequence[AnyPath] = (),
+    *,
+    key_file: AnyPath | None = None,
+    person: str | None = None,
+    finger: str | None = None,
+    session: str | None = None,
+    population: AnyPath | None = None,
+    workers: Natural | None = None,
+    replace: bool = False,
+    with_time: bool = False,
+    duplicates: Literal["refuse", "warn", "allow"] | None = None,
+    pad: bool = False,
+    input_ppi: float | None = None,
+    mask: AnyPath | None = None,
+    box: str | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Report:
+    """Put fingers into a gallery, which is made where there is none.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    sources
+        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL)
+        or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour; several are sessions of one
+        finger.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    person
+        Whose finger it is.
+    finger
+        Which, such as right_index.
+    session
+        Which session (default: the next number).
+    population
+        Instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on;
+        resumable.
+    workers
+        Processes for a population (default: 1).
+    replace
+        Let a capture take the place of one of the same names.
+    with_time
+        Keep the time of enrolment as well.
+    duplicates
+        What to do about a finger that matches another person's: refuse it, report it (warn, the default), or not look
+        (allow).
+    pad
+        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    mask
+        The finger of a photograph: an image of its size, white on the finger.
+    box
+        The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left.
+    preset
+        How captures are reconstructed.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        Naming what is at fault; the gallery is then as before, but for captures of a population that are done.
+
+    Examples
+    --------
+    >>> enroll("people.skg", ["print.png"], person="Ann", finger="right_index").facts["people"]  # doctest: +SKIP
+    1
+    """
+    from splitknit_match.gallery.file import key_of
+    from splitknit_match.gallery.gallery import Enrolling
+    from splitknit_match.pad import refuse_attacks
+    from splitknit_match.prints.photo_finger import PhotoFinger
+
+    how = Enrolling(preset, replace, with_time, input_ppi, PhotoFinger(mask, box))
+    key = key_of(key_file)
+    presentation = refuse_attacks(pad, sources, preset, progress)
+    if population is None:
+        require(workers is None, "`workers` is for `population`.")
+        require(len(sources) == 1 or not how.where.given, "`mask` and `box` are for one photograph; name one source.")
+        if person is None or finger is None:
+            raise BadInput("name whose finger it is: `person` NAME `finger` right_index (or `population` FOLDER).")
+        facts, lines = _enroll_sources(
+            Path(gallery), sources, person, finger, session=session, key=key, how=how,
+            duplicates=duplicates or "warn", progress=progress,
+        )  # fmt: skip
+    else:
+        why = "does not go with `population`, whose folders have names."
+        refuse_given(why, person=person, finger=finger, session=session, mask=mask, box=box)
+        refuse_given("goes with sources; people of a `population` are not compared.", duplicates=duplicates)
+        require(not sources, "name sources or a `population`, not both.")
+        facts, lines = _enroll_population(
+            Path(gallery), Path(population), how, key=key, workers=1 if workers is None else workers, progress=progress
+        )
+    locked = ", encrypted" if facts["encrypted"] else ""
+    people = count(facts["people"], "person", "people")
+    holds = f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
+    lines.append(f"{facts['gallery']} holds {holds}{locked}.")
+    if presentation is not None:
+        facts = {**facts, "presentation": presentation}
+    return Report(facts, tuple(lines))
+
+
+def _enroll_sources(
+    gallery: Path,
+    sources: Sequence[AnyPath],
+    person: str,
+    finger: str,
+    *,
+    session: str | None,
+    key: Key | None,
+    how: Enrolling,
+    duplicates: Literal["refuse", "warn", "allow"],
+    progress: Progress,
+) -> tuple[dict[str, Any], list[str]]:
+    from splitknit.io.provenance import known_json
+    from splitknit_match.gallery.gallery import enroll as enroll_finger
+
+    enrolment = enroll_finger(
+        gallery, list(sources), person, finger, session=session, key=key, how=how, duplicates=duplicates,
+        progress=progress,
+    )  # fmt: skip
+    facts = dict(known_json(enrolment.content))
+    facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
+    lines = [_enrolled_line(capture) for capture in enrolment.enrolled]
+    return facts, lines + [_alike_line(candidate, person) for candidate in enrolment.alike]
+
+
+def _enroll_population(
+    gallery: Path, population: Path, how: Enrolling, *, key: Key | None, workers: int, progress: Progress
+) -> tuple[dict[str, Any], list[str]]:
+    from splitknit_match.batch.enrol import enroll_population
+
+    facts = enroll_population(gallery, population, how, key=key, workers=workers, progress=progress)
+    new = count(facts["new"], "capture")
+    lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
+    failed = facts["failures_to_acquire"]
+    if failed:
+        first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
+        lines.append(f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first}).")
+    return facts, lines
+
+
+def _alike_line(candidate: RankedCandidate, person: str) -> str:
+    who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
+    same = candidate.person == person
+    asked = "the same finger, named wrong" if same else "the same person under another name"
+    return f"Please note: it matches {who}; is that {asked}?"
+
+
+def _enrolled_line(capture: EnrolledCapture) -> str:
+    who = f"{capture.person}, {capture.finger.replace('_', ' ')}, session {capture.session}"
+    if not capture.new:
+        return f"{who} was enrolled from the same source already."
+    if not capture.acquired:
+        lacks = "too few ridges or minutiae (failure to acquire)"
+        return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
+    holds = f"{capture.area_mm2:.0f} mm² of skin" if capture.area_mm2 else "minutiae"
+    enrolled = f"Enrolled {who}: {holds}, {capture.template_bytes / 1000:.1f} kB."
+    return f"{enrolled} Please note: {capture.note}" if capture.note else enrolled

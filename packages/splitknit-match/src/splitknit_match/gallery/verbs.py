@@ -1,0 +1,512 @@
+"""Verbs of a gallery: ``splitknit identify``, ``gallery list|info|remove|export|import``, ``serve``."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from splitknit.arguments import (
+    AnyPath,
+    Natural,
+    Preset,
+    Progress,
+    Report,
+    checked,
+    count,
+    silent,
+)
+from splitknit.errors import BadInput, importing, printable, require
+from splitknit.settings import Limits
+from splitknit_match.matching.match import Finger
+
+if TYPE_CHECKING:
+    from splitknit_match.gallery.file import Key
+    from splitknit_match.gallery.identify import Identification
+
+    GivenKey = Key | AnyPath
+else:
+    GivenKey = AnyPath
+    Identification = Any
+
+LOCAL = ("127.0.0.1", "::1", "localhost")
+
+
+@checked
+def identify(
+    gallery: AnyPath,
+    probe: Finger,
+    key: GivenKey | None = None,
+    *,
+    top: Natural = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float = 1e-4,
+    merge: Literal["person", "finger", "none"] = "person",
+    input_ppi: float | None = None,
+    resolution_ppi: float | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Identification:
+    """Find a finger in a gallery, or check whose it is said to be.
+
+    A gallery that keeps minutiae is searched by minutiae, one that keeps ridges by ridges.
+
+    Parameters
+    ----------
+    gallery : path
+        File of the gallery.
+    probe : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
+    key : Key or path, optional
+        Key, or file with the key, of an encrypted gallery.
+    top, person, finger, fmr, merge, input_ppi, preset : optional
+        See :func:`identify_in_gallery`.
+    resolution_ppi : float, optional
+        Pixels per inch of a print that comes as an array.
+    progress : called with the name of a stage and the fraction done, optional
+
+    Returns
+    -------
+    Identification
+        ``candidates``, best first, and ``decision``; that nobody is found is not an error.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger is not in
+        it, or the rate was not measured.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> splitknit_match.identify("people.skg", "captures/unknown", top=3).candidates  # doctest: +SKIP
+    """
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery(gallery, key) as opened:
+        return opened.identify(
+            probe, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
+            resolution_ppi=resolution_ppi, preset=preset, progress=progress,
+        )  # fmt: skip
+
+
+@checked
+def identify_in_gallery(
+    gallery: AnyPath,
+    probe: AnyPath,
+    *,
+    key_file: AnyPath | None = None,
+    top: Natural = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float = 1e-4,
+    merge: Literal["person", "finger", "none"] = "person",
+    pad: bool = False,
+    raw: bool = False,
+    input_ppi: float | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Identification | Report:
+    """Find a finger in a gallery, or check whose it is said to be.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    probe
+        Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of a finger in colour.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    top
+        Candidates that are reported.
+    person
+        Verification: whose finger it is said to be.
+    finger
+        Which finger it is; others are left out.
+    fmr
+        False match rate of one comparison at which is decided.
+    merge
+        One candidate for each person (default), each finger, or each enrolled capture (none).
+    pad
+        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
+    raw
+        Print the method's own scores too (--json always has them).
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    preset
+        How captures are reconstructed.
+
+    Returns
+    -------
+    Identification, or Report with its scores (`raw`)
+
+    Raises
+    ------
+    BadInput
+        As :func:`identify`, or if the probe is an attack (`pad`).
+
+    Examples
+    --------
+    >>> identify_in_gallery("people.skg", "captures/unknown", top=3).facts["answer"]  # doctest: +SKIP
+    'match'
+    """
+    from splitknit_match.gallery.words import identification_lines
+    from splitknit_match.pad import refuse_attacks
+
+    presentation = refuse_attacks(pad, [probe], preset, progress)
+    identification = identify(
+        gallery, probe, key_file, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
+        preset=preset, progress=progress,
+    )  # fmt: skip
+    identification = replace(identification, presentation=presentation)
+    if not raw:
+        return identification
+    return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
+
+
+def list_gallery(gallery: AnyPath, *, key_file: AnyPath | None = None, person: str | None = None) -> Report:
+    """List whose fingers are in it.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    person
+        Of this person only.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If the gallery cannot be read, or holds nothing of the person.
+
+    Examples
+    --------
+    >>> list_gallery("people.skg").facts["captures"]  # doctest: +SKIP
+    """
+    from splitknit_match.gallery.file import check_person, session_order
+    from splitknit_match.gallery.gallery import Gallery
+
+    name = None if person is None else check_person(person)
+    with Gallery(gallery, key_file) as opened:
+        entries = opened.entries(name)
+    require(name is None or entries, f"'{gallery}' holds nothing of person '{name}'.")
+    entries.sort(key=lambda entry: (entry.person, entry.finger, session_order(entry.session)))
+    lines = [f"{'person':24} {'finger':13} {'session':8} {'from':9} skin"]
+    captures = []
+    for entry in entries:
+        acquired = entry.template_bytes > 0
+        skin = f"{entry.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({entry.failure or 'unknown'})"
+        lines.append(f"{entry.person:24} {entry.finger:13} {entry.session:8} {entry.kind:9} {skin}")
+        captures.append({**asdict(entry), "acquired": acquired, "enrolled_at": entry.enrolled_at or None})
+    return Report({"gallery": str(gallery), "captures": captures}, tuple(lines))
+
+
+def gallery_info(gallery: AnyPath, *, key_file: AnyPath | None = None) -> Report:
+    """Show numbers and sizes.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If the gallery cannot be read.
+
+    Examples
+    --------
+    >>> gallery_info("people.skg").facts["people"]  # doctest: +SKIP
+    17
+    """
+    from splitknit_match.gallery.file import VERSION
+    from splitknit_match.gallery.gallery import Gallery, content_of
+    from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
+
+    with Gallery(gallery, key_file) as opened:
+        facts: dict[str, Any] = asdict(content_of(opened, created=False))
+        template_bytes = sum(entry.template_bytes for entry in opened)
+    del facts["created"]
+    file_bytes = Path(gallery).stat().st_size
+    facts |= {"version": VERSION, "template_version": TEMPLATE_VERSION}
+    facts |= {"template_bytes": template_bytes, "file_bytes": file_bytes}
+    locked = "encrypted" if facts["encrypted"] else "not encrypted"
+    people = count(facts["people"], "person", "people")
+    templates = f"{template_bytes / 1e6:.2f} MB of templates (version {TEMPLATE_VERSION})"
+    return Report(
+        facts,
+        (
+            f"{gallery}: a gallery of version {VERSION}, {locked}.",
+            f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}.",
+            f"{templates}, {file_bytes / 1e6:.2f} MB in all.",
+            f"{facts['failures']} of them are failures to acquire.",
+        ),
+    )
+
+
+def remove_from_gallery(
+    gallery: AnyPath,
+    *,
+    key_file: AnyPath | None = None,
+    person: str,
+    finger: str | None = None,
+    session: str | None = None,
+) -> Report:
+    """Remove a person or a finger, so that nothing of it remains in the file.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    person
+        Whose fingers.
+    finger
+        This one only.
+    session
+        This one only.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If there is nothing of it, or the gallery cannot be written.
+
+    Examples
+    --------
+    >>> remove_from_gallery("people.skg", person="Ann").facts["removed"]  # doctest: +SKIP
+    4
+    """
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery(gallery, key_file) as opened:
+        removed = opened.remove(person, finger, session)
+        left = len(opened)
+    facts = {"gallery": str(gallery), "removed": removed, "captures": left}
+    return Report(facts, (f"Removed {count(removed, 'capture')} from {gallery}; {left} are left.",))
+
+
+def export_from_gallery(
+    gallery: AnyPath, *, key_file: AnyPath | None = None, out: AnyPath, person: str | None = None
+) -> Report:
+    """Write all of it, not encrypted, into a folder of templates and a table.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    out
+        Folder to write.
+    person
+        All that is kept of this person.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If the gallery cannot be read, or `out` holds anything but an earlier export.
+
+    Examples
+    --------
+    >>> export_from_gallery("people.skg", out="exported").facts["captures"]  # doctest: +SKIP
+    68
+    """
+    from splitknit_match.gallery.folder import export_gallery
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery(gallery, key_file) as opened:
+        facts = export_gallery(opened, Path(out), person=person)
+    return Report(
+        facts,
+        (
+            f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}.",
+            "Please note: they are personal data, and they are not encrypted there.",
+        ),
+    )
+
+
+def import_into_gallery(
+    gallery: AnyPath, folder: AnyPath, *, key_file: AnyPath | None = None, replace: bool = False
+) -> Report:
+    """Put an exported folder into a gallery, which is made where there is none.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery.
+    folder
+        What 'splitknit gallery export' wrote.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    replace
+        Let captures take the place of others.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        If the folder is no export, or a capture of the same names is there already; the gallery is then as before.
+
+    Examples
+    --------
+    >>> import_into_gallery("people.skg", "exported").facts["new"]  # doctest: +SKIP
+    68
+    """
+    from splitknit_match.gallery.folder import import_gallery
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery(gallery, key_file) as opened:
+        facts = import_gallery(opened, Path(folder), replaces=replace)
+    known = facts["found"] - facts["new"]
+    came = f"{facts['new']} captures came in, {known} were there already"
+    return Report(facts, (f"{came}; {facts['captures']} are in it now.",))
+
+
+@checked
+def serve(
+    *,
+    gallery: AnyPath,
+    key_file: AnyPath | None = None,
+    token_file: AnyPath | None = None,
+    host: str = LOCAL[0],
+    port: Annotated[int, Limits(1, 65535)] = 8321,
+    certificate: AnyPath | None = None,
+    certificate_key: AnyPath | None = None,
+    audit: AnyPath | None = None,
+) -> None:
+    """Serve a gallery over HTTP: enrol, identify, verify, quality.
+
+    Parameters
+    ----------
+    gallery
+        File of the gallery, made with the first finger.
+    key_file
+        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
+    token_file
+        Token that clients must send (or the variable SPLITKNIT_SERVE_TOKEN).
+    host
+        Address to listen at; others than this machine's need `certificate`.
+    port
+        Port.
+    certificate
+        TLS: certificate chain (PEM).
+    certificate_key
+        TLS: its private key (PEM).
+    audit
+        File that gets a line for each act, without biometric data.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, or nothing can listen there.
+
+    Examples
+    --------
+    >>> serve(gallery="people.skg", token_file="token")  # doctest: +SKIP
+    """
+    from splitknit_match.gallery.file import warn_of_readers
+    from splitknit_match.gallery.gallery import Gallery
+    from splitknit_match.gallery.serve import make_app, read_token
+
+    good = (certificate is None) == (certificate_key is None)
+    require(good, "`certificate` and `certificate_key` go together.")
+    cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
+    require(host in LOCAL or certificate is not None, f"'{host}' is not this machine alone; {cure}")
+    token = read_token(None if token_file is None else Path(token_file))
+    scheme = "http" if certificate is None else "https"
+    with Gallery(gallery, key_file) as opened:
+        if opened.there:
+            opened.people()
+        app = make_app(opened, token, None if audit is None else Path(audit))
+        server = server_of(app, certificate, certificate_key)
+        for what, file in (("token", token_file), ("key", certificate_key)):
+            if file is not None:
+                warn_of_readers(Path(file), what)
+        with _listening(host, port) as door, contextlib.suppress(KeyboardInterrupt):
+            words = f"Serving {gallery} at {scheme}://{host}:{port}; Ctrl-C ends it."
+            print(printable(words), file=sys.stderr, flush=True)
+            server.run(sockets=[door])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens there. Raises BadInput if it cannot."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server(address[:2], family=family)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(
+            f"cannot listen at port {port} of '{host}' ({reason}); give another `port` or `host`."
+        ) from error
+
+
+def server_of(app: Any, certificate: AnyPath | None = None, certificate_key: AnyPath | None = None) -> Any:
+    """A server of an ASGI application, over TLS with a certificate chain and its private key. Raises BadInput if these
+    do not fit.
+
+    Connections that bring no whole request for 20 to 40 s are closed, and more than 64 at a time are refused.
+    """
+    with importing("serving needs uvicorn: pip install 'splitknit-match[serve]'."):
+        import uvicorn
+        from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    from splitknit_match.gallery import serve
+
+    class Impatient(H11Protocol):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self.loop.call_later(serve.PATIENCE_S, self._look, None)
+
+        def shutdown(self) -> None:
+            cycle: Any = self.cycle
+            if cycle is not None and cycle.more_body and not cycle.response_complete:  # it has not come as a whole
+                self.transport.abort()
+            else:
+                super().shutdown()
+
+        def _look(self, last: Any) -> None:
+            cycle: Any = self.cycle
+            if cycle is last and (cycle is None or cycle.response_complete):
+                self.transport.close()
+            if not self.transport.is_closing():
+                self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
+
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, server_header=False, limit_concurrency=64, http=Impatient,
+        timeout_keep_alive=5, timeout_graceful_shutdown=10, h11_max_incomplete_event_size=65_536,
+        ssl_certfile=certificate, ssl_keyfile=certificate_key,
+        ssl_keyfile_password="none",  # else OpenSSL asks at the terminal
+    )  # fmt: skip
+    try:
+        config.load()
+    except (OSError, ValueError) as error:  # OpenSSL's are OSErrors
+        reason = f"'{certificate}' and '{certificate_key}' cannot be used for TLS ({error})"
+        raise BadInput(f"{reason}; name PEM files that belong together, of a key without a passphrase.") from error
+    return uvicorn.Server(config)

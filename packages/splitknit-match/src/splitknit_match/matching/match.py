@@ -1,0 +1,235 @@
+"""Two fingers in, a comparison out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from splitknit.arguments import AnyPath, Preset, Progress, Report, Settings, checked, refuse_given, silent
+from splitknit.errors import BadInput
+
+if TYPE_CHECKING:  # a comparison of templates loads neither
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from splitknit import Capture, Reconstruction
+    from splitknit_match.matching.methods import Match, TemplateMade
+
+    Finger = Reconstruction | Capture | NDArray[np.uint8] | bytes | AnyPath
+else:
+    Finger = AnyPath
+    Match = TemplateMade = Any
+
+Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"]
+
+
+@checked
+def match(
+    a: Finger,
+    b: Finger,
+    method: Method = "auto",
+    preset: Preset = "metric",
+    settings: Settings = None,
+    *,
+    fmr: float | None = None,
+    decision: AnyPath | None = None,
+    template: AnyPath | None = None,
+    input_ppi: float | None = None,
+    mask: AnyPath | None = None,
+    box: str | None = None,
+    resolution_ppi: float | None = None,
+    progress: Progress = silent,
+) -> Match:
+    """Report how similar two fingers are.
+
+    Parameters
+    ----------
+    a, b : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
+        See :func:`match_or_make_template`.
+    method : {"auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"}, optional
+    preset : str, optional
+        How captures are reconstructed.
+    settings : mapping, optional
+        From ``stage.field`` to a value: changed settings.
+    fmr : float, optional
+        False match rate at which is decided; by default 1e-4, or the smallest that the method's rates can state.
+    decision : path, optional
+        False match rates of your own prints, as ``splitknit evaluate --calibrate`` writes them.
+    template : path, optional
+        Write the template of `a` (.skt).
+    input_ppi : float, optional
+        Pixels per inch of prints whose files do not state it.
+    mask : path, optional
+        Of a photograph: an image of its size, white on the finger.
+    box : str, optional
+        Of a photograph: ``X,Y,W,H`` of the part in which the finger lies.
+    resolution_ppi : float, optional
+        Pixels per inch of prints that come as arrays, ridges dark.
+    progress : called with the name of a stage and the fraction done, optional
+
+    Returns
+    -------
+    Match
+        ``similarity`` (the method's score; higher is more similar), ``fmr`` (false match rate at this similarity, where
+        it was measured) with ``fmr_basis``, ``decision`` (``match``, ``fmr``, ``threshold``), ``alignment`` and others.
+
+    Raises
+    ------
+    BadInput
+        If an input cannot be used by the method, or `fmr` is below what was measured.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> splitknit_match.match("capture", "print.png").answer  # doctest: +SKIP
+    'match'
+    """
+    from splitknit_match.matching.inputs import held
+    from splitknit_match.matching.methods import match_fingers
+    from splitknit_match.prints.photo_finger import PhotoFinger
+
+    return match_fingers(
+        (held(a, resolution_ppi), held(b, resolution_ppi)),
+        method=method,
+        preset=preset,
+        settings=settings,
+        fmr=fmr,
+        decision=None if decision is None else Path(decision),
+        template=None if template is None else Path(template),
+        input_ppi=input_ppi,
+        where=PhotoFinger(mask, box),
+        progress=progress,
+    )
+
+
+@checked
+def make_template(
+    finger: Finger,
+    template: AnyPath | None = None,
+    preset: Preset = "metric",
+    settings: Settings = None,
+    *,
+    input_ppi: float | None = None,
+    mask: AnyPath | None = None,
+    box: str | None = None,
+    resolution_ppi: float | None = None,
+    progress: Progress = silent,
+) -> TemplateMade:
+    """Make the template of one finger, and write it where a file is named.
+
+    Parameters
+    ----------
+    finger : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
+    template : path, optional
+        File to write (.skt).
+    preset, settings, input_ppi, mask, box, resolution_ppi, progress : optional
+        As of :func:`match`.
+
+    Returns
+    -------
+    TemplateMade
+        ``payload``: the template as bytes, which `match`, `identify` and `enroll` take.
+
+    Raises
+    ------
+    BadInput
+        If the finger cannot be read, or `template` names a file that is not a template.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> template = splitknit_match.make_template("print.png").payload  # doctest: +SKIP
+    """
+    from splitknit_match.matching.inputs import held
+    from splitknit_match.matching.methods import make_template_file
+    from splitknit_match.prints.photo_finger import PhotoFinger
+
+    return make_template_file(
+        held(finger, resolution_ppi),
+        None if template is None else Path(template),
+        preset=preset,
+        settings=settings,
+        input_ppi=input_ppi,
+        where=PhotoFinger(mask, box),
+        progress=progress,
+    )
+
+
+@checked
+def match_or_make_template(
+    a: AnyPath,
+    b: AnyPath | None = None,
+    *,
+    method: Method = "auto",
+    preset: Preset = "metric",
+    fmr: float | None = None,
+    decision: AnyPath | None = None,
+    template: AnyPath | None = None,
+    input_ppi: float | None = None,
+    mask: AnyPath | None = None,
+    box: str | None = None,
+    raw: bool = False,
+    settings: Settings = None,
+    progress: Progress = silent,
+) -> Match | TemplateMade | Report:
+    """Report how similar two fingers are.
+
+    Parameters
+    ----------
+    a
+        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL)
+        or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour.
+    b
+        The same; not needed for `template`.
+    method
+        auto (the default: fusion of two prints, minutiae where one holds minutiae only, else ridge), ridge, fusion (of
+        ridges and minutiae of two prints), thesis (local binary patterns; needs captures or results), thesis-code (as
+        the author's program has them), minutiae (of the prints, compared by NIST's bozorth3; needs the extra minutiae,
+        on x86-64 Linux).
+    preset
+        How captures are reconstructed.
+    fmr
+        False match rate at which is decided (default: 1e-4, or the smallest that the method's rates can state).
+    decision
+        False match rates of your own prints, as 'splitknit evaluate --calibrate' writes them.
+    template
+        Write the template of A (.skt).
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    mask
+        The finger of a photograph: an image of its size, white on the finger; of two, A's.
+    box
+        The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left; of two, A's.
+    raw
+        Print the method's own scores too (--json always has them).
+    settings
+        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
+
+    Returns
+    -------
+    Match, or TemplateMade where there is no `b`
+
+    Raises
+    ------
+    BadInput
+        As :func:`match`.
+
+    Examples
+    --------
+    >>> match_or_make_template("capture", template="finger.skt").template.bytes  # doctest: +SKIP
+    14321
+    """
+    if b is not None:
+        comparison = match(
+            a, b, method, preset, settings, fmr=fmr, decision=decision, template=template, input_ppi=input_ppi,
+            mask=mask, box=box, progress=progress,
+        )  # fmt: skip
+        if not raw:
+            return comparison
+        from splitknit_match.matching.words import match_lines
+
+        return Report(comparison.facts, tuple(match_lines(comparison, scores=True)))
+    if template is None:
+        raise BadInput("name a second finger to compare with, or `template` to write.")
+    refuse_given("is of a comparison; name a second finger.", fmr=fmr, decision=decision)
+    return make_template(a, template, preset, settings, input_ppi=input_ppi, mask=mask, box=box, progress=progress)

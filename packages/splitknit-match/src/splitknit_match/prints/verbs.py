@@ -1,0 +1,294 @@
+"""Verbs of prints: ``splitknit print``, ``export``, and the prints of ``import``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, count, silent
+from splitknit.errors import BadInput, require
+
+if TYPE_CHECKING:
+    from splitknit import Capture, Reconstruction
+    from splitknit_match.prints.make import Print
+
+    Finger = Reconstruction | Capture | AnyPath
+else:
+    Finger = AnyPath
+    Print = Any
+
+Method = Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"]
+PrintFormat = Literal[
+    "iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "iso-39794-4", "wsq", "png", "tiff", "stl", "obj", "glb",
+    "lp",
+]  # fmt: skip
+
+
+@checked
+def make_print(finger: Finger, method: Method = "unroll", ppi: float = 500.0) -> Print:
+    """Make the 2D print of a finger.
+
+    Parameters
+    ----------
+    finger : Reconstruction, Capture or path
+        What is printed; a capture is reconstructed first, by the preset ``metric``.
+    method : {"relief", "unroll", "curvature", "photo", "specular", "rolled"}, optional
+        ``photo`` needs a capture; ``rolled`` one with mirrors, as a path.
+    ppi : float, optional
+        Resolution in pixels per inch.
+
+    Returns
+    -------
+    Print
+        ``image`` (h, w) uint8, ridges dark, mirrored as ink on paper is.
+
+    Raises
+    ------
+    BadInput
+        If the input lacks what the method needs, or shows no ridges.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> splitknit_match.make_print("result").image.dtype  # doctest: +SKIP
+    dtype('uint8')
+    """
+    from splitknit import Capture, Reconstruction
+    from splitknit_match.prints.make import make_print as print_of
+    from splitknit_match.prints.make import make_rolled_print
+    from splitknit_match.prints.sources import read_source, source_of, source_of_capture
+
+    photo = method == "photo"
+    if method == "rolled":
+        from splitknit_match.prints.rolled import read_rolled
+
+        if isinstance(finger, Capture | Reconstruction):
+            raise BadInput("a rolled print needs the path of a capture folder.")
+        source, rolled = read_rolled(Path(finger), "metric", silent)
+        return make_rolled_print(rolled, source, "free", ppi)
+    if isinstance(finger, Reconstruction):
+        source = source_of(finger)
+    elif isinstance(finger, Capture):
+        source = source_of_capture(finger, photo=photo, surface=not photo)
+    else:
+        source = read_source(Path(finger), photo=photo, surface=not photo)
+    return print_of(source, method, ppi=ppi)
+
+
+@checked
+def print_finger(
+    finger: AnyPath,
+    *,
+    out: AnyPath,
+    method: Method | None = None,
+    surface: Literal["plane", "free", "arc"] | None = None,
+    ppi: Literal[500, 1000] = 500,
+    px_per_mm: float | None = None,
+    ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None,
+    input_ppi: float | None = None,
+    mask: AnyPath | None = None,
+    box: str | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Report:
+    """Turn a finger in space into a flat print of 500 pixels per inch.
+
+    Parameters
+    ----------
+    finger
+        Result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4,
+        ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae; or a photograph of a finger in
+        colour, which is unrolled by a mean shape.
+    out
+        Folder to write the print into.
+    method
+        unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's);
+        curvature: the shape index; photo: the photograph (needs a capture); specular: what the surface reflects (needs
+        polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors).
+    surface
+        Where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least
+        distortion, default for unroll) or arc (row by row).
+    ppi
+        Pixels per inch.
+    px_per_mm
+        Scale on the object, where the input has none.
+    ridge_period_mm
+        Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %.
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    mask
+        The finger of a photograph: an image of its size, white on the finger.
+    box
+        The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left.
+    preset
+        How captures are reconstructed.
+
+    Returns
+    -------
+    Report
+        The facts of ``report.json``, and ``out``.
+
+    Raises
+    ------
+    BadInput
+        Naming the input at fault; nothing is written.
+
+    Examples
+    --------
+    >>> print_finger("result", out="print").facts["minutiae"]["count"]  # doctest: +SKIP
+    53
+    """
+    from splitknit.io.photographs import check_scale
+    from splitknit_match.prints.folder import print_to_folder
+    from splitknit_match.prints.photo_finger import PhotoFinger
+
+    check_scale(px_per_mm, ridge_period_mm)
+    facts = print_to_folder(
+        Path(finger), Path(out), method=method, surface=surface, ppi=float(ppi), px_per_mm=px_per_mm,
+        ridge_period_mm=ridge_period_mm, input_ppi=input_ppi, where=PhotoFinger(mask, box), preset=preset,
+        progress=progress,
+    )  # fmt: skip
+    return Report(facts, tuple(_print_lines(facts)))
+
+
+def _owner(kind: Any, tokens: Sequence[Any]) -> int:
+    try:
+        return int(tokens[0].value, 0)
+    except ValueError as error:
+        raise BadInput(f"'{tokens[0].value}' must be a number such as 0x0103") from error
+
+
+@checked
+def export(
+    sources: Sequence[AnyPath],
+    *,
+    to: PrintFormat,
+    out: AnyPath,
+    finger: str | None = None,
+    impression: str | None = None,
+    compression: Literal["none", "png", "wsq", "jp2"] = "none",
+    owner: Annotated[int, Parameter(converter=_owner)] = 0x0103,
+    minutiae: Literal["phase", "mindtct"] = "phase",
+    input_ppi: float | None = None,
+    preset: Preset = "metric",
+    progress: Progress = silent,
+) -> Report:
+    """Write fingers as records, images and meshes that other systems read.
+
+    Parameters
+    ----------
+    sources
+        Prints (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL), records of minutiae (ISO 19794-2, ANSI 378),
+        captures, results and folders of 'splitknit print'.
+    to
+        Minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 (of 2005),
+        iso-39794-4 (of 2019, with the print's quality), wsq, png, tiff; surfaces of captures and results: stl, obj (mm;
+        obj and glb need the extra mesh), glb (metres); the lights of captures, for RTI: lp.
+    out
+        Folder to write, one file a finger.
+    finger
+        Such as right_index, for all sources (default: as they state).
+    impression
+        Such as live_rolled or nonlive_plain (default: as they state, else contactless for surfaces, live_plain for
+        prints).
+    compression
+        Of iso-19794-4 and iso-39794-4 (jp2: JPEG 2000 without loss; wsq loses a little).
+    owner
+        IBIA's number of who makes the records (default: 0x0103, not registered).
+    minutiae
+        How they are found: by the phase of the ridges, or by NIST's mindtct (extra minutiae).
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    preset
+        How captures are reconstructed.
+
+    Returns
+    -------
+    Report
+        The facts of ``export.json``, and ``out``.
+
+    Raises
+    ------
+    BadInput
+        Naming the source at fault; nothing is written.
+
+    Examples
+    --------
+    >>> export(["result"], to="stl", out="meshes").facts["files"]  # doctest: +SKIP
+    """
+    from splitknit_match.prints.export import ExportOptions, export_records
+
+    require(0 < owner <= 65535, f"`owner` must lie between 1 and 65535, but it is {owner}.")
+    options = ExportOptions(to, finger, impression, compression, owner, minutiae, input_ppi, preset)
+    facts = export_records([Path(source) for source in sources], Path(out), options, progress)
+    return Report(facts, tuple(_export_lines(facts)))
+
+
+def import_prints(files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress) -> Report:
+    """Write the prints of other systems: a part of ``splitknit import``."""
+    from splitknit_match.prints.export import import_records
+
+    facts = import_records(files, out, input_ppi, progress)
+    return Report(facts, tuple(_export_lines(facts)))
+
+
+def _print_lines(facts: Mapping[str, Any]) -> list[str]:
+    rows, columns = facts["size"]
+    where = {
+        "plane": "on the finger plane, seen straight from above",
+        "free": "on the skin laid flat with the least distortion",
+        "arc": "on the skin laid flat row by row",
+        "paper": "as it was pressed",
+    }[facts["surface"]]
+    period = facts["ridge_period_mm"]["median"]
+    size = f"{columns} x {rows} pixels at {facts['ppi']:g} ppi"
+    ridges = f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart"
+    lines = [f"Print ({facts['method']}) of {size}, {where}: {ridges}."]
+    if "scale" in facts:
+        lines.append(f"Please note: {facts['scale']}")
+    if "rolled" in facts:
+        reach, views = facts["rolled"]["coverage_deg"]["median"], facts["rolled"]["views"]
+        lines.append(f"It reaches {reach:.0f} deg around the finger, from {len(views)} views.")
+        lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
+    if facts.get("distortion"):
+        figures = facts["distortion"]
+        median, most = figures["length_median_percent"], figures["length_p95_percent"]
+        off = f"{median:.1f} % (median) and {most:.1f} % (95th percentile)"
+        lines.append(f"Lengths are off by {off}, whichever way is worse.")
+    lines.append(f"{facts['minutiae']['count']} minutiae.")
+    lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
+    lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
+    return lines
+
+
+def _quality_words(quality: Mapping[str, Any]) -> list[str]:
+    """One line of scores and, where something is wrong, what to do."""
+    words = f"Quality: {quality['ours']:.0f} of 100"
+    if quality["nfiq2"] is not None:
+        of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
+        words += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
+    return [f"{words}.", *quality["advice"]]
+
+
+def _export_lines(facts: Mapping[str, Any]) -> list[str]:
+    """For people, of an export or an import."""
+    files = facts["files"]
+    minutiae = [file["minutiae"] for file in files if "minutiae" in file]
+    mean = f", {sum(minutiae) / len(minutiae):.0f} minutiae in the mean" if minutiae else ""
+    first = f" ({files[0]['file']}{' ...' if len(files) > 1 else ''})"
+    lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
+    if "vertices" in files[0]:
+        lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
+    if "relief_roughness" in files[0]:
+        rough = files[0]["relief_roughness"]
+        heights = f"Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um"
+        lines.append(f"Relief: {heights}, Sdr {rough['Sdr_percent']:.1f} %.")
+    lines += [f"Please note: {file['file']}: {file['note']}" for file in files if "note" in file]
+    failed = facts["failures_to_acquire"]
+    if failed:
+        failures = f"{count(len(failed), 'file')} without minutiae (failure to acquire)"
+        lines.append(f"Please note: {failures}: {failed[0]} ...")
+    return lines

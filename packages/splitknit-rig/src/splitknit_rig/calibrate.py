@@ -1,0 +1,442 @@
+"""``splitknit calibrate``: photographs in, a rig file out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from splitknit.arguments import (
+    PYTHON_ONLY,
+    AnyPath,
+    Encoding,
+    Positive,
+    Progress,
+    Report,
+    checked,
+    refuse_given,
+    silent,
+)
+from splitknit.errors import BadInput, require
+from splitknit.settings import Limits
+
+if TYPE_CHECKING:
+    from splitknit_rig.calibration.camera_photos import MeasuredCamera
+    from splitknit_rig.calibration.lights_found import CalibratedLights
+    from splitknit_rig.calibration.radiometry import RadiometricCalibration
+else:
+    MeasuredCamera = CalibratedLights = RadiometricCalibration = Any
+
+_TARGET = Parameter(group="The printed target ('splitknit rig target' makes it)")
+_SOURCE = Parameter(group="From what (one of them)")
+_RIG = Parameter(group="The rig")
+_NAIL = Parameter(group="The nail")
+_PICTURES = Parameter(group="Photographs")
+
+
+def _path(given: AnyPath | None) -> Path | None:
+    return None if given is None else Path(given)
+
+
+@checked
+def calibrate_camera(
+    folder: AnyPath | None = None,
+    *,
+    out: AnyPath,
+    rig: AnyPath | None = None,
+    pattern: str | None = None,
+    board: Annotated[str, _TARGET] = "9x6",
+    square_mm: Annotated[float, _TARGET] = 3.0,
+    plane: Annotated[Sequence[AnyPath], _TARGET] = (),
+    calibrated_at: Annotated[str | None, PYTHON_ONLY] = None,
+    progress: Progress = silent,
+) -> MeasuredCamera:
+    """Measure the camera from photographs of a checkerboard (Zhang).
+
+    Parameters
+    ----------
+    folder
+        Photographs of one board, tilted differently in each.
+    out
+        Rig file to write.
+    rig
+        Rig file whose other parts are kept.
+    pattern
+        Only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders (default: all).
+    board
+        Inner corners each way, as 9x6.
+    square_mm
+        Side of a square, measured on the print.
+    plane
+        Photograph of the board lying on the finger plane: camera height, scale, tilt; may be repeated.
+    calibrated_at
+        Time of the calibration, ISO 8601; now by default.
+
+    Returns
+    -------
+    MeasuredCamera
+        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane, ``warnings``.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or argument at fault; nothing is written.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> splitknit_rig.calibrate_camera("boards", out="rig.json", board="9x6", square_mm=3.0)  # doctest: +SKIP
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000.
+    """
+    from splitknit_rig.calibration.camera_photos import calibrate_to_rig
+    from splitknit_rig.calibration.targets import Board
+
+    return calibrate_to_rig(
+        _path(folder),
+        Path(out),
+        Board.named(board, square_mm),
+        plane=tuple(map(Path, plane)),
+        rig=_path(rig),
+        pattern=pattern,
+        calibrated_at=calibrated_at,
+        progress=progress,
+    )
+
+
+@checked
+def calibrate_lights(
+    *,
+    out: AnyPath | None = None,
+    table: Annotated[AnyPath | None, _SOURCE] = None,
+    images: Annotated[AnyPath | None, _SOURCE] = None,
+    sphere: Annotated[Literal["chrome", "grey"] | None, _SOURCE] = None,
+    geometry: Annotated[bool, _SOURCE] = False,
+    rig: Annotated[AnyPath | None, _RIG] = None,
+    px_per_cm: Annotated[Positive | None, _RIG] = None,
+    image_size: Annotated[str | None, _RIG] = None,
+    led_height_cm: Annotated[Positive | None, _RIG] = None,
+    led_radius_cm: Annotated[Positive | None, _RIG] = None,
+    led_centre_px: Annotated[str | None, _RIG] = None,
+    first_azimuth_deg: Annotated[float, _RIG] = 0.0,
+    nail_height_mm: Annotated[float | None, Limits(0.5, 500), _NAIL] = None,
+    method: Annotated[Literal["circle", "joint"] | None, _NAIL] = None,
+    limit_deg: Annotated[float, Limits(0, 90, above=True), _NAIL] = 5.0,
+    keep: Annotated[bool, _NAIL] = False,
+    encoding: Annotated[Encoding | None, _PICTURES] = None,
+    mask: Annotated[AnyPath | None, _PICTURES] = None,
+    show: Annotated[AnyPath | None, _PICTURES] = None,
+    tips_out: Annotated[AnyPath | None, _PICTURES] = None,
+    progress: Progress = silent,
+) -> CalibratedLights:
+    """Find where the LEDs are: from a nail's shadows, a ball, or the rig's drawing.
+
+    Parameters
+    ----------
+    out
+        Rig file (.json) or list of lights (.txt) to write; 'splitknit reconstruct' takes both as lights of photographs
+        (default: none, only report what was found).
+    table
+        Nail and shadow tips, typed, as CSV.
+    images
+        Photographs: of the nail, or with `sphere` of a ball.
+    sphere
+        The photographs show a ball of this kind.
+    geometry
+        Nothing is measured: LEDs where the drawing has them.
+    rig
+        Rig file with the calibrated camera.
+    px_per_cm
+        Scale on the finger plane, without `rig`.
+    image_size
+        Of the photographs, without `rig`: ROWS,COLUMNS.
+    led_height_cm
+        Height of the LEDs above the finger plane.
+    led_radius_cm
+        Radius of the circle on which they sit.
+    led_centre_px
+        Pixel X,Y of the circle's centre (default: the rig's origin).
+    first_azimuth_deg
+        Of white LED 0, for `geometry`.
+    nail_height_mm
+        Where it is known (default: it is found).
+    method
+        circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail
+        positions or more, and with `rig`).
+    limit_deg
+        Directions further apart are refused.
+    keep
+        Keep LEDs that would be refused.
+    encoding
+        Of the photographs (default: as for 'splitknit reconstruct').
+    mask
+        Image that is white where the ball is.
+    show
+        Picture of what was found, PNG (default: beside `out`).
+    tips_out
+        Table of what was found, CSV, to correct and give to `table`.
+
+    Returns
+    -------
+    CalibratedLights
+        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``warnings``.
+
+    Raises
+    ------
+    BadInput
+        Naming the file or argument at fault; nothing is written. ``Refused``, whose facts hold what was found, if that
+        is not good enough.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> drawn = {"px_per_cm": 378.5, "led_height_cm": 14.0, "led_radius_cm": 5.25}
+    >>> len(splitknit_rig.calibrate_lights(out="rig.json", geometry=True, image_size="1100,1600", **drawn).leds)
+    14
+    """
+    from splitknit_rig.calibration import light_sources as lights
+    from splitknit_rig.calibration.lights_found import Rules
+    from splitknit_rig.calibration.nail import Nail
+
+    sources = {
+        "table": table is not None,
+        "images": images is not None and sphere is None,
+        "sphere": sphere is not None,
+        "geometry": geometry,
+    }
+    asked = [name for name, given in sources.items() if given]
+    named = " and ".join(f"`{name}`" for name in asked) + " were" if asked else "none was"
+    choices = "`table`, `images`, `sphere` with `images`, and `geometry`"
+    require(len(asked) == 1, f"calibrate lights needs one of {choices}, but {named} given.")
+    require(sphere is None or images is not None, "`sphere` needs `images`, photographs of the ball.")
+    require(not geometry or out is not None, "`geometry` writes a rig file; name it by `out`.")
+    for name, value in (("px_per_cm", px_per_cm), ("image_size", image_size)):
+        require(rig is None or value is None, f"`{name}` and `rig` set the same thing; give one of them.")
+
+    target = _path(out)
+    lights.check_lights_file(target)
+    base = None
+    if rig is not None or px_per_cm is not None or sphere is None:
+        base = lights.known_rig(_path(rig), px_per_cm, image_size, led_height_cm)
+    if sphere is not None:
+        assert images is not None
+        ball = lights.BallPhotographs(Path(images), sphere, encoding, _path(mask))
+        return lights.lights_of_ball(ball, base, target, led_height_cm=led_height_cm)
+    assert base is not None
+    circle = lights.led_circle(base, led_radius_cm, led_height_cm, led_centre_px)
+    if geometry:
+        return lights.lights_as_drawn(base, circle, target, first_azimuth_deg=first_azimuth_deg)
+    joint_from = 2 if rig is not None else 3
+    rules = Rules(Nail(nail_height_mm), method, joint_from, limit_deg, keep)
+    if table is not None:
+        return lights.lights_of_table(Path(table), base, circle, rules, target)
+    assert images is not None
+    return lights.lights_of_nail(
+        Path(images),
+        base,
+        circle,
+        rules,
+        target,
+        encoding=encoding,
+        show=_path(show),
+        tips_out=_path(tips_out),
+        progress=progress,
+    )
+
+
+def _pair(kind: Any, tokens: Sequence[Any]) -> tuple[float, float]:
+    word = tokens[0].value
+    try:
+        x, y = (float(part) for part in word.split(","))
+    except ValueError:
+        x, y = math.nan, math.nan
+    if not math.isfinite(x + y):
+        raise BadInput(f"'{word}' must be two numbers with a comma between them")
+    return x, y
+
+
+CardHeight = Annotated[float, Limits(-1000.0, 1000.0)]
+CardTilt = Annotated[tuple[float, float], Parameter(converter=_pair, n_tokens=1, allow_leading_hyphen=True)]
+PercentLimit = Annotated[Positive | None, Parameter("--limit")]
+
+
+@checked
+def calibrate_radiometry(
+    folder: AnyPath,
+    *,
+    out: AnyPath,
+    rig: AnyPath | None = None,
+    limit_percent: PercentLimit = None,
+    card_height_mm: CardHeight = 0.0,
+    card_tilt_deg: CardTilt | None = None,
+    residuals: AnyPath | None = None,
+    progress: Progress = silent,
+) -> RadiometricCalibration:
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
+
+    Parameters
+    ----------
+    folder : path
+        Capture folder of a white card under every LED.
+    out : path
+        Rig file to write.
+    rig : path, optional
+        Rig file with camera and LED places; by default the folder's.
+    limit_percent : float, optional
+        Of an LED's residuals (rms); 1 by default.
+    card_height_mm : float, optional
+        Height of the card's surface above the finger plane.
+    card_tilt_deg : pair of float, optional
+        Turn of the card about x and y; by default the base's, where the camera's calibration found it, else (0, 0).
+    residuals : path, optional
+        Picture to write: residuals under every LED, PNG.
+    progress : called with the name of a stage and the fraction done, optional
+
+    Returns
+    -------
+    RadiometricCalibration
+        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``, and ``facts`` as
+        they are in the rig file's provenance.
+
+    Raises
+    ------
+    BadInput
+        Naming the folder or file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> import splitknit_rig
+    >>> splitknit_rig.calibrate_radiometry("card", out="rig.json")  # doctest: +SKIP
+    """
+    from splitknit_rig.calibration.radiometry_folder import calibrate_to_file
+
+    return calibrate_to_file(
+        Path(folder),
+        Path(out),
+        rig_file=_path(rig),
+        limit_percent=limit_percent,
+        card_height_mm=card_height_mm,
+        card_tilt_deg=card_tilt_deg,
+        residuals=_path(residuals),
+        progress=progress,
+    )
+
+
+@checked
+def calibrate_or_check_radiometry(
+    folder: AnyPath,
+    *,
+    out: AnyPath | None = None,
+    check: AnyPath | None = None,
+    rig: AnyPath | None = None,
+    limit_percent: PercentLimit = None,
+    card_height_mm: CardHeight = 0.0,
+    card_tilt_deg: CardTilt | None = None,
+    residuals: AnyPath | None = None,
+    progress: Progress = silent,
+) -> RadiometricCalibration | Report:
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
+
+    Parameters
+    ----------
+    folder
+        Capture folder of a white card under every LED.
+    out
+        Rig file to write.
+    check
+        Compare with the calibration in this rig file, to within `limit_percent` (default: 3); writes nothing.
+    rig
+        Rig file with camera and LED places (default: the folder's).
+    limit_percent
+        Of an LED's residuals (rms, default: 1), in per cent.
+    card_height_mm
+        Height of the card's surface above the finger plane.
+    card_tilt_deg
+        Turn of the card about x and y, as X,Y (default: the base's, where 'calibrate camera' found it, else 0,0).
+    residuals
+        Picture to write: residuals under every LED, PNG.
+
+    Returns
+    -------
+    RadiometricCalibration, or Report of a check
+
+    Raises
+    ------
+    BadInput
+        Naming the folder or file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> calibrate_or_check_radiometry("card", check="rig.json").facts["warnings"]  # doctest: +SKIP
+    []
+    """
+    require((out is None) != (check is None), "name a rig file to write (`out`), or one to `check`.")
+    if out is not None:
+        return calibrate_radiometry(
+            folder, out=out, rig=rig, limit_percent=limit_percent, card_height_mm=card_height_mm,
+            card_tilt_deg=card_tilt_deg, residuals=residuals, progress=progress,
+        )  # fmt: skip
+    assert check is not None
+    refuse_given(
+        "does not go with `check`: the calibration is RIG's; leave it out.",
+        rig=rig, card_height_mm=card_height_mm or None, card_tilt_deg=card_tilt_deg, residuals=residuals,
+    )  # fmt: skip
+    from splitknit_rig.calibration.radiometry_folder import check_folder
+
+    facts = check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
+    own = [100 * led["own_ratio"] for led in facts["leds"]]
+    lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
+    if None in facts["common_ratio"].values():
+        lines.append("Only LEDs of one band are compared with each other: the exposures are not known on both days.")
+    lines += [f"Please note: {sentence}" for sentence in facts["warnings"]]
+    if not facts["warnings"]:
+        lines.append(f"All LEDs are as calibrated, within {facts['limit_percent']:g} %.")
+    return Report(facts, tuple(lines))
+
+
+def calibrate_polarisers(
+    folder: AnyPath,
+    *,
+    out: AnyPath,
+    rig: AnyPath | None = None,
+    residuals: AnyPath | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Measure polarising films: brightness, image shift, and what they let pass, from a printed card and a glossy
+    black ball.
+
+    Parameters
+    ----------
+    folder
+        Holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed).
+    out
+        Rig file to write.
+    rig
+        Rig file to add the films to (default: the card's).
+    residuals
+        Picture to write: residuals under every LED, PNG.
+
+    Returns
+    -------
+    Report
+        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and ``files``.
+
+    Raises
+    ------
+    BadInput
+        Naming the folder or file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> calibrate_polarisers("films", out="rig.json").facts["films"]  # doctest: +SKIP
+    """
+    from splitknit_rig.calibration.polarisers import films_to_file
+    from splitknit_rig.calibration.words import film_lines
+
+    facts = films_to_file(Path(folder), Path(out), rig=_path(rig), residuals=_path(residuals), progress=progress)
+    return Report(facts, tuple(film_lines(facts)))

@@ -1,0 +1,295 @@
+"""``splitknit capture``: photograph one finger, or those that an enrolment waits for."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from splitknit.arguments import AnyPath, Natural, Progress, Report, Scale, Settings, checked, refuse_given, silent
+from splitknit.errors import require
+from splitknit.settings import flatten
+
+if TYPE_CHECKING:
+    from splitknit.devices import Opened
+    from splitknit.io.enrolment import PlannedCapture
+    from splitknit_rig.capture.exposure import Focus, FocusWatch
+    from splitknit_rig.capture.folder import CaptureOptions
+
+    Opener = Callable[[int, int], AbstractContextManager[Opened]]
+    """Opens the devices, by the twin's seed and impression."""
+    Target = str | None
+else:
+    Target = Annotated[
+        tuple[str, ...] | None, Parameter(consume_multiple=(0, 1), converter=lambda _, tokens: tokens[0].value)
+    ]
+_BAR = 30
+_WHO = Parameter(group="Who (ids only, never names)")
+_MANY = Parameter(group="Many fingers")
+_TWIN = Parameter(group="Twin")
+
+
+@checked
+def capture(
+    *,
+    device: Literal["pi", "twin"],
+    out: AnyPath | None = None,
+    rig: AnyPath | None = None,
+    target: Target = None,
+    keep: bool = False,
+    overwrite: bool = False,
+    subject: Annotated[str | None, _WHO] = None,
+    finger: Annotated[str | None, _WHO] = None,
+    session: Annotated[Natural | None, _WHO] = None,
+    enrolment: Annotated[AnyPath | None, _MANY] = None,
+    subjects: Annotated[Natural | None, _MANY] = None,
+    sessions: Annotated[Natural | None, _MANY] = None,
+    fingers: Annotated[str | None, _MANY] = None,
+    next: Annotated[Natural | None, _MANY] = None,
+    seed: Annotated[Natural | None, _TWIN] = None,
+    pattern: Annotated[str | None, _TWIN] = None,
+    scale: Annotated[Scale | None, _TWIN] = None,
+    settings: Settings = None,
+    progress: Progress = silent,
+) -> Report:
+    """Photograph a finger under all LEDs: with the rig, or with its twin.
+
+    Parameters
+    ----------
+    device
+        pi: the Raspberry Pi's rig; twin: simulated.
+    out
+        Capture folder to write.
+    rig
+        Rig file (default: the nominal rig).
+    target
+        Photograph a calibration target: no finger is looked for; the twin puts a card (default), nail, board or sphere
+        there.
+    keep
+        Write a capture even if it must be taken again.
+    overwrite
+        Replace an earlier capture in `out`.
+    subject
+        Such as S01: letters, digits, - and _.
+    finger
+        right_thumb ... right_little, left_thumb ...
+    session
+        Number of the session, from 1.
+    enrolment
+        Go on with the enrolment in this folder.
+    subjects
+        To be captured (default: 17).
+    sessions
+        Of every subject (default: 4).
+    fingers
+        All (default), or names with commas.
+    next
+        Fingers to take now (default: all).
+    seed
+        Which simulated finger (default: 0).
+    pattern
+        loop, whorl, arch ... (default: drawn).
+    scale
+        Size of the images, 1 = 3200 x 2200 (default: 0.5).
+    settings
+        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
+
+    Returns
+    -------
+    Report
+        The facts of ``session.json`` and ``out``; of an enrolment what was captured and skipped, and what is next.
+
+    Raises
+    ------
+    BadInput
+        Naming what is at fault; ``Refused``, with the session's facts, where the finger must be captured again.
+
+    Examples
+    --------
+    >>> capture(device="twin", out="capture", seed=1).facts["images"]  # doctest: +SKIP
+    14
+    """
+    from splitknit.io.enrolment import FINGERS, check_subject_id
+    from splitknit.settings import override
+    from splitknit_rig.capture.folder import CaptureOptions
+    from splitknit_rig.capture.session import SessionSettings
+
+    places = "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
+    require((out is None) != (enrolment is None), places)
+    if subject is not None:
+        check_subject_id(subject)
+    require(finger is None or finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
+    require(session is None or session >= 1, "sessions are numbered from 1.")
+    if enrolment is None:
+        many = {"subjects": subjects, "sessions": sessions, "fingers": fingers, "next": next}
+        refuse_given("belongs to `enrolment` DIR.", **many)
+    require(next is None or next >= 1, "`next` must be at least 1.")
+    drawn = seed is not None or pattern is not None
+    require(device == "twin" or not drawn, "`seed` and `pattern` belong to `device` twin.")
+    alone = "`target`, `overwrite` and `pattern` are for one capture; an enrolment draws fingers and replaces nothing."
+    require(enrolment is None or not (target is not None or overwrite or pattern), alone)
+
+    changes = flatten(settings or {})
+    if target is not None:
+        target = target or "card"  # of an option without a value
+        changes["capture.find_finger"] = False
+    own = {name: value for name, value in changes.items() if name.startswith("capture.")}
+    others = {name: value for name, value in changes.items() if name not in own}
+    asks = device == "pi" and sys.stdin.isatty()
+    how = CaptureOptions(
+        override(SessionSettings(), {name.removeprefix("capture."): value for name, value in own.items()}),
+        material="opaque" if target is not None else "skin",
+        keep=keep,
+        overwrite=overwrite,
+        watch_focus=_FocusBar() if sys.stderr.isatty() else None,
+        turn=_turn if asks else None,
+        ask=_ask if asks else None,
+    )
+    opener = _pi(others, rig, scale) if device == "pi" else _twin(others, rig, scale, pattern=pattern, target=target)
+    if out is not None:
+        who: dict[str, Any] = {"id": subject or "anonymous", "session": session or 1}
+        if target is not None:
+            who = {}
+        elif finger is not None or device == "twin":
+            who["finger"] = finger or "simulated"
+        facts = _one(Path(out), how, opener, who, seed=seed or 0, impression=(session or 1) - 1, progress=progress)
+        return Report(facts, tuple(_lines(facts, Path(out), of_finger=target is None)))
+
+    from splitknit.io.enrolment import open_enrolment
+    from splitknit_rig.capture.folder import capture_enrolment
+
+    assert enrolment is not None
+    names = None
+    if fingers is not None:
+        names = FINGERS if fingers == "all" else tuple(fingers.split(","))
+    opened = open_enrolment(Path(enrolment), subjects=subjects, sessions=sessions, fingers=names)
+    waiting = opened.waiting(subject=subject, session=session, finger=finger)[:next]
+    with ExitStack() as stack:
+        kept = stack.enter_context(opener(0, 0)) if device == "pi" and waiting else None
+
+        def open_devices(place: PlannedCapture) -> AbstractContextManager[Opened]:
+            return nullcontext(kept) if kept is not None else opener(*opened.seeds(place, seed or 0))
+
+        facts = capture_enrolment(opened, waiting, open_devices, how, progress)
+    done = f"{facts['finished']} of {facts['total']} are finished in {enrolment}."
+    return Report(
+        facts,
+        (
+            f"{len(facts['captured'])} fingers captured now; {done}",
+            *(f"Skipped: {name}" for name in facts["skipped"]),
+            *(f"Please note: {note}." for note in facts["notes"]),
+            "All fingers are captured." if facts["next"] is None else f"Next: {facts['next']}",
+        ),
+    )
+
+
+def _pi(changes: Mapping[str, Any], rig_file: AnyPath | None, scale: float | None) -> Opener:
+    """What opens the Raspberry Pi's devices."""
+    from splitknit import read_rig
+    from splitknit.settings import override
+    from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
+
+    strays = [name for name in changes if not name.startswith("pi.")]
+    require(
+        not strays and scale is None,
+        f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it out, or use "
+        "names that begin with capture. or pi.",
+    )
+    rig = None if rig_file is None else read_rig(rig_file)
+    settings = override(PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()})
+    return lambda seed, impression: opened_pi(rig, settings)
+
+
+def _twin(
+    changes: Mapping[str, Any], rig_file: AnyPath | None, scale: float | None, *, pattern: str | None, target: Target
+) -> Opener:
+    """What opens the twin's devices, which the simulator's member brings."""
+    from splitknit import read_rig
+    from splitknit.registry import DEVICES, SIMULATOR, extension
+
+    rig = None if rig_file is None else read_rig(rig_file)
+    twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, scale)
+    return partial(twin.opened, pattern=pattern, target=target)
+
+
+def _one(
+    out: Path,
+    how: CaptureOptions,
+    opener: Opener,
+    subject: Mapping[str, Any],
+    *,
+    seed: int,
+    impression: int,
+    progress: Progress,
+) -> dict[str, Any]:
+    from splitknit.io.targets import check_capture
+    from splitknit_rig.capture.folder import capture_to_folder
+
+    check_capture(out, overwrite=how.overwrite)  # before any device is opened
+    progress("opening the devices", 0.0)
+    with opener(seed, impression) as devices:
+        return capture_to_folder(devices, out, how, subject=subject, progress=progress)
+
+
+def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:
+    rows, columns = facts["image_size"]
+    each = f"{facts['seconds']:.1f} s ({facts['seconds_per_frame']:.2f} s a frame)"
+    lines = [
+        f"{facts['images']} images of {columns} x {rows} pixels, with ambient frames, in {each}, written to {out}.",
+        *_exposure_lines(facts),
+        *(f"Please note: {note}." for note in facts["notes"]),
+    ]
+    if of_finger:
+        lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
+    return lines
+
+
+def _exposure_lines(facts: Mapping[str, Any]) -> list[str]:
+    lines = [
+        f"  {band}: {1e3 * exposure['exposure_s']:.1f} ms at gain {exposure['gain']:.1f}, LED "
+        f"{exposure['brightest_led']}, the brightest, at {100 * exposure['level']:.0f} % of full scale"
+        for band, exposure in facts["exposure"].items()
+        if band != "white_crossed"  # as white
+    ]
+    if "crossed_over_parallel" in facts:
+        part = 100 * facts["crossed_over_parallel"]
+        lines.append(f"  where the finger shines, the crossed images have {part:.0f} % of the parallel ones' light")
+    return [*lines, f"  sharpness {facts['focus']['sharpness']:.2f} %"]
+
+
+def _ask(place: PlannedCapture, why: str | None) -> str:
+    if why is not None:
+        print(f"\nNot yet: {why}", file=sys.stderr)
+    print(f"\n{place.words}: lay it down and press Enter (s: skip it, q: stop) ", end="", file=sys.stderr, flush=True)
+    answer = sys.stdin.readline()
+    if answer == "" or answer.strip().lower().startswith("q"):
+        return "stop"
+    return "skip" if answer.strip().lower().startswith("s") else "go"
+
+
+def _turn(position: str) -> None:
+    print(f"\nTurn the analyser to {position}, then press Enter: ", end="", file=sys.stderr, flush=True)
+    require(sys.stdin.readline() != "", "the analyser was not turned: nobody answered on the terminal.")
+
+
+class _FocusBar:
+    """Shows focus live on the terminal; Enter ends it."""
+
+    def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
+        full = round(_BAR * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
+        bar = "#" * full + "." * (_BAR - full)
+        text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
+        sys.stderr.write(f"\r{text}")
+        sys.stderr.flush()
+        done = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0)[0])
+        if done:
+            sys.stdin.readline()
+        if done or watch.ended:
+            sys.stderr.write(f"\r{' ' * len(text)}\r")
+        return done

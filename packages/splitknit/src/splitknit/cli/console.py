@@ -1,0 +1,88 @@
+"""What all verbs share on a terminal: lines that move no cursor, notes, and the progress bar."""
+
+from __future__ import annotations
+
+import logging
+import re
+import shutil
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from splitknit.errors import printable
+from splitknit.registry import MEMBERS
+
+
+def one_line(error: object, options: Mapping[str, str]) -> str:
+    """Return an error's text on one line that moves no cursor: what it quotes may hold any character.
+
+    Arguments of Python functions, which stand between backticks, become the options of the verb that ran.
+
+    >>> one_line("give `px_per_mm` 20, or `max_megapixels`.", {"max_megapixels": "--max-size"})
+    'give px_per_mm 20, or --max-size.'
+    """
+    return printable(" ".join(with_options(str(error), options).split()) or "no further words")
+
+
+def with_options(text: str, options: Mapping[str, str]) -> str:
+    """Return `text` with the options of the arguments that stand between backticks; other names stay as words."""
+    return re.sub("`([a-z_0-9]+)`", lambda name: options.get(name[1], name[1]), text)
+
+
+def facts_with_options(facts: Any, options: Mapping[str, str]) -> Any:
+    """Facts with the options that their sentences name."""
+    if isinstance(facts, Mapping):
+        return {key: facts_with_options(value, options) for key, value in facts.items()}
+    if isinstance(facts, list | tuple):
+        return [facts_with_options(item, options) for item in facts]
+    return with_options(facts, options) if isinstance(facts, str) else facts
+
+
+@contextmanager
+def warnings_shown(options: Mapping[str, str]) -> Iterator[None]:
+    """In the block, what the library logs as a warning is printed to stderr as a note."""
+
+    def emit(record: logging.LogRecord) -> None:
+        print(f"splitknit: note: {one_line(record.getMessage(), options)}", file=sys.stderr)
+
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = emit  # type: ignore[method-assign]
+    loggers = [logging.getLogger(member.replace("-", "_")) for member in MEMBERS]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
+class ProgressBar:
+    """A bar on a terminal, from the first report on; silence in a pipe and where it is not `wanted`."""
+
+    def __init__(self, wanted: bool) -> None:  # noqa: D107 - the class says it
+        self._wanted = wanted and sys.stderr.isatty()
+        self._began, self._drawn = time.monotonic(), ""
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def update(self, stage: str, fraction: float) -> None:
+        """Report that `stage` is at work and `fraction` (0 to 1) of everything is done."""
+        if self._wanted:
+            done = min(1.0, fraction)
+            width = max(4, min(80, shutil.get_terminal_size().columns - 45))
+            minutes, seconds = divmod(int(time.monotonic() - self._began), 60)
+            bar = "#" * round(width * done)
+            self._draw(f"{printable(stage):24.24s} |{bar:{width}s}| {100.0 * done:3.0f} % {minutes:02d}:{seconds:02d}")
+
+    def _draw(self, line: str) -> None:
+        if line != self._drawn:
+            self._drawn = line
+            print(f"\r{line}\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, *unused: object) -> None:
+        if self._drawn:
+            self._draw("")

@@ -1,0 +1,264 @@
+"""Photographs or a capture folder in, a capture or a folder of results out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
+from splitknit.errors import BadInput, naming, require
+from splitknit.findings import Finding, Severity, worst_first
+from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs, Lights
+
+if TYPE_CHECKING:
+    from splitknit.model import Capture
+
+_LOG = logging.getLogger(__name__)
+
+
+def read_photographs(
+    images: AnyPath,
+    lights: Lights | None = None,
+    px_per_mm: float | None = None,
+    *,
+    light_frame: str | None = None,
+    ridge_period_mm: float | None = None,
+    mask: AnyPath | None = None,
+    material: Literal["skin", "opaque"] | None = None,
+    tip_direction_deg: float | None = None,
+    encoding: Encoding | None = None,
+    brightness: Literal["estimate", "equal"] | None = None,
+    max_megapixels: float | None = None,
+    background: float | AnyPath | None = None,
+    crossed: AnyPath | None = None,
+    mosaic: Literal["mono", "colour"] | None = None,
+    film_deg: float = 90.0,
+    flat: AnyPath | None = None,
+    nir: AnyPath | None = None,
+) -> Capture:
+    """Read photographs of one object under one light after the other, taken by any camera, as a capture.
+
+    What was assumed of them (such as their encoding) is logged by the logger ``splitknit.folders``.
+
+    Parameters
+    ----------
+    images : path
+        Folder of photographs, or a pattern of their names.
+    lights : path, directions (L, 3) or Rig, optional
+        By default ``lights.txt`` beside the images; ``unknown``: they are estimated.
+    px_per_mm : float, optional
+        Scale on the object; without it heights are in pixels.
+    light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding, brightness, max_megapixels, background, \
+crossed, mosaic, film_deg, flat, nir : optional
+        See :class:`splitknit.io.photographs.GivenPhotographs`, whose fields they are.
+
+    Returns
+    -------
+    Capture
+
+    Raises
+    ------
+    BadInput
+        If photographs are missing, damaged, black or overexposed, or do not fit their lights.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture = splitknit.read_photographs("photos", "lights.txt", px_per_mm=20.0)  # doctest: +SKIP
+    >>> splitknit.reconstruct(capture).height_mm.shape  # doctest: +SKIP
+    (1500, 2000)
+    """
+    capture, notes = capture_of(GivenPhotographs(**locals()))
+    for note in notes:
+        _LOG.info("%s", note)
+    return capture
+
+
+def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
+    """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
+    from splitknit.io.plain import capture_from_photographs
+    from splitknit.photometric.frames import rig_of_frame
+    from splitknit.photometric.uncalibrated import with_estimated_lights
+    from splitknit.pipeline import with_scale
+
+    images, period_mm = photographs.images, photographs.ridge_period_mm
+    assert images is not None
+    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs, _LOG.warning)
+    capture = naming(images, lambda: with_estimated_lights(read.capture))
+    if photographs.light_frame is not None:
+        capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
+    scaled, note = naming(images, lambda: with_scale(capture, None, period_mm))
+    known = scaled.rig.camera.scale_known
+    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
+    return scaled, [*kept, *([Finding("scale-of-ridges", note)] if note else [])]
+
+
+@dataclass(frozen=True, slots=True)
+class Reconstructed:
+    """What :func:`reconstruct_to_folder` wrote."""
+
+    facts: dict[str, Any]
+    """Those of ``report.json``, and ``out``, ``area_mm2``, ``total_s``."""
+
+    def __str__(self) -> str:
+        facts = self.facts
+        result, out = facts["result"], facts["out"]
+        known = result["scale_known"]
+        measured = f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
+        findings = facts["findings"]
+        lines = [
+            *(f"The surface is spoilt: {each['message']}" for each in findings if each["severity"] != "note"),
+            f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
+            f"Written to {out}: {', '.join(facts['files'])}.",
+            *(f"Please note: {each['message']}" for each in findings if each["severity"] == "note"),
+        ]
+        for preset, figure in facts["comparison"].items():
+            rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"
+            ridges = f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
+            lines.append(f"Against the truth ({preset}): {rms}, {ridges}.")
+        return text_of([*lines, f"Open {Path(out) / 'report.html'} in a browser."])
+
+
+@checked
+def reconstruct_to_folder(
+    capture: AnyPath | None = None,
+    *,
+    out: AnyPath,
+    preset: Preset = "metric",
+    rig: AnyPath | None = None,
+    shape: Literal["nir", "white", "mirror"] | None = None,
+    device: Device = "cpu",
+    keep: bool = False,
+    strict: bool = False,
+    settings: Settings = None,
+    photographs: AllPhotographs = NO_PHOTOGRAPHS,
+    progress: Progress = silent,
+) -> Reconstructed:
+    """Turn a capture folder, or photographs, into a 3D fingerprint.
+
+    Parameters
+    ----------
+    capture
+        Capture folder (with capture.json), or see `images`.
+    out
+        Folder to write the results into.
+    preset
+        metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), these two split
+        by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin.
+    rig
+        Rig file instead of the capture's, such as a calibration; with `images` its white LEDs and camera.
+    shape
+        Where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in mirrors
+        beside it (mirror).
+    device
+        Where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs onnxruntime-gpu),
+        or auto, cuda where there is one.
+    keep
+        Go on where photographs that contradict each other spoil the surface of skin.
+    strict
+        Write nothing where a note says that something spoils the surface.
+    settings
+        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
+    photographs
+        What is known of photographs in place of a capture folder.
+
+    Returns
+    -------
+    Reconstructed
+
+    Raises
+    ------
+    BadInput
+        Naming the argument or the file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> reconstruct_to_folder("capture", out="result").facts["area_mm2"]  # doctest: +SKIP
+    423.7
+    """
+    from splitknit.accuracy import read_truth
+    from splitknit.io.atomic import atomic_folder
+    from splitknit.io.targets import check_target
+    from splitknit.networks.unet import use_device
+    from splitknit.pipeline import reconstruct
+    from splitknit.presets import preset_settings
+    from splitknit.report.result import write_files
+    from splitknit.settings import override
+    from splitknit.steps import one_heap
+
+    both = "; both were given." if capture is not None else "."
+    one = (capture is None) != (photographs.images is None)
+    require(one, f"name a capture folder, or photographs with `images` DIR `lights` FILE{both}")
+    photographs.refuse_without_images()
+    changes = dict(settings or {}) | ({"keep": True} if keep else {})
+    if shape is not None:
+        changes["shape.source"] = shape
+    started = time.perf_counter()
+    one_heap()
+    source = Path(capture or photographs.images or "")
+    override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
+    check_target(Path(out), "height.npz", "an earlier result", keep=source)
+    device_used = use_device(device)
+    with atomic_folder(Path(out)) as target:
+        progress("reading", 0.0)
+        taken, notes = _read(capture, rig, photographs)
+        read_s = time.perf_counter() - started
+        shown, held = _with_small_images(taken), [taken]
+        del taken  # so that its images go once they are read: 0.3 GB less at a full frame's peak
+        try:
+            result = reconstruct(
+                held.pop(), preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+            )
+            if device_used != "cpu":  # its last digits are others'
+                result = replace(result, facts={**result.facts, "device": device_used})
+            findings = worst_first((*notes, *result.findings))
+            doubted = [str(each).rstrip(".") for each in findings if each.severity != Severity.NOTE]
+            require(not (strict and doubted), f"{doubted[0] if doubted else ''} (`strict`).")
+            timings = {"reading": read_s, **result.timings_s}
+            result = replace(result, timings_s=timings, findings=findings)
+            progress("writing", 0.8)
+            truth = read_truth(shown) if shown.truth is not None and shown.rig.camera.scale_known else None
+            facts = write_files(result, shown, target, truth)
+        except BadInput as error:  # stages know arrays only
+            raise BadInput(f"{source}: {error}") from error
+    progress("done", 1.0)
+    total_s = time.perf_counter() - started
+    return Reconstructed({**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s})
+
+
+def _read(
+    capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
+) -> tuple[Capture, list[Finding]]:
+    """The capture, with what was given in place of its own, and notes on it."""
+    from splitknit.io.capture import read_capture, with_rig
+    from splitknit.photometric.frames import rig_of_frame
+    from splitknit.pipeline import with_scale
+
+    rig = None if rig_file is None else Path(rig_file)
+    if capture_folder is None:
+        require(rig is None or photographs.lights is None, "`rig` and `lights` both give the lights; choose one.")
+        named = rig is None or rig.suffix.lower() == ".json"
+        require(named, f"`rig` must name a rig file (.json), not '{rig}'; name a list of lights with `lights`.")
+        return capture_of(photographs if rig is None else replace(photographs, lights=rig))
+    capture = read_capture(capture_folder)
+    if rig is not None:
+        capture = with_rig(capture, rig)
+    if photographs.tip_direction_deg is not None:
+        capture = replace(capture, tip_direction_deg=photographs.tip_direction_deg)
+    if photographs.light_frame is not None:
+        capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
+    scaled = partial(with_scale, capture, photographs.px_per_mm, photographs.ridge_period_mm)
+    capture, note = naming(capture_folder, scaled)
+    return capture, [Finding("scale-of-ridges", note)] if note else []
+
+
+def _with_small_images(capture: Capture) -> Capture:
+    """The capture with small images for a report, so that the large ones can be let go, for the sake of memory."""
+    from splitknit.report.photos import small_images
+
+    bands = {name: replace(band, pixels=small_images(band), ambient=None) for name, band in capture.bands.items()}
+    return replace(capture, bands=bands)

@@ -1,0 +1,187 @@
+"""Photographs in, a capture folder out; a view of several fingers, a capture folder of each. Prints are read by what is
+registered for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from splitknit.arguments import AnyPath, Progress, Report, silent
+from splitknit.errors import require
+from splitknit.findings import Finding
+from splitknit.folders import capture_of
+from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs
+from splitknit.registry import GONE, IMPORTS, MATCH, extension
+
+if TYPE_CHECKING:
+    from splitknit.model import Capture
+
+_SURFACES = (".ply", ".xyz", ".obj", ".stl")
+
+
+def import_files(
+    files: Sequence[AnyPath] = (),
+    *,
+    out: AnyPath,
+    nir: AnyPath | None = None,
+    fingers: str | None = None,
+    keep: Annotated[bool, Parameter(alias="--force")] = False,
+    overwrite: bool = False,
+    input_ppi: float | None = None,
+    photographs: AllPhotographs = NO_PHOTOGRAPHS,
+    progress: Progress = silent,
+) -> Report:
+    """Turn photographs and light directions into a capture folder (`images`), or prints of other systems into PNG.
+
+    Parameters
+    ----------
+    files
+        WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; ISO
+        19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take all of
+        them as they are.
+    out
+        Folder to write.
+    nir
+        Near-infrared photographs: a folder, or a pattern as for `images`; their lights are the NIR LEDs of a rig file,
+        else lights.txt in that folder.
+    fingers
+        `images`, or the capture folder FILES, show several fingers side by side: each becomes a capture in `out`; left,
+        right: index to little finger of that hand; auto: the hand follows from their tips; else names from left to
+        right, such as right_middle,right_index.
+    keep
+        Keep a hand of `fingers` that the tips contradict.
+    overwrite
+        Replace an earlier capture in `out`.
+    input_ppi
+        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
+    photographs
+        What is known of photographs.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    BadInput
+        Naming the argument or the file at fault; nothing is written.
+
+    Examples
+    --------
+    >>> photographs = GivenPhotographs("photos", "lights.txt", px_per_mm=20.0)
+    >>> import_files(out="capture", photographs=photographs).facts["images"]  # doctest: +SKIP
+    7
+    """
+    images = photographs.images
+    both = images is not None and bool(files)
+    require(not both, "photographs (`images` DIR) and prints (FILES ...) are imported one after the other.")
+    fault = "name photographs (`images` DIR `lights` FILE)"
+    require(images is not None or bool(files), f"{fault} or files of prints to import.")
+    skin = (nir, fingers) != (None, None)  # a finger is
+    material = photographs.material or ("skin" if skin else None)
+    known = replace(photographs, nir=nir, material=material)
+    if fingers is not None:
+        require(len(files) < 2, "`fingers` takes one capture, or `images` of one.")
+        photographs.refuse_without_images()
+        source = known if images is not None else Path(files[0])
+        return _import_fingers(source, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress)
+    cloud = next((file for file in files if Path(file).suffix.lower() in _SURFACES), None)
+    require(cloud is None, f"'{cloud}' is a surface: {GONE['import --unit']}")
+    require(not keep, "`keep` goes with `fingers`.")
+    if images is None:
+        require(nir is None, "`nir` goes with `images`.")
+        require(not overwrite, "`overwrite` goes with `images`.")
+        photographs.refuse("goes with `images`.")
+        import_prints = extension(IMPORTS, "prints", "the import of prints", MATCH)
+        prints: Report = import_prints(files, out, input_ppi, progress)
+        return prints
+    return _import_photographs(known, Path(out), overwrite=overwrite, progress=progress)
+
+
+def _import_fingers(
+    source: GivenPhotographs | Path, out: Path, fingers: str, *, keep: bool, overwrite: bool, progress: Progress
+) -> Report:
+    """Cut a view of several fingers into a capture folder of each."""
+    from splitknit.finger.hand import fingers_apart
+    from splitknit.io.capture import read_capture, write_capture
+    from splitknit.io.targets import check_capture
+
+    names = fingers if fingers in ("auto", "left", "right") else fingers.split(",")
+    progress("reading", 0.1)
+    if isinstance(source, Path):
+        capture, notes, folder = read_capture(source), list[Finding](), source
+    else:
+        assert source.images is not None
+        folder = Path(source.images)
+        capture, notes = capture_of(source)
+    progress("fingers", 0.5)
+    captures = {out / name: part for name, part in fingers_apart(capture, names, keep=keep).items()}
+    for place in captures:
+        check_capture(place, overwrite=overwrite, keep=folder)
+    for place, part in captures.items():
+        write_capture(part, place, overwrite=overwrite)
+    sizes = {place.name: list(part.shape) for place, part in captures.items()}
+    return Report(
+        {"out": str(out), "fingers": sizes, "notes": [str(note) for note in notes]},
+        (
+            *(f"{part.shape[1]} x {part.shape[0]} pixels written to {place}." for place, part in captures.items()),
+            *(f"Please note: {note}" for note in notes),
+            f"Next: splitknit reconstruct {next(iter(captures))} --out RESULT",
+        ),
+    )
+
+
+def _import_photographs(photographs: GivenPhotographs, out: Path, *, overwrite: bool, progress: Progress) -> Report:
+    from splitknit.io.capture import write_capture
+    from splitknit.io.targets import check_capture
+
+    for folder in (photographs.images, photographs.crossed):
+        if folder is not None:
+            keep = Path(folder).parent if "{light}" in Path(folder).name else Path(folder)
+            check_capture(out, overwrite=overwrite, keep=keep)
+    progress("reading", 0.1)
+    capture, notes = capture_of(photographs)
+    progress("writing", 0.7)
+    write_capture(capture, out, overwrite=overwrite)
+    return _report_on(capture, notes, out)
+
+
+def _report_on(capture: Capture, notes: Sequence[Finding], out: Path) -> Report:
+    band, camera = capture.bands["white"], capture.rig.camera
+    images, rows, columns, channels = band.pixels.shape
+    nir = len(capture.bands["nir"].leds) if "nir" in capture.bands else 0
+    polarised = "white_crossed" in capture.bands
+    facts: dict[str, Any] = {
+        "out": str(out),
+        "images": images,
+        "polarised": polarised,
+        "image_size": [rows, columns],
+        "channels": channels,
+        "encoding": capture.encoding,
+        "material": capture.material,
+        "px_per_mm": camera.px_per_mm if camera.scale_known else None,
+        "mask": capture.mask is not None,
+        "notes": [str(note) for note in notes],
+        "nir": nir,
+    }
+    kind = "colour" if channels == 3 else "grey"
+    if polarised:
+        kind = f"parallel and {images} crossed {kind}"
+    if nir:
+        kind += f" and {nir} near-infrared"
+    scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
+    covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
+    how = f"{capture.encoding}, {capture.material}, {scale}, {covered}"
+    return Report(
+        facts,
+        (
+            f"{images} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}.",
+            *(f"Please note: {note}" for note in notes),
+            f"Next: splitknit reconstruct {out} --out RESULT",
+        ),
+    )

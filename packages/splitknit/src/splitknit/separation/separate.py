@@ -1,0 +1,98 @@
+"""Images under fine patterns, or through polarising films, in; two kinds of light out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splitknit.arguments import AnyPath, Encoding, Progress, checked, silent, text_of
+from splitknit.errors import require
+
+
+@dataclass(frozen=True, slots=True)
+class Separated:
+    """What :func:`separate` wrote."""
+
+    facts: dict[str, Any]
+    """Those of ``report.json``, and ``out``."""
+
+    def __str__(self) -> str:
+        facts = self.facts
+        notes = [f"Please note: {warning}" for warning in facts["warnings"]]
+        if facts["method"] == "polarised":
+            share = f"{100 * facts['specular_share']:.0f} % of the light through parallel films"
+            return text_of([
+                f"{facts['images']} pairs of photographs separated: {share} is specular in the median.",
+                f"Written to {facts['out']}: specular_K.png and diffuse_K.png of each light, specular.png of all.",
+                *notes,
+            ])  # fmt: skip
+        direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
+        return text_of([
+            f"{len(facts['images'])} images separated by {facts['method']}: {direct}.",
+            f"Written to {facts['out']}: {', '.join(facts['files'])}.",
+            *notes,
+        ])  # fmt: skip
+
+
+@checked
+def separate(
+    folders: Sequence[AnyPath],
+    *,
+    out: AnyPath,
+    alpha: float | None = None,
+    dark: float | None = None,
+    patterns: str | None = None,
+    encoding: Encoding | None = None,
+    check_px: float | None = None,
+    progress: Progress = silent,
+) -> Separated:
+    """Split images under fine patterns into direct and global light, or polarised ones.
+
+    Parameters
+    ----------
+    folders
+        Folder of images under patterns; or 'polarised PARALLEL CROSSED', two folders of the same photographs through
+        parallel and crossed films: specular and diffuse light.
+    out
+        Folder to write the results into.
+    alpha
+        Fraction of the pattern that is lit (default: 0.5).
+    dark
+        Brightness of its unlit part (default: 0).
+    patterns
+        Folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise.
+    encoding
+        Of the images (default: linear).
+    check_px
+        Side of a check on the images, for noisy checkerboards on skin (whose states are found in the images unless
+        `patterns` gives them).
+
+    Returns
+    -------
+    Separated
+
+    Raises
+    ------
+    BadInput
+        Naming the file or the folder at fault; nothing is written.
+
+    Examples
+    --------
+    >>> separate(["images"], out="light").facts["direct_share"]  # doctest: +SKIP
+    0.62
+    """
+    from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
+
+    places = [Path(folder) for folder in folders]
+    of_patterns = {"alpha": alpha, "dark": dark, "patterns": patterns, "check_px": check_px}
+    given: dict[str, Any] = {name: value for name, value in of_patterns.items() if value is not None}
+    if len(places) == 1:
+        linear: Encoding = encoding or "linear"
+        return Separated(separate_to_folder(places[0], Path(out), encoding=linear, progress=progress, **given))
+    good = len(places) == 3 and str(places[0]) == "polarised" and not given
+    fault = "name one folder of images under patterns, or 'polarised PARALLEL CROSSED',"
+    require(good, f"{fault} with `out` and `encoding` alone.")
+    _, parallel, crossed = places
+    return Separated(separate_polarised_folders(parallel, crossed, Path(out), encoding=encoding, progress=progress))

@@ -1,0 +1,46 @@
+"""Findings: their order, their lengths in pixels, and a row of the documentation for each code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import splitknit
+from splitknit.diagnosis.codes import CODES
+from splitknit.errors import BadInput
+from splitknit.findings import Finding, Severity, refuse, worst_first
+
+WIDE = Finding(
+    "odd-finger-width", "it is {:.1f mm} wide, where {:g mm-} to {:g mm} is usual.", lengths_mm=(40.0, 6.0, 30.0)
+)
+
+
+def test_lengths_are_in_pixels_where_the_scale_is_unknown() -> None:
+    assert str(WIDE) == "it is 40.0 mm wide, where 6 to 30 mm is usual."
+    assert str(WIDE.in_pixels(20.0)) == "it is 800 px wide, where 120 to 600 px is usual."
+    assert str(Finding("jpeg", "a {name}").in_pixels(2.0)) == "a {name}"
+
+
+def test_the_worst_come_first_and_each_once() -> None:
+    note, doubt = Finding("jpeg", "a"), Finding("jpeg", "b", Severity.DOUBT)
+    spoils = Finding("one-light", "c.", Severity.SPOILS, files=("x.png",), effect_deg=4.0)
+    assert worst_first([note, doubt, spoils, note]) == (spoils, doubt, note)
+    refuse([note, doubt, spoils], keep=True)
+    refuse([note, doubt], keep=False)
+    with pytest.raises(BadInput, match=r"^c; `keep`"):
+        refuse([note, spoils], keep=False)
+    assert spoils.facts == {
+        "code": "one-light", "severity": "spoils", "message": "c.", "files": ["x.png"], "effect_deg": 4.0
+    }  # fmt: skip
+    assert str(Finding("jpeg", "a").of_band("nir")) == "nir band: a"
+
+
+def test_every_code_has_a_row_and_every_row_is_used() -> None:
+    sources = [path.read_text(encoding="utf-8") for path in Path(splitknit.__file__).parent.rglob("*.py")]
+    table = next(text for text in sources if "CODES: dict" in text)
+    used = set(re.findall(r'"([a-z]+(?:-[a-z]+)*)"', "\n".join(text for text in sources if text is not table)))
+    made = set(re.findall(r'Finding\(\s*"([a-z-]+)"', "\n".join(sources)))
+    assert made <= set(CODES)
+    assert set(CODES) <= used
